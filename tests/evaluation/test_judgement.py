@@ -12,7 +12,8 @@ from mfd_bayes.evaluation.views import COVERAGE, READING, Check
 from mfd_bayes.messages import Message
 from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.verdict import Use, Verdict
-from mfd_bayes.evaluation.judgement import judge, least_believed, use_of
+from mfd_bayes.evaluation.judgement import least_believed
+from mfd_bayes.evaluation.verdict import judge, use_of
 from mfd_bayes.evaluation.sentences import verdict_sentence
 from mfd_bayes.evaluation.views import COVERAGE, READING, Check
 from mfd_bayes.runs.verdict import Finding, Use, Verdict

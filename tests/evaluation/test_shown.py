@@ -13,7 +13,7 @@ from mfd_bayes.evaluation.summary import views_of_tests
 from mfd_bayes.jobs import parallel
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.evaluation import shown
-from mfd_bayes.evaluation.shown import views_of_tests
+from mfd_bayes.evaluation.summary import views_of_tests
 from mfd_bayes.jobs import likelihoods
 from mfd_bayes.runs.run import open_run
 

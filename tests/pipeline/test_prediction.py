@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline import prediction, report
+from mfd_bayes.pipeline import predict as prediction
+from mfd_bayes.pipeline import report
 
 TIME = np.arange(401) / 100.0
 
