@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from string import Formatter
 from dataclasses import asdict, dataclass, field
+from string import Formatter
 from typing import Any
 
 from mfd_bayes.errors import StoreError

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mfd_bayes.evaluation.design import DesignRow
-    from mfd_bayes.evaluation.views import CampaignView, DerivedRow, LeftOutView
+    from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.scores import Comparison
     from mfd_bayes.runs.verdict import Finding
@@ -89,16 +89,10 @@ def _figures(values: Iterable[float], digits: int = 4) -> list[str]:
     return ["–" if math.isnan(value) else f"{value:.{digits}g}" for value in values]
 
 
-def print_warnings(warnings: Iterable[Finding]) -> None:
-    """Print what was found that a reader must know, a line each."""
+def print_warnings(warnings: Iterable[Finding], system: System = US) -> None:
+    """Print what was found that a reader must know, a line each, in the units of a system."""
     for finding in warnings:
-        say(f"warning: {finding.subject}: {finding.sentence}")
-
-
-def warnings_of(plan: Plan) -> list[Finding]:
-    """Warnings about the records of a plan, in the units of the campaign."""
-    say_in = plan.system.reworded
-    return [replace(f, sentence=say_in(f.sentence)) for f in plan.manifest.warnings]
+        say(f"warning: {finding.subject}: {finding.message.to_text(system.words)}")
 
 
 def print_plan(plan: Plan) -> None:
@@ -229,25 +223,38 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
     if not every:
         kinds: dict[str, Counter[str]] = {}
         for check in view.checks:
-            kinds.setdefault(check.name, Counter())[check.verdict] += 1
+            kinds.setdefault(check.check, Counter())[check.status] += 1
         title = "Checks of every test and of the population (--all shows each)"
         counts = [(name, *(count[verdict] for verdict in Verdict)) for name, count in kinds.items()]
         print_rows(title, ("check", *Verdict), counts)
     shown = [
         (
-            *(c.subject, c.name, c.target, f"{c.value:.4g}"),
-            f"{c.limit} ({c.tolerance:.0%})" if math.isfinite(c.tolerance) else c.limit,
-            c.verdict,
+            *(c.test, c.check, c.feature, _figure(view, c.observed, c.unit), _expected(view, c)),
+            c.status,
         )
         for c in view.checks
-        if every or c.verdict in (Verdict.FAIL, Verdict.CARE)
+        if every or c.status in (Verdict.FAIL, Verdict.WARNING)
     ]
     if shown:
-        heads = ("subject", "check", "target", "value", "limit", "verdict")
+        heads = ("test", "check", "feature", "observed", "expected", "status")
         title = "Checks" if every else "Checks that failed or need care"
         print_rows(title, heads, shown, folded=len(heads))
-    print_warnings(view.warnings)
+    print_warnings(view.warnings, view.systems[view.metric])
     _print_verdicts(view)
+
+
+def _figure(view: CampaignView, value: float, unit: str) -> str:
+    """A value in the units of a view."""
+    if unit in ("1", "dimensionless"):
+        return f"{value:.4g}"
+    return view.systems[view.metric].words([value], unit)
+
+
+def _expected(view: CampaignView, check: Check) -> str:
+    """What passes a check, with its tolerance where it has one."""
+    dimensionless = check.unit in ("1", "dimensionless")
+    limit = check.limit if dimensionless else _figure(view, check.expected, check.unit)
+    return f"{limit} ({check.tolerance:.0%})" if math.isfinite(check.tolerance) else limit
 
 
 def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from mfd_bayes.evaluation.crossvalidate import (fold_id, folds_of, part_kind, parts_of, run_folds)
+from mfd_bayes.evaluation.crossvalidate import fold_id, folds_of, part_kind, parts_of, run_folds
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibrate import Observe, calibrate_locked, working_in

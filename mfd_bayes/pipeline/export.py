@@ -64,7 +64,7 @@ def export(out: Path, request: Export) -> Exported:
     check_folder(folder, force=request.force)
     run = open_run(out)
     level = _level(run, request.actuation)
-    outside = leaving(run.tested, [Span("actuation", run.actuation_unit, level, level)])
+    outside = departures(run.tested, [Span("actuation", run.actuation_unit, level, level)])
     far = far_sentences(outside, run.system)
     if far and not request.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to export it all the same")

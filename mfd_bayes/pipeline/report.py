@@ -7,17 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.evaluation import assess, verdicts
+from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
+from mfd_bayes.evaluation.properties import stored_peaks
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
+from mfd_bayes.reporting.conversion import convert_scores, system_of
 from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import check_places
-from mfd_bayes.runs.paths import draws_as
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.paths import draws_as
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
@@ -72,8 +74,8 @@ def write_report(
 
     processes = Workplace(jobs).processes
     observe(Step("report", "checks and bands"))
-    metric = named_system(units, run.system).name == SI.name
-    view = replace(assess(run, processes), metric=metric)
+    system = named_system(units, run.system)
+    view = replace(assess(run, processes), metric=system.name == SI.name)
     if forms.next_test:
         observe(Step("report", "which test next"))
         view = replace(view, next_test=run.next_test())
@@ -102,10 +104,10 @@ def check(out: Path, units: str = "") -> CampaignView:
     """
     run = open_run(out)
     metric = named_system(units, run.system).name == SI.name
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         view = assess(run)
-    checks = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
-    return in_words(replace(view, metric=metric, checks=tuple(checks)))
+    checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
+    return replace(view, metric=metric, checks=tuple(checks))
 
 
 def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:
