@@ -81,11 +81,11 @@ def _fill(wish: str, page: str) -> str:
 
 def _glossary() -> str:
     """Sections with the words of the project, each with its meaning."""
-    from mfd_bayes.reporting.glossary import read_glossary
+    from mfd_bayes.reporting.page import read_glossary
 
     return "\n\n".join(
-        "\n\n".join([f"## {group.title}", *(f"**{t.name}**: {t.text}" for t in group.terms)])
-        for group in read_glossary()
+        "\n\n".join([f"## {title}", *(f"**{name}**: {text}" for name, text in terms.items())])
+        for title, terms in read_glossary().items()
     )
 
 

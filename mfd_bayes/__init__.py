@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.backlash import BacklashLuGre
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.lugre import LuGre
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.friction.quantity import Parameter
     from mfd_bayes.friction.three_stage import ThreeStage
     from mfd_bayes.planning.candidate import Candidate, Limits
     from mfd_bayes.planning.goal import Goal
@@ -37,6 +39,8 @@ _HOMES = {
     "Forecaster": "mfd_bayes.population.given",
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
+    "Model": "mfd_bayes.friction.model",
+    "Parameter": "mfd_bayes.friction.quantity",
     "ModelAverage": "mfd_bayes.runs.model_average",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",
@@ -60,7 +64,9 @@ __all__ = [
     "Limits",
     "LuGre",
     "MfdError",
+    "Model",
     "ModelAverage",
+    "Parameter",
     "Posterior",
     "Record",
     "Run",

@@ -21,13 +21,12 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.evaluation import assess, verdicts
-from mfd_bayes.evaluation.fits import calibrated_view, held_out_view
-from mfd_bayes.evaluation.folds import Fold, read_predictions
+from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
+from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
 from mfd_bayes.evaluation.verdict import put_together
 from mfd_bayes.evaluation.views import CampaignView
-from mfd_bayes.pipeline.commands import effort_of
-from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES
@@ -213,7 +212,7 @@ def read_shown(path: Path) -> object:
     """A manifest, and the report of the tests that there were before it was changed."""
     before, view = _opened(path.parent)
     run = replace(before, manifest=read_manifest(path.parent))
-    shown = put_together(run, list(view.tests), view.law_rows, view.laws)
+    shown = build_summary(run, list(view.tests), view.law_rows, view.laws)
     return json_text(run.manifest.content), verdicts(shown), report_tables(shown)
 
 

@@ -66,6 +66,8 @@ class Entry(Part):
     before: tuple[Figure, ...] = ()
     after: tuple[Figure, ...] = ()
     """Displacements, in, at the ends and turns of the record before and after its fit window."""
+    measured: Mapping[str, tuple[Figure, ...]] = Field(default_factory=dict)
+    """Values of each cycle as recorded, `MeasuredCycles.to_content`; of earlier versions, none."""
     seconds: Figure = 0.0
     error: str = ""
 
@@ -120,6 +122,8 @@ class Manifest(Part):
     warnings: tuple[Finding, ...] = ()
     """What the records, and then the results, gave cause to warn of."""
     verdicts: Mapping[str, str] = Field(default_factory=dict)
+    peak_factors: Mapping[str, tuple[Figure, ...]] = Field(default_factory=dict)
+    """Of the measured peak of a cycle over the model's: `evaluation.properties.PeakFactor`."""
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:

@@ -244,7 +244,7 @@ class Run:
     @property
     def verdict(self) -> str:
         """Sentence of the verdict in the run's own units."""
-        return self.system.reworded(self.manifest.verdicts.get("sentence", ""))
+        return self.manifest.verdicts.get("sentence", "")
 
     @property
     def caution(self) -> str:

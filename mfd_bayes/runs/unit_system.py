@@ -80,7 +80,7 @@ class System:
 
         An actuation is given in psi or lbf in the customary system, as it is set in tests.
         """
-        by, unit = self.factor(internal), self.unit(internal)
+        by, unit = self.factor(internal), self.unit(internal).replace("*", "·")
         if actuation:
             by, unit = self.of_actuation(internal)
         shown = dict.fromkeys(in_digits(value * by, digits) for value in values)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from mfd_bayes.messages import Message
+
 
 class Verdict(StrEnum):
     """Verdict of a check, as its files hold it, with what it means."""
@@ -13,8 +15,8 @@ class Verdict(StrEnum):
 
     PASS = "pass", "The value is within its limit."
     NOTE = "note", "The reader must know of it, but it is no fault of the run."
-    CARE = (
-        "care",
+    WARNING = (
+        "warning",
         "The model misses this by more than its tolerance; use what depends on it with care.",
     )
     FAIL = "fail", "The value is beyond its limit; do not use figures that depend on it."
@@ -47,7 +49,7 @@ class Use(StrEnum):
     @property
     def mark(self) -> Verdict:
         """The verdict of a check that looks like it."""
-        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.CARE}
+        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.WARNING}
         return marks.get(self, Verdict.FAIL)
 
 
@@ -81,7 +83,7 @@ class Finding:
         A test's id, or "laws".
     name : str
         Name of the fault, as `records.data_quality` and `records.cross_checks` have them.
-    sentence : str
+    message : Message
         What is wrong, with figures and the likely cause.
     stage : {"records", "results"}
         Whether the records showed it before anything was fitted, or the results.
@@ -89,7 +91,7 @@ class Finding:
 
     subject: str
     name: str
-    sentence: str
+    message: Message
     stage: str = "records"
 
     @property

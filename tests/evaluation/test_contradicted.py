@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.contradicted import contradicted_starts
+from mfd_bayes.evaluation.outliers import contradicted_starts
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
 
@@ -49,8 +49,8 @@ def with_start(run, start, first=1.0, sampled=True):
 def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
     (found,) = contradicted_starts(with_start(run, start, first))
     assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
-    assert found.sentence.startswith("the test begins at 0.20 [0.1")
-    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in found.sentence
+    assert str(found.message).startswith("the test begins at 0.20 [0.1")
+    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
     assert not found.spoils
 
 

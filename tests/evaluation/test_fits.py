@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.fits import _rows, held_out_view
+from mfd_bayes.evaluation.test_summary import _rows, held_out_view
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.netcdf import Group, StoredTest

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation import folds
-from mfd_bayes.evaluation.folds import FOLDER, Fold, _pooled, leave_out, parts_of
+from mfd_bayes.evaluation import crossvalidate as folds
+from mfd_bayes.evaluation.crossvalidate import FOLDER, Fold, _pooled, leave_out, parts_of
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.inference import Inference
 from mfd_bayes.population.population import LawDraws

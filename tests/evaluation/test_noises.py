@@ -7,8 +7,8 @@ import pytest
 
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.evaluation.judgement import judge
-from mfd_bayes.evaluation.noises import (
+from mfd_bayes.evaluation.verdict import judge
+from mfd_bayes.evaluation.test_summary import (
     noise_checks,
     noise_findings,
     noise_rows,

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.pipeline import calibration as execution
+from mfd_bayes.pipeline import calibrate as execution
 from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Predictor

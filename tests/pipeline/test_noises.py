@@ -93,13 +93,13 @@ def test_a_run_names_test_quantity_and_both_values(run_with_check):
     view = assess(open_run(run_with_check))
     (warning,) = [w for w in view.warnings if w.name == "noise model"]
     assert warning.subject == TEST
-    assert warning.sentence.startswith("k3 is ")
-    assert "kip/in with ou, " in warning.sentence
-    assert warning.sentence.endswith(" with staged: the noise model decides")
+    assert str(warning.message).startswith("k3 is ")
+    assert "kip/in with ou, " in str(warning.message)
+    assert str(warning.message).endswith(" with staged: the noise model decides")
     (judged,) = [j for j in view.judgements if j.subject == TEST]
-    assert f"note: {warning.sentence}" in judged.told
+    assert f"note: {warning.message!s}" in judged.told
     names = {c.target: c.verdict for c in view.checks if c.name == "noise model"}
-    assert f"{warning.sentence}" in names
+    assert f"{warning.message!s}" in names
     assert names["no fit with iid: no prior for x"] == "note"
     (other,) = [test for test in view.tests if test.id == "p1000_f0.5"]
     assert other.noises == ()

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline import prediction, report
+from mfd_bayes.pipeline import predict as prediction
+from mfd_bayes.pipeline import report
 
 TIME = np.arange(401) / 100.0
 
@@ -343,14 +344,14 @@ def test_a_wide_interval_of_an_exponent_says_nothing(out, tmp_path, interval, wo
 
 
 def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_path, monkeypatch):
-    from mfd_bayes.reporting import publication
-    from mfd_bayes.reporting.forms import Forms
+    from mfd_bayes.reporting import publish
+    from mfd_bayes.reporting.publish import Forms
 
     benchmark_module("fuzz.runs").write_run(tmp_path / "out", small=True)
     assessed = report.assess(mb.open_run(tmp_path / "out"))
     monkeypatch.setattr(report, "assess", lambda *_: assessed)  # the same for both
     seen = []
-    monkeypatch.setattr(publication, "publish", lambda view, *more: seen.append((view, more[-1])))
+    monkeypatch.setattr(publish, "publish", lambda view, *more: seen.append((view, more[-1])))
     command = ("report", str(tmp_path / "out"), "--units", "si", "--excel")
     assert CliRunner().invoke(app, command).exit_code == 0
     assert CliRunner().invoke(app, command[:2]).exit_code == 0
