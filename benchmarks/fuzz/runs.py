@@ -24,9 +24,9 @@ from mfd_bayes.evaluation import assess, verdicts
 from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
-from mfd_bayes.evaluation.summary import build_summary
-from mfd_bayes.pipeline.commands import effort_of
-from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.evaluation.verdict import put_together
+from mfd_bayes.evaluation.views import CampaignView
+from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES

@@ -60,7 +60,7 @@ ELSEWHERE = frozenset(
 """Quantities that the tests' own pages show: those of a record, and those without a meaning."""
 
 WORDS = (
-    *("95 % interval", "Mean property (band of kind device)", "Coverage", "CRPS"),
+    *("95\N{NO-BREAK SPACE}% interval", "Mean property (band of kind device)", "Coverage", "CRPS"),
     "This device tested again (band of kind new_test)",
     "A measurement of it (band of kind observation)",
     "This very test (band of kind this_test)",
@@ -281,7 +281,17 @@ def _datasheet(sheet: Datasheet | None, view: CampaignView) -> dict[str, Any]:
     if sheet is None:
         return {"datasheet": None}
     properties = datasheet_sheet(sheet.rows, US, view.title)
-    return {"datasheet": sheet, "properties": properties.blocks(CONDITIONS)}
+    heads = dict(zip(sheet.rows["condition"].unique(), properties.heads, strict=True))
+    noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
+    notes = [
+        f"{heads[condition]}: {note}"
+        for condition, note in zip(noted["condition"], noted["note"], strict=True)
+    ]
+    return {
+        "datasheet": sheet,
+        "properties": properties.blocks(CONDITIONS),
+        "property_notes": notes,
+    }
 
 
 def render_page(template: str, units: Units, *scripts: str, **values: Any) -> str:

@@ -26,10 +26,9 @@ from mfd_bayes.reporting.tables import (
     datasheet_frame,
     datasheet_sheet,
     paper_sheets,
+    record_table,
     report_tables,
     shared_tables,
-    table_of,
-    tables_of_test,
     to_csv,
     to_excel,
     to_latex,
@@ -187,7 +186,7 @@ class Drawing:
         """Remove the figures, and the tables behind them, that an earlier report has made."""
         for key in self.pictures:
             (out / f"{key}.png").unlink(missing_ok=True)
-            (out / table_of(key)).unlink(missing_ok=True)
+        (out / f"tests/{self.id}/record.csv").unlink(missing_ok=True)
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Write figures and tables; remove a picture that now has nothing to show."""
@@ -200,8 +199,7 @@ class Drawing:
                 write_bytes(out / f"{key}.png", drawn[key])
             else:
                 (out / f"{key}.png").unlink(missing_ok=True)
-        for name, text in tables_of_test(self.test, self.system):
-            write_text(out / name, text)
+        write_text(out / f"tests/{self.id}/record.csv", record_table(self.test, self.system))
         return Outcome(self.id, State.DONE, time.perf_counter() - began)
 
 

@@ -164,10 +164,15 @@ Noises = Mapping[tuple[str, str], list[dict[str, Any]]]
 
 def _deciding(noises: pd.DataFrame) -> Noises:
     by: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for row in noises.to_dict("records"):
+    for row in _records(noises):
         if row["decides"]:
             by.setdefault((row["test"], row["quantity"]), []).append(row)
     return by
+
+
+def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Lines of a frame by column."""
+    return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
 
 
 def _other_line(row: Mapping[str, Any]) -> Line:
@@ -186,7 +191,7 @@ def _to_json(title: str, name: str, frame: pd.DataFrame, noises: Noises) -> str:
     """JSON with the meaning of its figures; null where one is not finite."""
     figures = {"q2.5": "lower", "q50": "median", "q97.5": "upper"}
     rows = []
-    for row in frame.to_dict("records"):
+    for row in _records(frame):
         line = {figures.get(str(k), str(k)): _finite(v) for k, v in row.items()}
         others = noises.get((row.get("test", ""), row.get("parameter", "")), ())
         line["other_noises"] = [
@@ -239,6 +244,10 @@ class Line:
         return self.template.format(*(number(value, 3) for value in self.numbers))
 
 
+NONE = Line("–", ())
+"""What a cell without a number shows."""
+
+
 @dataclass(frozen=True)
 class Cell:
     """What a cell of a sheet shows: a line each, with the unit of its row."""
@@ -249,7 +258,7 @@ class Cell:
     @property
     def shown(self) -> list[Line]:
         """Lines that have a number; a dash where none has."""
-        return [line for line in self.lines if line.known] or [Line("–", ())]
+        return [line for line in self.lines if line.known] or [NONE]
 
 
 @dataclass(frozen=True)
@@ -299,10 +308,12 @@ class Sheet:
     conditions: tuple[tuple[tuple[float, str], ...], ...] = ()
 
     def blocks(self, most: int) -> list[Sheet]:
-        """Parts of the sheet with so many columns each."""
+        """Parts of the sheet with so many columns each, which are numbered if there are several."""
+        parts = -(-len(self.heads) // most)
         return [
             replace(
                 self,
+                title=f"{self.title} ({at // most + 1} of {parts})" if parts > 1 else self.title,
                 heads=self.heads[at : at + most],
                 conditions=self.conditions[at : at + most],
                 rows=tuple(replace(row, cells=row.cells[at : at + most]) for row in self.rows),
@@ -310,9 +321,9 @@ class Sheet:
             for at in range(0, len(self.heads), most)
         ]
 
-    def marks(self, rows: Sequence[SheetRow] | None = None) -> dict[str, str]:
+    def marks(self) -> dict[str, str]:
         """A letter for each note of the cells: a to z, then aa, ab, and so on."""
-        cells = (cell for row in self.rows if rows is None or row in rows for cell in row.cells)
+        cells = (cell for row in self.rows for cell in row.cells)
         notes = dict.fromkeys(printable(cell.note) for cell in cells if cell and cell.note)
         words = (product(string.ascii_lowercase, repeat=length) for length in count(1))
         return dict(zip(notes, ("".join(word) for group in words for word in group), strict=False))
@@ -342,13 +353,14 @@ def paper_sheets(view: CampaignView, system: System) -> tuple[Sheet, Sheet]:
 def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: Noises) -> Sheet:
     """Sheet of posteriors: the median, below it the interval and the values under other noises."""
     rows = []
-    for (name, unit), group in frame.groupby(["parameter", "unit"], sort=False):
+    for key, group in frame.groupby(["parameter", "unit"], sort=False):
+        name, unit = map(str, key)
         cells = {}
-        for row in group.to_dict("records"):
+        for row in _records(group):
             lines = [Line("{}", (row["q50"],)), Line("[{}, {}]", (row["q2.5"], row["q97.5"]))]
             lines += [_other_line(other) for other in noises.get((row["test"], name), ())]
             cells[row["test"]] = Cell(tuple(lines), row["note"])
-        rows.append(SheetRow(str(name), str(unit), tuple(cells.get(test) for test in heads)))
+        rows.append(SheetRow(name, unit, tuple(cells.get(test) for test in heads)))
     title = f"{title}, posterior median and equal-tailed 95 % interval"
     return Sheet(title, tuple(heads.values()), tuple(rows))
 
@@ -373,7 +385,7 @@ def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
     """The properties of a data sheet for reading: conditions are columns."""
     heads: dict[str, str] = {}
     conditions = []
-    for row in rows.drop_duplicates("condition").to_dict("records"):
+    for row in _records(rows.drop_duplicates("condition")):
         unit = row["actuation_unit"]
         level = system.words([row["actuation"]], unit, actuation=True)
         motion = (row["stroke"], "in"), (row["frequency"], "Hz")
@@ -385,9 +397,10 @@ def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
     order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
     keys = ["quantity", "direction", "cycle", "unit"]
     ordered = rows.sort_values("quantity", key=lambda names: names.map(order), kind="stable")
-    for (name, direction, cycle, unit), group in ordered.groupby(keys, sort=False):
+    for key, group in ordered.groupby(keys, sort=False):
+        name, direction, cycle, unit = map(str, key)
         by, cells = system.factor(unit), {}
-        for row in group.to_dict("records"):
+        for row in _records(group):
             several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
             ends = by * row["measured_low"], by * row["measured_high"]
             lines = (
@@ -398,10 +411,10 @@ def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
                 Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
             )
             cells[row["condition"]] = Cell(lines, row["note"])
-        detail = ", ".join(filter(None, (direction, f"cycle {cycle:g}" if cycle else "")))
+        detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle != "0" else "")))
         made.append(
             SheetRow(
-                str(name).replace("_", " ").replace("gap", "gap width"),
+                name.replace("_", " ").replace("gap", "gap width"),
                 system.unit(unit),
                 tuple(cells.get(key) for key in heads),
                 detail,
@@ -503,59 +516,57 @@ def number_tex(value: float) -> str:
     return rf"${mantissa}\times 10^{{{power}}}$" if power else f"${mantissa}$"
 
 
-def to_latex(name: str, *sheets: Sheet) -> str:
+def to_latex(name: str, sheet: Sheet) -> str:
     """A file of tables in the manner of booktabs, numbered if there are several."""
-    tables = [
-        (sheet, start, sheet.rows[at : at + LONG])
-        for sheet in sheets
-        for start in range(0, len(sheet.heads), WIDE)
-        for at in range(0, len(sheet.rows), LONG)
+    parts = [
+        replace(part, rows=part.rows[at : at + LONG])
+        for part in sheet.blocks(WIDE)
+        for at in range(0, len(part.rows), LONG)
     ]
     lines = [
-        f"% {'; '.join(printable(sheet.title) for sheet in sheets)}.",
+        f"% {printable(sheet.title)}.",
         r"% \usepackage{booktabs,array} in the preamble, then " + f"\\input{{{name}.tex}} here.",
     ]
-    for at, (sheet, start, rows) in enumerate(tables, start=1):
-        which, part = (f" ({at} of {len(tables)})", f"-{at}") if len(tables) > 1 else ("", "")
+    for at, part in enumerate(parts, start=1):
+        label = f"{name}-{at}" if len(parts) > 1 else name
+        text = r">{\raggedright\arraybackslash}p"
+        columns = (
+            rf"@{{}}{text}{{0.28\linewidth}}{text}{{0.08\linewidth}}{'l' * len(part.heads)}@{{}}"
+        )
+        marks = part.marks()
+        notes = [rf"  $^{{{mark}}}$ {escape_tex(note)}." for note, mark in marks.items()]
         lines += [
             r"\begin{table}[htbp]",
             r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
-            rf"  \caption{{{escape_tex(sheet.title)}{which}.}}",
-            rf"  \label{{tab:{name}{part}}}",
-            *_tabular(sheet, slice(start, start + WIDE), rows),
+            rf"  \caption{{{escape_tex(part.title)}.}}",
+            rf"  \label{{tab:{label}}}",
+            rf"  \begin{{tabular}}{{{columns}}}",
+            r"    \toprule",
+            f"    {' & '.join(['Quantity', 'Unit', *map(escape_tex, part.heads)])} \\\\",
+            r"    \midrule",
+            *(f"    {line} \\\\" for row in part.rows for line in _tex_lines(row, marks)),
+            r"    \bottomrule",
+            r"  \end{tabular}",
+            *([r"  \par\smallskip"] if notes else []),
+            *notes,
             r"\end{table}",
         ]
     return "\n".join(lines) + "\n"
 
 
-def _tabular(sheet: Sheet, columns: slice, rows: Sequence[SheetRow]) -> Iterator[str]:
-    """Lines of one tabular, with its notes."""
-    marks, heads = sheet.marks(rows), sheet.heads[columns]
-    text = r">{\raggedright\arraybackslash}p"
-    widths = rf"{text}{{0.28\linewidth}}{text}{{0.08\linewidth}}"
-    yield rf"  \begin{{tabular}}{{@{{}}{widths}{'l' * len(heads)}@{{}}}}"
-    yield r"    \toprule"
-    yield "    " + " & ".join(["Quantity", "Unit", *map(escape_tex, heads)]) + r" \\"
-    yield r"    \midrule"
-    for row in rows:
-        cells = [cell.shown if cell else [Line("–", ())] for cell in row.cells[columns]]
-        for at in range(max(map(len, cells))):
-            first = [symbol_tex(row.name), escape_tex(unit_text(row.unit)) or "--"]
-            if at:
-                first = [rf"\scriptsize {escape_tex(row.meaning)}" if at == 1 else "", ""]
-            shown = []
-            for lines, cell in zip(cells, row.cells[columns], strict=True):
-                small = r"\scriptsize " if at else ""
-                line = small + _tex_line(lines[at]) if at < len(lines) else ""
-                if at == 0 and cell is not None and cell.note:
-                    line += f"$^{{{marks[printable(cell.note)]}}}$"
-                shown.append(line)
-            yield "    " + " & ".join([*first, *shown]) + r" \\"
-    yield r"    \bottomrule"
-    yield r"  \end{tabular}"
-    notes = [rf"  $^{{{mark}}}$ {escape_tex(note)}." for note, mark in marks.items()]
-    if notes:
-        yield from (r"  \par\smallskip", *notes)
+def _tex_lines(row: SheetRow, marks: Mapping[str, str]) -> Iterator[str]:
+    """Lines of a quantity: the first line of each cell, below it the others and its meaning."""
+    cells = [cell.shown if cell else [NONE] for cell in row.cells]
+    for at in range(max(map(len, cells))):
+        first = [symbol_tex(row.name), escape_tex(unit_text(row.unit)) or "--"]
+        if at:
+            first = [rf"\scriptsize {escape_tex(row.meaning)}" if at == 1 else "", ""]
+        small = r"\scriptsize " if at else ""
+        shown = [small + _tex_line(lines[at]) if at < len(lines) else "" for lines in cells]
+        for column, cell in enumerate(row.cells if at == 0 else ()):
+            if cell and cell.note:
+                shown[column] += f"$^{{{marks[printable(cell.note)]}}}$"
+        yield " & ".join([*first, *shown])
 
 
 def _tex_line(line: Line) -> str:
@@ -566,72 +577,61 @@ def _tex_line(line: Line) -> str:
 
 def to_excel(sheets: Mapping[str, Sheet]) -> bytes:
     """A workbook (.xlsx) with a sheet of each name; every number of a cell has a column."""
-    from openpyxl import Workbook
+    import pandas as pd
     from openpyxl.styles import Alignment, Font
     from openpyxl.utils import get_column_letter
 
-    book = Workbook()
-    book.remove(book.active)
-    book.properties.creator = "mfd_bayes"
-    for name, sheet in sheets.items():
-        page = book.create_sheet(name)
-        heads = [f"{head}: {what}" for head in sheet.heads for what in sheet.numbers]
-        _append(page, ["quantity", "meaning", "unit", *heads, "note"])
-        for row in sheet.rows:
-            texts = ["".join(f"_{t}" if low else t for t, low in parts_of(row.name)), row.meaning]
-            numbers = [value for cell in row.cells for value in _numbers(cell, len(sheet.numbers))]
-            _append(page, [*texts, unit_text(row.unit) or "–", *numbers, _notes(sheet, row)])
-            for at, cell in enumerate(row.cells):
-                if cell and any(line.marked for line in cell.lines):
-                    first = page.cell(page.max_row, 4 + at * len(sheet.numbers))
-                    first.font = Font(bold=True, color="C00000")
-        for column in range(1, page.max_column + 1):
-            letter, texts = get_column_letter(column), column <= 3 or column == page.max_column
-            longest = max(len(str(cell.value or "")) for cell in page[letter][1:] or page[letter])
-            page.column_dimensions[letter].width = max(min(longest + 2, 60), 11) if texts else 11
-            page.cell(1, column).font = Font(bold=True)
-            page.cell(1, column).alignment = Alignment(vertical="top", wrap_text=True)
-        page.row_dimensions[1].height = 48
-        page.freeze_panes = "D2"
-        page.page_setup.orientation = "landscape"
-        page.print_title_rows, page.print_title_cols = "1:1", "A:A"
     stream = io.BytesIO()
-    book.save(stream)
+    with pd.ExcelWriter(stream, engine="openpyxl") as writer:
+        writer.book.properties.creator = "mfd_bayes"
+        for name, sheet in sheets.items():
+            frame = _flat(sheet)
+            frame.map(_safe).to_excel(writer, sheet_name=name, index=False, freeze_panes=(1, 3))
+            page = writer.sheets[name]
+            for number, column in enumerate(frame.columns, start=1):
+                letter, texts = get_column_letter(number), frame[column].dtype.kind != "f"
+                longest = max((len(str(value)) for value in frame[column]), default=0)
+                width = min(longest + 2, 60) if texts else 11
+                page.column_dimensions[letter].width = max(width, 11)
+                head, *cells = page[letter]
+                head.alignment = Alignment(vertical="top", wrap_text=True)
+                for cell in cells if not texts else ():
+                    cell.number_format = _format(abs(cell.value or 0.0))
+            for at, row in enumerate(sheet.rows, start=2):
+                for head, cell in enumerate(row.cells):
+                    if cell and any(line.marked for line in cell.lines):
+                        first = page.cell(at, 4 + head * len(sheet.numbers))
+                        first.font = Font(bold=True, color="C00000")
+            page.row_dimensions[1].height = 48
+            page.page_setup.orientation = "landscape"
+            page.print_title_rows, page.print_title_cols = "1:1", "A:A"
     return stream.getvalue()
 
 
-def _numbers(cell: Cell | None, size: int) -> list[float | None]:
-    values = [value for line in cell.lines for value in line.numbers] if cell else []
-    shown = [value if math.isfinite(value) else None for value in values[:size]]
-    return shown + [None] * (size - len(shown))
+def _flat(sheet: Sheet) -> pd.DataFrame:
+    """A line for each quantity, a column for each number of each test, and the notes."""
+    import pandas as pd
 
-
-def _notes(sheet: Sheet, row: SheetRow) -> str:
-    """Notes of a row's cells, each with its columns, and the lines that have no column."""
-    columns: dict[str, list[str]] = {}
-    own = len(sheet.lines)
-    for head, cell in zip(sheet.heads, row.cells, strict=True):
-        if cell and cell.note:
-            columns.setdefault(cell.note, []).append(head)
-        for line in cell.lines[own:] if cell else ():
-            columns.setdefault(f"with {line.text}", []).append(head)
-    return "; ".join(
-        note if len(heads) == len(sheet.heads) else f"{note} ({', '.join(heads)})"
-        for note, heads in columns.items()
-    )
-
-
-def _append(page: Any, values: Sequence[str | float | None]) -> None:
-    """Append a row; a text stays a text, also where it looks like a formula."""
-    at = page.max_row + 1 if page.cell(1, 1).value is not None else 1
-    for column, value in enumerate(values, start=1):
-        cell = page.cell(at, column)
-        if isinstance(value, str):
-            cell.value = printable(value)
-            cell.data_type = "s"
-        elif value is not None:
-            cell.value = value
-            cell.number_format = _format(abs(value))
+    heads = [f"{head}: {what}" for head in sheet.heads for what in sheet.numbers]
+    size, lines = len(sheet.numbers), []
+    for row in sheet.rows:
+        symbol = "".join(f"_{text}" if low else text for text, low in parts_of(row.name))
+        numbers: list[float] = []
+        notes: dict[str, list[str]] = {}
+        for head, cell in zip(sheet.heads, row.cells, strict=True):
+            values = [value for line in cell.lines for value in line.numbers] if cell else []
+            finite = [value if math.isfinite(value) else math.nan for value in values[:size]]
+            numbers += finite + [math.nan] * (size - len(finite))
+            more = [f"with {line.text}" for line in cell.lines[len(sheet.lines) :]] if cell else []
+            for note in filter(None, (cell.note if cell else "", *more)):
+                notes.setdefault(note, []).append(head)
+        texts = (
+            note if len(where) == len(sheet.heads) else f"{note} ({', '.join(where)})"
+            for note, where in notes.items()
+        )
+        unit = unit_text(row.unit) or "–"
+        lines.append([symbol, row.meaning, unit, *numbers, "; ".join(texts)])
+    return pd.DataFrame(lines, columns=["quantity", "meaning", "unit", *heads, "note"])
 
 
 def _format(size: float) -> str:
@@ -642,8 +642,8 @@ def _format(size: float) -> str:
     return f"0.{'0' * places}" if places else "0"
 
 
-_MARGIN, _UNIT, _VALUE, _TEXT, _SMALL = 0.75, 0.8, 1.3, 9.0, 7.5
-"""Margins and widths of columns in Word, in; sizes of its fonts, pt."""
+_MARGIN, _UNIT, _VALUE = 0.75, 0.8, 1.3
+"""Margins of a page in Word, and widths of the columns of units and values, in."""
 
 
 def to_word(title: str, sheets: Iterable[Sheet]) -> bytes:
@@ -653,36 +653,32 @@ def to_word(title: str, sheets: Iterable[Sheet]) -> bytes:
 
     document = Document()
     document.core_properties.author = "mfd_bayes"
-    for section in document.sections:
-        section.left_margin = section.right_margin = Inches(_MARGIN)
-        section.top_margin = section.bottom_margin = Inches(_MARGIN)
+    page = document.sections[0]
+    page.left_margin = page.right_margin = page.top_margin = page.bottom_margin = Inches(_MARGIN)
     document.add_heading(printable(title), level=1)
-    first = True
-    for sheet in sheets:
-        starts = range(0, len(sheet.heads), WIDE)
-        for part, start in enumerate(starts, start=1):
-            which = f" ({part} of {len(starts)})" if len(starts) > 1 else ""
-            caption = document.add_paragraph(f"{printable(sheet.title)}{which}", style="Caption")
-            caption.paragraph_format.page_break_before = not first
-            caption.paragraph_format.keep_with_next = True
-            first = False
-            marks = sheet.marks()
-            _add_table(document, sheet, slice(start, start + WIDE), marks)
-            for note, mark in marks.items():
-                paragraph = document.add_paragraph()
-                paragraph.paragraph_format.space_after = 0
-                paragraph.add_run(mark).font.superscript = True
-                _small(paragraph.add_run(f" {note[:1].upper()}{note[1:].rstrip('.')}."))
+    parts = [part for sheet in sheets for part in sheet.blocks(WIDE)]
+    for at, sheet in enumerate(parts):
+        caption = document.add_paragraph(printable(sheet.title), style="Caption")
+        caption.paragraph_format.page_break_before = at > 0
+        caption.paragraph_format.keep_with_next = True
+        marks = sheet.marks()
+        _add_table(document, sheet, marks)
+        for note, mark in marks.items():
+            paragraph = document.add_paragraph()
+            paragraph.paragraph_format.space_after = 0
+            paragraph.add_run(mark).font.superscript = True
+            _small(paragraph, f" {note[:1].upper()}{note[1:]}.")
     stream = io.BytesIO()
     document.save(stream)
     return stream.getvalue()
 
 
-def _add_table(document: Any, sheet: Sheet, columns: slice, marks: Mapping[str, str]) -> None:
-    """Add some columns of a sheet, with a head that is repeated on each page."""
+def _add_table(document: Any, sheet: Sheet, marks: Mapping[str, str]) -> None:
+    """Add a sheet, with a head that is repeated on each page."""
+    from docx.oxml import OxmlElement
     from docx.shared import Inches, Pt, RGBColor
 
-    heads = ("Quantity", "Unit", *sheet.heads[columns])
+    heads = ("Quantity", "Unit", *sheet.heads)
     grid = document.add_table(rows=1, cols=len(heads), style="Light List")
     grid.autofit = False
     for cell, head in zip(grid.rows[0].cells, heads, strict=True):
@@ -692,41 +688,36 @@ def _add_table(document: Any, sheet: Sheet, columns: slice, marks: Mapping[str, 
         for text, low in parts_of(row.name):
             name.paragraphs[0].add_run(text).font.subscript = low
         if row.meaning:
-            _small(name.add_paragraph().add_run(row.meaning))
+            _small(name.add_paragraph(), row.meaning)
         unit.text = unit_text(row.unit) or "–"
-        for place, value in zip(others, row.cells[columns], strict=True):
-            first, *more = value.shown if value else [Line("–", ())]
+        for place, value in zip(others, row.cells, strict=True):
+            first, *more = value.shown if value else [NONE]
             run = place.paragraphs[0].add_run(first.text)
-            if first.marked:
+            if value and any(line.marked for line in value.lines):
                 run.font.color.rgb = RGBColor(0xC0, 0, 0)
             if value and value.note:
-                mark = place.paragraphs[0].add_run(marks[printable(value.note)])
-                mark.font.superscript = True
+                run = place.paragraphs[0].add_run(marks[printable(value.note)])
+                run.font.superscript = True
             for line in more:
-                _small(place.add_paragraph().add_run(line.text))
+                _small(place.add_paragraph(), line.text)
     for at, row in enumerate(grid.rows):
         for element in ("w:cantSplit", *(["w:tblHeader"] if at == 0 else [])):
-            _set_property(row, element)
-    width = document.sections[0].page_width.inches - 2 * _MARGIN - _UNIT - (len(heads) - 2) * _VALUE
-    widths = (width, _UNIT, *[_VALUE] * (len(heads) - 2))
-    for column, inches in zip(grid.columns, widths, strict=True):
+            row._tr.get_or_add_trPr().append(OxmlElement(element))
+    values = [_VALUE] * len(sheet.heads)
+    width = document.sections[0].page_width.inches - 2 * _MARGIN - _UNIT - sum(values)
+    for column, inches in zip(grid.columns, (width, _UNIT, *values), strict=True):
         column.width = Inches(inches)
         for cell in column.cells:  # Word reads the column's width, LibreOffice that of the cells
             cell.width = Inches(inches)
             for run in (run for paragraph in cell.paragraphs for run in paragraph.runs):
-                run.font.size = run.font.size or Pt(_TEXT)
+                run.font.size = run.font.size or Pt(9)
 
 
-def _set_property(row: Any, name: str) -> None:
-    from docx.oxml import OxmlElement
-
-    row._tr.get_or_add_trPr().append(OxmlElement(name))
-
-
-def _small(run: Any) -> None:
+def _small(paragraph: Any, text: str) -> None:
     from docx.shared import Pt
 
-    run.font.size, run.bold = Pt(_SMALL), False
+    run = paragraph.add_run(text)
+    run.font.size, run.bold = Pt(7.5), False
 
 
 def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
@@ -800,17 +791,16 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     return lines + frame.to_csv(index=False, float_format="%.8g", lineterminator="\n")
 
 
-_LOOP, _DRAWS = 400, 2000
-"""Most samples of each loop in the overview's table, and most draws in the table of a posterior."""
-
-_LEVELS = np.array([0.005, 0.025, *np.arange(0.05, 0.96, 0.05), 0.975, 0.995])
-_BEHIND = {"loops": "record", "history": "record", "residuals": "record", "corner": "draws"}
+_LOOP = 400
+"""Most samples of each loop in the overview's table; a test's own table holds all."""
 
 
 def table_of(key: str) -> str:
-    """Path from the run folder of the table behind a figure, by the figure's key."""
+    """Path from the run folder of the table behind a figure, by the figure's key; "" for none."""
     folder, _, name = key.rpartition("/")
-    return f"{folder}/{_BEHIND.get(name, name)}.csv" if folder else f"figures/{key}.csv"
+    if not folder:
+        return f"figures/{key}.csv"
+    return f"{folder}/record.csv" if name in ("loops", "history", "residuals") else ""
 
 
 def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
@@ -834,13 +824,8 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
         yield table_of("next"), next_csv(view.next_test, system, view.actuation_unit)
 
 
-def tables_of_test(test: TestView, system: System = US) -> Iterator[tuple[str, str]]:
-    """Path and text of the tables behind the figures of one test, in the units of a system."""
-    import pandas as pd
-
-    from mfd_bayes.reporting.figures.posteriors import RANKS, rank_heights
-
-    home = f"tests/{test.id}"
+def record_table(test: TestView, system: System = US) -> str:
+    """The table behind the loops, history and residuals of one test, in the units of a system."""
     record = _record(test)
     if test.trace.force is not None:
         record["residual_kip"] = test.trace.force - test.observation.median
@@ -849,32 +834,7 @@ def tables_of_test(test: TestView, system: System = US) -> Iterator[tuple[str, s
     if test.stage is not None and test.travel is not None:
         record = record.assign(stage=test.stage, travel_in=test.travel)
     fitted = (np.arange(len(record)) >= test.first) & (test.role != "validate")
-    yield f"{home}/record.csv", to_csv(to_units(record.assign(fitted=fitted.astype(int)), system))
-    if not test.marginals:
-        return
-    fewest = min(len(m.posterior) for m in test.marginals)
-    pick = np.linspace(0, fewest - 1, min(_DRAWS, fewest)).astype(np.intp)
-    draws = {
-        m.name if m.unit in ("", "1") else f"{m.name} [{m.unit}]": m.posterior[pick]
-        for m in test.marginals
-    }
-    yield f"{home}/draws.csv", to_csv(to_units(pd.DataFrame(draws), system))
-    marginals = [
-        (m.name, system.unit(m.unit), of, *np.quantile(d, _LEVELS) * system.factor(m.unit))
-        for m in test.marginals
-        for of, d in (("prior", m.prior), ("posterior", m.posterior))
-    ]
-    head = ("quantity", "unit", "of", *(f"q{100 * level:g}" for level in _LEVELS))
-    yield f"{home}/marginals.csv", to_csv(pd.DataFrame(marginals, columns=head))
-    chains = max((len(values) for values in test.chains.values()), default=0)
-    if chains > 1:
-        ranks = [
-            (m.name, chain, *heights)
-            for m in test.marginals
-            for chain, heights in enumerate(rank_heights(m, chains))
-        ]
-        bins = (f"rank_to_{(at + 1) / RANKS:g}" for at in range(RANKS))
-        yield f"{home}/ranks.csv", to_csv(pd.DataFrame(ranks, columns=["quantity", "chain", *bins]))
+    return to_csv(to_units(record.assign(fitted=fitted.astype(int)), system))
 
 
 def _record(test: TestView) -> pd.DataFrame:

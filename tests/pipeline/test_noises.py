@@ -50,9 +50,7 @@ def campaign(tmp_path):
 def test_the_check_is_as_the_campaign_says_else_not_for_a_first_look(campaign, key, effort, checks):
     plan = plan_campaign(campaign(key), Options(effort=effort))
     assert [task.checks_noise for task in plan.tasks] == [checks]
-    stored = plan.manifest.content["settings"]
-    assert stored.get("noise_check") == ({"": None}.get(key, checks))
-    assert ("noise_check" in stored) is bool(key)  # runs begun before this key can go on
+    assert plan.manifest.settings.campaign.noise_check == ({"": None}.get(key, checks))
 
 
 def test_a_setting_that_is_no_yes_or_no_is_refused(campaign):
@@ -62,7 +60,7 @@ def test_a_setting_that_is_no_yes_or_no_is_refused(campaign):
 
 @pytest.fixture
 def run_with_check(tmp_path, monkeypatch):
-    """A run of an earlier version, as if one of its tests had been fitted with other noises."""
+    """A run, as if one of its tests had been fitted with other noises."""
     out = Path(shutil.copytree(DATA, tmp_path / "out"))
     load_test = result.load_test
 

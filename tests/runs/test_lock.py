@@ -19,7 +19,8 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline import prediction, report
+from mfd_bayes.pipeline import predict as prediction
+from mfd_bayes.pipeline import report
 from mfd_bayes.population import storage
 from mfd_bayes.runs import lock
 from mfd_bayes.runs import run as runs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -168,7 +169,12 @@ def _draw_law(axes: Axes, law: LawView) -> None:
     if law.tested:
         _, at, lower, median, upper = (np.asarray(part) for part in zip(*law.tested, strict=True))
         arms = np.maximum(0.0, [median - lower, upper - median])
-        shown = {"fmt": "o", "color": colours.DATA, "markersize": 3, "linewidth": 0.9}
+        shown: dict[str, Any] = {
+            "fmt": "o",
+            "color": colours.DATA,
+            "markersize": 3,
+            "linewidth": 0.9,
+        }
         axes.errorbar(spread(at), median, arms, label="tests, 95 %", **shown)
     axes.set_title(f"{in_figure(law.name)}: {plain(law.law)}")
     axes.set_ylabel(label(law.name, law.unit))
@@ -226,11 +232,22 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
         edgecolors="#888888",
         linewidths=0.5,
     )
-    best = {"s": 240, "facecolors": "none", "edgecolors": colours.DATA, "linewidths": 1.6}
+    best: dict[str, Any] = {
+        "s": 240,
+        "facecolors": "none",
+        "edgecolors": colours.DATA,
+        "linewidths": 1.6,
+    }
     first = advice[0].candidate
     left.scatter([first.actuation * by], [first.frequency], label="best", **best)
     levels = [test.actuation * by for test in advice.tests]
-    made = {"marker": "x", "s": 28, "color": "#c0392b", "zorder": 4, "label": "tests made"}
+    made: dict[str, Any] = {
+        "marker": "x",
+        "s": 28,
+        "color": "#c0392b",
+        "zorder": 4,
+        "label": "tests made",
+    }
     left.scatter(levels, [test.frequency for test in advice.tests], **made)
     left.set_yscale("log")
     left.yaxis.set_major_formatter(ScalarFormatter())

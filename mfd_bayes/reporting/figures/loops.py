@@ -166,7 +166,7 @@ def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]]
     if len(rows) * len(steps) <= 2 * len(tests):
         places = [(rows[key], at) for key, at in zip(keys, column.tolist(), strict=True)]
         return places, len(rows), len(steps)
-    order = np.lexsort((frequencies, column)).argsort()
+    order = np.lexsort((np.array(frequencies), column)).argsort()
     wide = min(5, len(tests))
     return [divmod(int(at), wide) for at in order], -(-len(tests) // wide), wide
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -236,7 +237,7 @@ def draw_residuals(title: str, test: TestView, system: System = US) -> Figure:
     return figure
 
 
-def _draw_by_stage(axes: Axes, residual: Array, half: Array, stage: Array | None) -> None:
+def _draw_by_stage(axes: Axes, residual: Array, half: Array, stage: Any) -> None:
     """Boxes of the residual in each stage, with the mean half width of the 95 % band there."""
     stage = np.ones(residual.size) if stage is None else stage
     parts = [(name, stage == code) for code, name in STAGES.items() if np.any(stage == code)]
@@ -309,8 +310,8 @@ def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
             colour = colour if row.informed else colours.PRIOR
             y = end - height + 0.625 + 0.25 * at
             axes.plot([row.lower / row.truth, row.upper / row.truth], [y, y], color=colour, lw=1.2)
-            marker = {"marker": "o", "ms": 3} if row.inside else {"marker": "X", "ms": 6}
-            axes.plot([row.median / row.truth], [y], color=colour, **marker)
+            marker, size = ("o", 3) if row.inside else ("X", 6)
+            axes.plot([row.median / row.truth], [y], marker, color=colour, ms=size)
     for end, height in zip(ends[1::2], heights[1::2], strict=True):
         axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
     axes.axvline(1.0, color=colours.DATA, linewidth=1.2, zorder=1)

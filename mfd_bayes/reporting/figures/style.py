@@ -22,7 +22,7 @@ from mfd_bayes.units import percent
 
 DPI = 105
 
-_STYLE: dict[str, Any] = {
+_STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,

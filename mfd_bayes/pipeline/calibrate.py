@@ -2,48 +2,62 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.calibration.task import Task
+from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import Progress, State, Step
-from mfd_bayes.jobs.local import check_workers, run_jobs
-from mfd_bayes.pipeline.plan import Plan
+from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
     Existing,
     check_apart,
     check_free,
+    check_links,
+    discard,
     hash_stored,
     prepare_folder,
     remove_partial_files,
     remove_stale,
 )
-from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.manifest import Manifest, Status
-from mfd_bayes.runs.paths import CAMPAIGN, POPULATION, PRIORS, pooled_of, posterior_of, record_of
+from mfd_bayes.runs.lock import OWNER, alone_in
+from mfd_bayes.runs.manifest import Manifest, Status, Truth
+from mfd_bayes.runs.paths import (
+    CAMPAIGN,
+    MANIFEST,
+    POPULATION,
+    PRIORS,
+    pooled_of,
+    posterior_of,
+    record_of,
+)
 from mfd_bayes.runs.run import Run
-from mfd_bayes.store.files import write_bytes
+from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
 from mfd_bayes.store.netcdf import save_trace
 
-Array = NDArray[np.float64]
-Observe = Callable[[Step], None]
+PRELOAD = "mfd_bayes.pipeline.preload"
+"""Module that imports what the processes of a run need."""
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""
 
 _OF_FINISHED = ("status", "finished", "crossvalidation", "verdicts", "machines")
 """Keys of a finished run that nothing is computed of again."""
+
+Observe = Callable[[Step], None]
 
 
 def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
@@ -65,6 +79,66 @@ def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
         return calibrate_locked(plan, out, observe)
 
 
+def calibrate_plan(plan: Plan, out: Path, observe: Observe) -> CampaignView:
+    """Calibrate a campaign as `calibrate` does, and write its report."""
+    with working_in(plan, out):
+        run = calibrate_locked(plan, out, observe)
+        return write_report(run, observe, jobs=plan.options.jobs)
+
+
+def calibrate_campaign(
+    campaign: Path, out: Path, options: Options, observe: Observe
+) -> CampaignView:
+    """Calibrate a campaign file into a folder, and write its report."""
+    get_ready(PRELOAD)
+    return calibrate_plan(plan_campaign(campaign, options), out, observe)
+
+
+def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
+    """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it.
+
+    Raises
+    ------
+    StoreError
+        When the folder exists and is not to be replaced.
+    """
+    get_ready(PRELOAD)
+    check_workers(options)
+    check_links(out, ["campaign"])
+    used = out.exists() and (not out.is_dir() or any(out.iterdir()))
+    if used and not options.force:
+        raise StoreError(f"{out} exists: give --force to replace it")
+    campaign = out / "campaign"
+    with alone_in(out):
+        if used and not _holds_a_demo_alone(out):
+            discard(out)
+        for path in (campaign / "campaign.toml", *campaign.glob(f".*{PART}")):
+            remove_file(path)  # the campaign file is written last
+        truth = write_campaign(campaign, options.seed)
+        options = replace(options, force=False, resume=False)
+        plan = plan_campaign(campaign / "campaign.toml", options)
+        plan = replace(plan, manifest=plan.manifest.changed(truth=Truth(**truth)))
+        run = calibrate_locked(plan, out, observe)
+        return write_report(run, observe, jobs=options.jobs)
+
+
+def _holds_a_demo_alone(out: Path) -> bool:
+    """Whether a folder holds nothing but a demo's campaign, whole or not: no run was begun."""
+    campaign, ours = out / "campaign", re.compile(r"campaign\.toml|p\d+_f[\d.]+\.csv|\..+\.part")
+    others = [path for path in out.iterdir() if path != campaign]
+    return (
+        campaign.is_dir()
+        and all(p.name == OWNER or is_part(p, MANIFEST) or is_part(p, OWNER) for p in others)
+        and all(path.is_file() and ours.fullmatch(path.name) for path in campaign.iterdir())
+    )
+
+
+def check_dry(plan: Plan, out: Path) -> None:
+    """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
+    _check_place(plan, out)
+    check_free(plan.campaign.folder, out, _existing(plan.options))
+
+
 @contextmanager
 def working_in(plan: Plan, out: Path) -> Iterator[None]:
     """Check that a plan may be carried out in a run folder, and lock it until the end.
@@ -75,21 +149,13 @@ def working_in(plan: Plan, out: Path) -> Iterator[None]:
         When the options contradict each other, the run would remove its own inputs, or another
         process works in the folder.
     """
-    check_place(plan, out)
+    _check_place(plan, out)
     check_workers(plan.options)
     with alone_in(out):
         yield
 
 
-def check_dry(plan: Plan, out: Path) -> None:
-    """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
-    check_place(plan, out)
-    existing = Existing.of(resume=plan.options.resume, force=plan.options.force)
-    check_free(plan.campaign.folder, out, existing)
-
-
-def check_place(plan: Plan, out: Path) -> None:
-    """Refuse options that contradict each other, and a folder that holds the plan's inputs."""
+def _check_place(plan: Plan, out: Path) -> None:
     options, campaign = plan.options, plan.campaign
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
@@ -97,11 +163,13 @@ def check_place(plan: Plan, out: Path) -> None:
     check_apart(out, inputs, force=options.force, resume=options.resume)
 
 
+def _existing(options: Options) -> Existing:
+    return Existing.of(resume=options.resume, force=options.force)
+
+
 def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
-    options = plan.options
-    existing = Existing.of(resume=options.resume, force=options.force)
-    resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, existing)
+    resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, _existing(plan.options))
     for sentence in resumed.notes:
         observe(Step("resume", State.NOTE, message=sentence))
     manifest = resumed.manifest
@@ -112,13 +180,38 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
         if manifest.status != Status.FINISHED:
             remove_stale(out, draws=bool(todo) or not resumed.same_tests)
         manifest = _calibrate_tests(plan, manifest, todo, out, observe)
-        results = _results(plan, manifest, out)
+        files = {task.id: out / posterior_of(task.id) for task in plan.tasks}
+        results = {n: load_result(n, f, plan.priors) for n, f in files.items() if f.is_file()}
+        if not results:
+            errors = {entry.error for entry in manifest.tests.values() if entry.error}
+            raise FitError(f"no test could be calibrated: {'; '.join(sorted(errors))}")
         if manifest.status != Status.FINISHED:
             manifest = _infer_population(plan, manifest, results, out, observe)
-        manifest = _finish(manifest, out)
+        stored = [f(test) for test in manifest.tests for f in (posterior_of, pooled_of, record_of)]
+        manifest = manifest.changed(
+            files=hash_stored(out, [PRIORS, POPULATION, *stored]),
+            status=Status.FINISHED,
+            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        manifest.write(out)
     finally:
         remove_partial_files(out)
     return Run(out, manifest, plan.priors, results, plan.held_out)
+
+
+def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
+    """The manifest with the results of an earlier session that finished, else as it is.
+
+    It is that of a finished run then: nothing is left to be computed, and where this session is
+    killed, nothing is lost. Hashes of files that are written again are left out.
+    """
+    whole = set(_POPULATION) <= before.model_fields_set and (out / POPULATION).is_file()
+    if before.status != Status.FINISHED or not whole:
+        return manifest
+    keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in before.model_fields_set]
+    names = {POPULATION, *map(pooled_of, manifest.tests)}
+    stored = {name: digest for name, digest in before.files.items() if name in names}
+    return manifest.changed(**{key: getattr(before, key) for key in keys}).with_files(stored)
 
 
 def _calibrate_tests(
@@ -148,33 +241,6 @@ def _calibrate_tests(
     return manifest.longer(time.perf_counter() - began)
 
 
-def _results(plan: Plan, manifest: Manifest, out: Path) -> dict[str, TestResult]:
-    """Tests that have a posterior, by id."""
-    files = {task.id: out / posterior_of(task.id) for task in plan.tasks}
-    found = {
-        name: load_result(name, file, plan.priors) for name, file in files.items() if file.is_file()
-    }
-    if not found:
-        errors = {entry.error for entry in manifest.tests.values() if entry.error}
-        raise FitError(f"no test could be calibrated: {'; '.join(sorted(errors))}")
-    return found
-
-
-def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
-    """The manifest with the results of an earlier session that finished, else as it is.
-
-    It is that of a finished run then: nothing is left to be computed, and where this session is
-    killed, nothing is lost. Hashes of files that are written again are left out.
-    """
-    whole = set(_POPULATION) <= before.model_fields_set and (out / POPULATION).is_file()
-    if before.status != Status.FINISHED or not whole:
-        return manifest
-    keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in before.model_fields_set]
-    names = {POPULATION, *map(pooled_of, manifest.tests)}
-    stored = {name: digest for name, digest in before.files.items() if name in names}
-    return manifest.changed(**{key: getattr(before, key) for key in keys}).with_files(stored)
-
-
 def _infer_population(
     plan: Plan, manifest: Manifest, results: Mapping[str, TestResult], out: Path, observe: Observe
 ) -> Manifest:
@@ -200,15 +266,3 @@ def _infer_population(
         dependence_scores=inference.dependence,
         population_sampler={"accepted": inference.accepted, "sweeps": sweeps},
     )
-
-
-def _finish(manifest: Manifest, out: Path) -> Manifest:
-    """The manifest of the finished run with the hashes of all stored files; it is written."""
-    names = [file(test) for test in manifest.tests for file in (posterior_of, pooled_of, record_of)]
-    manifest = manifest.changed(
-        files=hash_stored(out, [PRIORS, POPULATION, *names]),
-        status=Status.FINISHED,
-        finished=datetime.now(UTC).isoformat(timespec="seconds"),
-    )
-    manifest.write(out)
-    return manifest

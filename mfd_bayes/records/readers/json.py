@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,9 @@ from mfd_bayes.records.readers.time_stamps import is_stamp
 SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
 """Largest file, MB, most lists and objects of it, and most cells where its rows are objects."""
 
-_UNITS = ("units", "unit")
-
 
 def read_json(path: Path) -> Table:
-    """Table of a .json file; numbers and texts beside the columns are its settings."""
+    """Table of a .json file; numbers and texts next to the columns are its settings."""
     size = path.stat().st_size / 2**20
     if size > SIZE:
         raise RecordError(f"{path} has {size:,.0f} MB; at most {SIZE} MB of a .json file are read")
@@ -35,35 +33,40 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
-    bare = isinstance(content, list) and bool(content) and isinstance(content[0], list)
-    rows: dict[str, tuple[str, ...]] = {}  # labels of the rows of columns that have them
+    whole: dict[str, Any] = content if isinstance(content, dict) else {}
     match content:
         case [[*first], *_]:
             columns = _of_rows(path, content, labels([""] * len(first)))
         case {"columns": [*names], "data": [*lines]}:
-            columns = _of_rows(path, lines, names)
+            columns = _of_rows(path, lines, [str(name) for name in names])
         case [*lines]:
             columns = _of_rows(path, lines)
         case {}:
-            rows = {name: tuple(sorted(c)) for name, c in content.items() if isinstance(c, dict)}
-            columns = {k: _in_order(v) for k, v in content.items() if isinstance(v, dict | list)}
+            columns = {k: v for k, v in whole.items() if isinstance(v, dict | list)}
         case _:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
-    whole = content if isinstance(content, dict) else {}
-    given = next((whole[key] for key in _UNITS if key in whole), None)
-    names = [name for name in columns if name not in _UNITS]
+    # The labels of the rows of columns that have them: numbers in their order.
+    rows = {name: sorted(column) for name, column in columns.items() if isinstance(column, dict)}
+    for name, column in columns.items():
+        if isinstance(column, dict):
+            numbers = [str(i) for i in range(len(column))]
+            columns[name] = [
+                column[k] for k in (numbers if set(numbers) == set(column) else column)
+            ]
+    named = next((key for key in ("units", "unit") if key in whole), "")
+    given = whole.get(named)
     if isinstance(given, list):
-        given = dict(zip(names, given, strict=False))
-    units = {}
+        given = dict(zip([name for name in columns if name != named], given, strict=False))
     if isinstance(given, dict) and all(isinstance(unit, str) for unit in given.values()):
-        units = {name: unit for name, u in given.items() if (unit := bare_unit(u))}
-        columns = {name: columns[name] for name in names}
+        columns = {name: column for name, column in columns.items() if name != named}
+    else:
+        given = {}
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
     stamped = frozenset(name for name, cells in columns.items() if cells and is_stamp(cells[0]))
 
-    def load(wanted: Sequence[str]) -> dict[str, Column]:
-        if len({rows[name] for name in wanted if name in rows}) > 1:
+    def load(wanted: Sequence[str]) -> Mapping[str, Column]:
+        if len({tuple(rows[name]) for name in wanted if name in rows}) > 1:
             raise RecordError(f"columns of {path} have different lengths or row labels")
         return {name: columns[name] for name in wanted}
 
@@ -71,36 +74,27 @@ def read_json(path: Path) -> Table:
         path,
         tuple(columns),
         load,
-        units=units | dict.fromkeys(stamped, "s"),
-        headed=not bare,
+        units={name: bare_unit(unit) for name, unit in given.items() if bare_unit(unit)}
+        | dict.fromkeys(stamped, "s"),
+        headed=not (isinstance(content, list) and bool(content) and isinstance(content[0], list)),
         head=tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str)),
         stamped=stamped,
     )
 
 
-def _of_rows(
-    path: Path, rows: list[Any], labelled: Sequence[Any] | None = None
-) -> dict[str, list[Any]]:
-    """Columns of rows that are objects, or lists with a cell for each label."""
-    names: dict[str, None] = {}
+def _of_rows(path: Path, rows: list[Any], names: Sequence[str] | None = None) -> dict[str, Any]:
+    """Columns of rows that are objects, or lists with a cell for each name."""
+    every: dict[str, None] = {}
     for i, row in enumerate(rows):
-        if labelled is not None and isinstance(row, list) and len(row) == len(labelled):
-            rows[i] = row = dict(zip(map(str, labelled), row, strict=True))
+        if names is not None and isinstance(row, list) and len(row) == len(names):
+            rows[i] = row = dict(zip(names, row, strict=True))
         if not isinstance(row, dict):
             raise RecordError(f"row {i + 1} of {path} must be an object with one value per column")
-        names.update(dict.fromkeys(row))
-    check_names(path, [""] * len(names))
-    if len(names) * len(rows) > CELLS:
+        every.update(dict.fromkeys(row))
+    check_names(path, [""] * len(every))
+    if len(every) * len(rows) > CELLS:
         raise RecordError(
-            f"{path} has {len(rows):,} rows of {len(names):,} columns; at most {CELLS:,} cells "
+            f"{path} has {len(rows):,} rows of {len(every):,} columns; at most {CELLS:,} cells "
             "are read"
         )
-    return {name: [row.get(name) for row in rows] for name in names}
-
-
-def _in_order(column: dict[str, Any] | list[Any]) -> list[Any]:
-    """Cells in row order: by label where the labels are 0, 1, 2 …, else as they stand."""
-    if isinstance(column, list):
-        return column
-    numbers = [str(i) for i in range(len(column))]
-    return [column[k] for k in (numbers if set(numbers) == set(column) else column)]
+    return {name: [row.get(name) for row in rows] for name in every}

@@ -1,4 +1,4 @@
-"""The commands that calibrate and look at the result: calibrate, check, report, demo."""
+"""The commands that calibrate and look at the result: calibrate, check, report, draws, demo."""
 
 from __future__ import annotations
 
@@ -6,25 +6,26 @@ import shlex
 from typing import Annotated, Literal
 
 import typer
+from typer import Context, Option
 
-from mfd_bayes.cli import arguments, console, progress
-from mfd_bayes.cli.exits import mistakes, resumption, this_command
+from mfd_bayes.cli import console, options
+from mfd_bayes.cli.errors import mistakes, resumption, this_command
+from mfd_bayes.cli.progress import watch
 
 
 def calibrate(
-    campaign: arguments.Campaign,
-    out: arguments.NewRunOrNone = None,
-    resume: arguments.Resume = False,
-    force: arguments.Force = False,
-    jobs: arguments.Jobs = 0,
-    scheduler: arguments.Scheduler = "",
-    seed: arguments.Seed = 1,
-    effort: arguments.Effort = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check only.")] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit 1 if the run is not usable.")
-    ] = False,
-    quiet: arguments.Quiet = False,
+    ctx: Context,
+    campaign: options.Campaign,
+    out: options.NewRunOrNone = None,
+    resume: options.Resume = False,
+    force: options.Force = False,
+    jobs: options.Jobs = 0,
+    scheduler: options.Scheduler = "",
+    seed: options.Seed = 1,
+    effort: options.Effort = None,
+    dry_run: Annotated[bool, Option("--dry-run", help="Read and check only.")] = False,
+    strict: Annotated[bool, Option("--strict", help="Exit 1 if the run is not usable.")] = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Calibrate every test of a campaign, infer the laws, and write the report.
 
@@ -40,18 +41,13 @@ def calibrate(
     if out is None and not dry_run:
         raise typer.BadParameter("missing: give the run folder to write", param_hint="-o")
     with mistakes("" if dry_run else resumption()):
-        from mfd_bayes.pipeline.ready import get_ready
-
         if not dry_run:
-            get_ready()  # before the other imports
-        from mfd_bayes.pipeline import commands as pipeline
+            _get_ready()
+        from mfd_bayes import evaluation
+        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.pipeline.plan import plan_campaign
 
-        options = arguments.completed(
-            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, resume=resume, force=force),
-            out,
-            effort,
-        )
-        plan = pipeline.plan_campaign(campaign, options)
+        plan = plan_campaign(campaign, options.run_options(ctx, out))
         if dry_run or out is None:
             if out is not None:
                 pipeline.check_dry(plan, out)
@@ -59,18 +55,25 @@ def calibrate(
             return
         if not quiet:
             console.print_warnings(plan.manifest.warnings, plan.system)
-        with progress.watch(quiet=quiet) as observe:
+        with watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
-    if not pipeline.is_whole(view) or (strict and pipeline.fails(view)):
+    if not evaluation.is_whole(view) or (strict and evaluation.fails(view)):
         raise typer.Exit(1)
 
 
+def _get_ready() -> None:
+    """Let the server of processes import what they need, before this process imports the rest."""
+    from mfd_bayes.jobs.local import get_ready
+
+    get_ready("mfd_bayes.pipeline.preload")
+
+
 def check(
-    out: arguments.Run,
-    every: Annotated[bool, typer.Option("--all", help="Show every check.")] = False,
-    quiet: arguments.Quiet = False,
-    units: arguments.Units = None,
+    out: options.Run,
+    every: Annotated[bool, Option("--all", help="Show every check.")] = False,
+    quiet: options.Quiet = False,
+    units: options.Units = None,
 ) -> None:
     """Show checks, warnings and the verdict on every test; exit 1 where the run is not usable.
 
@@ -83,42 +86,43 @@ def check(
       mfd-bayes check out --all
       mfd-bayes check out --quiet && echo fit to use
     """
-    from mfd_bayes.pipeline import commands as pipeline
-
     with mistakes():
+        from mfd_bayes import evaluation
+        from mfd_bayes.pipeline import report as pipeline
+
         view = pipeline.check(out, units or "")
     if not quiet:
         console.print_checks(view, every=every)
     console.print_sentences(view)
-    if pipeline.fails(view):
+    if evaluation.fails(view):
         raise typer.Exit(1)
 
 
 def report(
-    out: arguments.Run,
-    quiet: arguments.Quiet = False,
-    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF too; needs a Chromium.")] = False,
+    out: options.Run,
+    quiet: options.Quiet = False,
+    pdf: Annotated[bool, Option("--pdf", help="Write a PDF too; needs a Chromium.")] = False,
     word: Annotated[
-        bool, typer.Option("--word", help="Write Tables I and II as tables.docx too.")
+        bool, Option("--word", help="Write Tables I and II as tables.docx too.")
     ] = False,
     excel: Annotated[
-        bool, typer.Option("--excel", help="Write Tables I and II as tables.xlsx too.")
+        bool, Option("--excel", help="Write Tables I and II as tables.xlsx too.")
     ] = False,
     next_test: Annotated[
-        bool, typer.Option("--next", help="Add a section on which test to make next.")
+        bool, Option("--next", help="Add a section on which test to make next.")
     ] = False,
     tests: Annotated[
         list[str] | None,
-        typer.Option(help="Draw this test's pictures, in a run of more than 12; may be repeated."),
+        Option(help="Draw this test's pictures, in a run of more than 12; may be repeated."),
     ] = None,
     all_tests: Annotated[
-        bool, typer.Option("--all-tests", help="Draw the pictures of every test of such a run.")
+        bool, Option("--all-tests", help="Draw the pictures of every test of such a run.")
     ] = False,
     at: Annotated[
         list[str] | None,
-        typer.Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
+        Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
     ] = None,
-    units: arguments.Units = None,
+    units: options.Units = None,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
 
@@ -135,23 +139,24 @@ def report(
       mfd-bayes report out --tests p500_f0.05 --tests p800_f0.05
     """
     with mistakes(this_command()):
-        from mfd_bayes.pipeline import commands as pipeline
+        from mfd_bayes import evaluation
+        from mfd_bayes.pipeline import report as pipeline
+        from mfd_bayes.reporting.publish import Forms
 
-        with progress.watch(quiet=quiet) as observe:
-            drawn = tuple(tests or ())
-            conditions = tuple(at or ())
-            forms = pipeline.Forms(pdf, word, excel, next_test, drawn, all_tests, conditions)
+        chosen, conditions = tuple(tests or ()), tuple(at or ())
+        forms = Forms(pdf, word, excel, next_test, chosen, all_tests, conditions)
+        with watch(quiet=quiet) as observe:
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)
-    if not pipeline.is_whole(view):
+    if not evaluation.is_whole(view):
         raise typer.Exit(1)
 
 
 def draws(
-    out: arguments.Run,
-    to: Annotated[Literal["csv", "parquet"], typer.Option(help="Parquet needs the extra parquet.")],
-    units: arguments.Units = None,
-    most: Annotated[int, typer.Option(min=0, help="Most draws kept of each test; 0 for all.")] = 0,
+    out: options.Run,
+    to: Annotated[Literal["csv", "parquet"], Option(help="Parquet needs the extra parquet.")],
+    units: options.Units = None,
+    most: Annotated[int, Option(min=0, help="Most draws kept of each test; 0 for all.")] = 0,
 ) -> None:
     """Write the posterior draws of every test as one table, for other programs.
 
@@ -162,23 +167,22 @@ def draws(
       mfd-bayes draws out --to csv
       mfd-bayes draws out --to parquet --units si
     """
-    from mfd_bayes.pipeline import commands as pipeline
-
     with mistakes():
+        from mfd_bayes.pipeline import report as pipeline
+
         written, rows = pipeline.write_draws(out, to, units or "", most)
     console.say(f"{written} written: {rows} draws")
 
 
 def demo(
-    out: arguments.Run,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer draws, in a little less time.")
-    ] = False,
-    jobs: arguments.Jobs = 0,
-    scheduler: arguments.Scheduler = "",
-    seed: arguments.Seed = 1,
-    force: arguments.Force = False,
-    quiet: arguments.Quiet = False,
+    ctx: Context,
+    out: options.Run,
+    quick: Annotated[bool, Option("--quick", help="Fewer draws, in a little less time.")] = False,
+    jobs: options.Jobs = 0,
+    scheduler: options.Scheduler = "",
+    seed: options.Seed = 1,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Calibrate a synthetic campaign after the MFD paper's test matrix.
 
@@ -201,15 +205,10 @@ def demo(
         return shlex.join(["mfd-bayes", "calibrate", *run, *words, "--resume"])
 
     with mistakes(resume):
-        from mfd_bayes.pipeline.ready import get_ready
+        _get_ready()
+        from mfd_bayes.pipeline import calibrate as pipeline
 
-        get_ready()  # before the other imports
-        from mfd_bayes.pipeline import commands as pipeline
-
-        options = arguments.completed(
-            pipeline.Options(seed=seed, jobs=jobs, scheduler=scheduler, force=force), out, effort
-        )
-        with progress.watch(quiet=quiet) as observe:
-            view = pipeline.demo(out, options, observe)
+        with watch(quiet=quiet) as observe:
+            view = pipeline.demo(out, options.run_options(ctx, out, effort=effort), observe)
         console.print_truth(view, quiet=quiet)
         console.print_end(view, out, quiet=quiet)

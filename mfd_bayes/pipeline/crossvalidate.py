@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 
 from mfd_bayes.evaluation.crossvalidate import fold_id, folds_of, part_kind, parts_of, run_folds
-from mfd_bayes.evaluation.views import (
-    CampaignView,
-)
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.pipeline.calibration import calibrate_locked, working_in
+from mfd_bayes.pipeline.calibrate import Observe, calibrate_locked, working_in
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.runs.folder import remove_partial_files
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.scores import CampaignCrossValidation
-
-Observe = Callable[[Step], None]
 
 
 def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:
@@ -61,7 +57,7 @@ def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
     """The run with predictions of every part from all others; its folder must be locked."""
     kind = part_kind(options.by)
     try:
-        found = run_folds(run, folds_of(run, kind, options.effort), options, observe)
-        return run.rewrite(crossvalidation=CampaignCrossValidation(kind, found))
+        predictions = run_folds(run, folds_of(run, kind, options.effort), options, observe)
+        return run.rewrite(crossvalidation=CampaignCrossValidation(kind, predictions))
     finally:
         remove_partial_files(run.folder)
