@@ -15,7 +15,21 @@ from mfd_bayes.errors import RecordError
 _MONTHS = {
     name: number
     for number, names in enumerate(
-        "jan feb mar|mär|mrz apr may|mai jun jul aug sep oct|okt nov dec|dez".split(), start=1
+        [
+            "jan",
+            "feb",
+            "mar|mär|mrz",
+            "apr",
+            "may|mai",
+            "jun",
+            "jul",
+            "aug",
+            "sep",
+            "oct|okt",
+            "nov",
+            "dec|dez",
+        ],
+        start=1,
     )
     for name in names.split("|")
 }
@@ -36,7 +50,7 @@ _GAP = 10  # an order of dates makes a gap where a step is so many times longer 
 
 def _match(cell: object) -> tuple[re.Match[str], str] | None:
     """Clock time of a cell and the text of its date, which may be empty; None if it has none."""
-    if not isinstance(cell, str) or ":" not in cell and "T" not in cell:
+    if not isinstance(cell, str) or (":" not in cell and "T" not in cell):
         return None
     text = cell.strip().strip("'")
     text = re.sub(r"^(\d{8})[T ](\d{2})(\d{2})(\d{2})", r"\1T\2:\3:\4", text)  # 20240305T100000
