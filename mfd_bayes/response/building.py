@@ -239,11 +239,11 @@ def building_of(content: Content, path: Path) -> Building:
         stiffness = drifts.T @ np.diag(storeys) @ drifts
         dashpots = drifts.T @ np.diag([storey.dashpot for storey in each]) @ drifts
     for name, matrix in (("mass", mass), ("stiffness", stiffness)):
-        values = np.linalg.eigvalsh(matrix)
-        if values[0] <= 1e-14 * values[-1]:
+        squares = np.linalg.eigvalsh(matrix)
+        if squares[0] <= 1e-14 * squares[-1]:
             raise BuildingError(
                 f"the {name} matrix of {path} must be symmetric and positive definite; its "
-                f"smallest eigenvalue is {values[0]:.3g}"
+                f"smallest eigenvalue is {squares[0]:.3g}"
             )
     devices = tuple(
         device
