@@ -7,12 +7,12 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mfd_bayes.evaluation.design import DesignRow
-    from mfd_bayes.evaluation.views import CampaignView, DerivedRow, LeftOutView
+    from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.findings import Finding
-    from mfd_bayes.runs.results import Comparison
+    from mfd_bayes.runs.scores import Comparison
+    from mfd_bayes.runs.verdict import Finding
 
 _ESCAPES = re.compile(
     r"""(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]              # colours, movements of the cursor
@@ -89,16 +89,10 @@ def _figures(values: Iterable[float], digits: int = 4) -> list[str]:
     return ["–" if math.isnan(value) else f"{value:.{digits}g}" for value in values]
 
 
-def print_warnings(warnings: Iterable[Finding]) -> None:
-    """Print what was found that a reader must know, a line each."""
+def print_warnings(warnings: Iterable[Finding], system: System = US) -> None:
+    """Print what was found that a reader must know, a line each, in the units of a system."""
     for finding in warnings:
-        say(f"warning: {finding.subject}: {finding.sentence}")
-
-
-def warnings_of(plan: Plan) -> list[Finding]:
-    """Warnings about the records of a plan, in the units of the campaign."""
-    say_in = plan.system.reworded
-    return [replace(f, sentence=say_in(f.sentence)) for f in plan.manifest.warnings]
+        say(f"warning: {finding.subject}: {finding.message.to_text(system.words)}")
 
 
 def print_plan(plan: Plan) -> None:
@@ -110,7 +104,7 @@ def print_plan(plan: Plan) -> None:
     if order := plan.manifest.settings.order:
         follow = (f"{name} after {other}" for name, other in order.items())
         say(f"without a reset: {', '.join(follow)}")
-    print_warnings(warnings_of(plan))
+    print_warnings(plan.manifest.warnings, plan.system)
 
 
 def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
@@ -229,36 +223,55 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
     if not every:
         kinds: dict[str, Counter[str]] = {}
         for check in view.checks:
-            kinds.setdefault(check.name, Counter())[check.verdict] += 1
+            kinds.setdefault(check.check, Counter())[check.status] += 1
         title = "Checks of every test and of the population (--all shows each)"
         counts = [(name, *(count[verdict] for verdict in Verdict)) for name, count in kinds.items()]
         print_rows(title, ("check", *Verdict), counts)
     shown = [
         (
-            *(c.subject, c.name, c.target, f"{c.value:.4g}"),
-            f"{c.limit} ({c.tolerance:.0%})" if math.isfinite(c.tolerance) else c.limit,
-            c.verdict,
+            *(c.test, c.check, c.feature, _figure(view, c.observed, c.unit), _expected(view, c)),
+            c.status,
         )
         for c in view.checks
-        if every or c.verdict in (Verdict.FAIL, Verdict.CARE)
+        if every or c.status in (Verdict.FAIL, Verdict.WARNING)
     ]
     if shown:
-        heads = ("subject", "check", "target", "value", "limit", "verdict")
+        heads = ("test", "check", "feature", "observed", "expected", "status")
         title = "Checks" if every else "Checks that failed or need care"
         print_rows(title, heads, shown, folded=len(heads))
-    print_warnings(view.warnings)
+    print_warnings(view.warnings, view.systems[view.metric])
     _print_verdicts(view)
+
+
+def _figure(view: CampaignView, value: float, unit: str) -> str:
+    """A value in the units of a view."""
+    if unit in ("1", "dimensionless"):
+        return f"{value:.4g}"
+    return view.systems[view.metric].words([value], unit)
+
+
+def _expected(view: CampaignView, check: Check) -> str:
+    """What passes a check, with its tolerance where it has one."""
+    dimensionless = check.unit in ("1", "dimensionless")
+    limit = check.limit if dimensionless else _figure(view, check.expected, check.unit)
+    return f"{limit} ({check.tolerance:.0%})" if math.isfinite(check.tolerance) else limit
 
 
 def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
     """Print warnings and verdicts of a run, and where to look; quiet: only the run's verdict."""
     if not quiet:
-        print_warnings(view.warnings)
+        print_warnings(view.warnings, view.systems[view.metric])
         _print_verdicts(view)
-    say(f"{view.verdict.upper()}: {view.sentence}")
+    print_sentences(view, f"{view.verdict.upper()}: ")
     if not quiet:
         command = shlex.join(["mfd-bayes", "check", str(out)])
         say(f"look next at {out / 'report.html'}; every check: {command}")
+
+
+def print_sentences(view: CampaignView, lead: str = "") -> None:
+    """Print the verdict on a run, a line for each of its sentences, in the units of a view."""
+    for number, sentence in enumerate(view.sentences):
+        say(f"{'' if number else lead}{sentence.to_text(view.systems[view.metric].words)}")
 
 
 def _print_verdicts(view: CampaignView) -> None:
@@ -271,4 +284,5 @@ def _print_verdicts(view: CampaignView) -> None:
     width = max((len(j.subject) for j in judged), default=0)
     for j in judged:
         if not many or j.use != Use.USABLE:
-            say(f"  {j.subject:{width}}  {j.use}{f': {j.told}' if j.told else ''}")
+            reasons = j.to_text(view.systems[view.metric].words)
+            say(f"  {j.subject:{width}}  {j.use}{f': {reasons}' if reasons else ''}")

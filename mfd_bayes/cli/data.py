@@ -103,13 +103,13 @@ def inspect(
     with mistakes():
         from mfd_bayes.pipeline import inspect as pipeline
 
-        inspections = pipeline.inspect(file, folder, force=force, units=units or "")
+        inspections, system = pipeline.inspect(file, folder, force=force, units=units or "")
     for inspection, picture in inspections:
         say(inspection.name)
         for key, fact in inspection.facts.items():
             say(f"  {key:21s}{fact}")
         for fault in inspection.faults:
-            say(f"  {'warning':21s}{fault.name}: {fault.sentence}")
+            say(f"  {'warning':21s}{fault.name}: {fault.message.to_text(system.words)}")
         say(f"  {'picture':21s}{picture}")
 
 

@@ -54,7 +54,7 @@ def calibrate(
             console.print_plan(plan)
             return
         if not quiet:
-            console.print_warnings(console.warnings_of(plan))
+            console.print_warnings(plan.manifest.warnings, plan.system)
         with watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
@@ -93,7 +93,7 @@ def check(
         view = pipeline.check(out, units or "")
     if not quiet:
         console.print_checks(view, every=every)
-    console.say(view.sentence)
+    console.print_sentences(view)
     if evaluation.fails(view):
         raise typer.Exit(1)
 
@@ -118,6 +118,10 @@ def report(
     all_tests: Annotated[
         bool, Option("--all-tests", help="Draw the pictures of every test of such a run.")
     ] = False,
+    at: Annotated[
+        list[str] | None,
+        Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
+    ] = None,
     units: options.Units = None,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
@@ -137,9 +141,10 @@ def report(
     with mistakes(this_command()):
         from mfd_bayes import evaluation
         from mfd_bayes.pipeline import report as pipeline
-        from mfd_bayes.reporting.forms import Forms
+        from mfd_bayes.reporting.publish import Forms
 
-        forms = Forms(pdf, word, excel, next_test, tuple(tests or ()), all_tests)
+        chosen, conditions = tuple(tests or ()), tuple(at or ())
+        forms = Forms(pdf, word, excel, next_test, chosen, all_tests, conditions)
         with watch(quiet=quiet) as observe:
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)

@@ -23,23 +23,27 @@ from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
-    CAMPAIGN,
-    MANIFEST,
-    POPULATION,
-    PRIORS,
+    Existing,
     check_apart,
+    check_free,
     check_links,
     discard,
     hash_stored,
-    pooled_of,
-    posterior_of,
-    record_of,
+    prepare_folder,
     remove_partial_files,
     remove_stale,
 )
 from mfd_bayes.runs.lock import OWNER, alone_in
 from mfd_bayes.runs.manifest import Manifest, Status, Truth
-from mfd_bayes.runs.resumption import Existing, check_free, prepare_folder
+from mfd_bayes.runs.paths import (
+    CAMPAIGN,
+    MANIFEST,
+    POPULATION,
+    PRIORS,
+    pooled_of,
+    posterior_of,
+    record_of,
+)
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
 from mfd_bayes.store.netcdf import save_trace
@@ -160,13 +164,13 @@ def _check_place(plan: Plan, out: Path) -> None:
 
 
 def _existing(options: Options) -> Existing:
-    return Existing.asked(resume=options.resume, force=options.force)
+    return Existing.of(resume=options.resume, force=options.force)
 
 
 def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
     resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, _existing(plan.options))
-    for sentence in resumed.told:
+    for sentence in resumed.notes:
         observe(Step("resume", State.NOTE, message=sentence))
     manifest = resumed.manifest
     todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
@@ -206,7 +210,7 @@ def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifes
         return manifest
     keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in before.model_fields_set]
     names = {POPULATION, *map(pooled_of, manifest.tests)}
-    stored = {name: digest for name, digest in (before.files or {}).items() if name in names}
+    stored = {name: digest for name, digest in before.files.items() if name in names}
     return manifest.changed(**{key: getattr(before, key) for key in keys}).with_files(stored)
 
 

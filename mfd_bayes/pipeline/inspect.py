@@ -7,24 +7,27 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
+from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.findings import findings_together, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.summary import Inspection, inspect_record
 from mfd_bayes.reporting.conversion import convert_trace
-from mfd_bayes.runs.systems import System, named_system, system_of
+from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes
+from mfd_bayes.units import split_quantity
 
 
 def inspect(
     path: Path, folder: Path, *, force: bool = False, units: str = ""
-) -> list[tuple[Inspection, Path]]:
+) -> tuple[list[tuple[Inspection, Path]], System]:
     """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
 
-    Its sentences are in the units of a system, "us" or "si"; by default the records' own. With
-    `force`, a PNG that exists is replaced.
+    Its facts are in the units of a system, "us" or "si"; by default the records' own. That system
+    is returned too: in it the messages of faults are written. With `force`, a PNG that exists is
+    replaced.
 
     Raises
     ------
@@ -43,7 +46,7 @@ def inspect(
     pictures = [folder / f"{name}_inspect.png" for name in names]
     check_outputs(pictures, [path], force=force)
     shown = [
-        _reworded(inspection, record, system)
+        _to_units(inspection, record, system)
         for inspection, record in zip(inspections, records, strict=True)
     ]
     for inspection, picture in zip(shown, pictures, strict=True):
@@ -51,7 +54,7 @@ def inspect(
         title = f"{inspection.name}: as read"
         figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
         write_bytes(picture, to_png(figure))
-    return list(zip(shown, pictures, strict=True))
+    return list(zip(shown, pictures, strict=True)), system
 
 
 def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
@@ -65,8 +68,8 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
         compared = tested_of(test, record, inspection.trace)
         tested += [compared] if compared else []
         if test.after:
-            facts = {**inspection.facts, "follows": f"test {test.after}, without a reset"}
-            inspection = replace(inspection, facts=facts)
+            follows = Message("test {after}, without a reset", {"after": test.after})
+            inspection = replace(inspection, facts={**inspection.facts, "follows": follows})
         inspections.append(inspection)
     together = findings_together(tested, priors, campaign.model)
     return [
@@ -78,23 +81,26 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
 def system_of_records(records: Iterable[Record], units: str = "") -> System:
     """System of units of a name, else the one that fits the records' own units and sizes."""
     records = list(records)
-    measured = [r.columns.get("actuation", ("", "")) for r in records]
     own = system_of(
-        (r.columns["displacement"][1] for r in records),
-        (r.force for r in records),
-        (r.given_actuation or {"unit": m[1]} for r, m in zip(records, measured, strict=True)),
+        (record.columns["displacement"][1] for record in records),
+        (record.force for record in records),
+        (
+            split_quantity(record.given_actuation)[1]
+            if record.given_actuation
+            else record.columns.get("actuation", ("", ""))[1]
+            for record in records
+        ),
     )
     return named_system(units, own)
 
 
-def _reworded(inspection: Inspection, record: Record, system: System) -> Inspection:
-    """The inspection of a record, its sentences in the units of a system."""
-    kept = ("file", "columns", "columns not used")  # and what a signal is made of, are names
+def _to_units(inspection: Inspection, record: Record, system: System) -> Inspection:
+    """The inspection of a record, its facts in the units of a system."""
     facts = {
-        name: text if name in kept or name.endswith("made of") else system.reworded(text)
-        for name, text in inspection.facts.items()
+        name: Message("{text}", {"text": fact.to_text(system.words)})
+        for name, fact in inspection.facts.items()
     }
     if record.actuation_unit is not None:  # of the value itself: a rounded one is not 7 bar
-        facts["actuation"] = system.actuation(inspection.trace, record.actuation_unit)
-    faults = tuple(replace(f, sentence=system.reworded(f.sentence)) for f in inspection.faults)
-    return replace(inspection, facts=facts, faults=faults)
+        level = system.actuation(inspection.trace, record.actuation_unit)
+        facts["actuation"] = Message("{text}", {"text": level})
+    return replace(inspection, facts=facts)

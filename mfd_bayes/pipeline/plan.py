@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -15,25 +15,31 @@ import numpy as np
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.task import Task
-from mfd_bayes.campaign.file import Campaign, Test, load_campaign
-from mfd_bayes.campaign.schema import NoiseName
+from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
+from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.friction import models
 from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.design import Design, design_of
-from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.settings import setting_of
+from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import MANIFEST, posterior_of
-from mfd_bayes.runs.machine import this_machine
-from mfd_bayes.runs.manifest import FORMAT, Entry, Manifest, Status, check_readable, read_begun
-from mfd_bayes.runs.resumption import with_keys
-from mfd_bayes.runs.settings import Settings, TestSettings
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.manifest import (
+    FORMAT,
+    Entry,
+    Manifest,
+    Status,
+    check_readable,
+    read_begun,
+    this_machine,
+    with_keys,
+)
+from mfd_bayes.runs.paths import MANIFEST, posterior_of
+from mfd_bayes.runs.tested_range import conditions_of
+from mfd_bayes.runs.unit_system import System
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -107,8 +113,7 @@ class Plan:
     @property
     def system(self) -> System:
         """System of units of the records, of the size of their forces."""
-        traces = [*(task.trace for task in self.tasks), *self.held_out.values()]
-        return self.manifest.system_of(traces)
+        return self.manifest.system
 
 
 def plan_campaign(path: Path, options: Options) -> Plan:
@@ -121,7 +126,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     """
     campaign = load_campaign(path, options.model, options.noise)
     priors = load_priors(campaign.priors, campaign.folder)
-    settings = _settings(campaign, priors)
+    settings = campaign.settings
     inputs = {campaign.path.name: hash_file(campaign.path)}
     inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
     tasks, held_out, entries, faults, tested = [], {}, {}, [], []
@@ -136,7 +141,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         if test.role == "validate":
             held_out[test.id] = trace
         else:
-            tasks.append(_task(campaign, priors, test, trace, options, settings))
+            tasks.append(_task(campaign, priors, test, trace, options))
     faults += findings_together(tested, priors, campaign.model)
     design = planned_design(tasks, settings)
     manifest = Manifest(
@@ -144,6 +149,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         status=Status.RUNNING,
         format=FORMAT,
         effort=find_effort(options.effort),
+        priors=f"{priors.title} ({priors.path.name})",
         settings=settings,
         inputs=inputs,
         tests=entries,
@@ -161,50 +167,28 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     return Plan(campaign, options, priors, tuple(tasks), held_out, manifest)
 
 
-def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
-    """Settings of the manifest; the laws of quantities that are tied must be the same."""
-    for model in models.MODELS.values():
-        for name, followed in model.tied_laws.items():
-            if campaign.laws[name] != campaign.laws[followed]:
-                raise CampaignError(
-                    f"laws.{name} in {campaign.path} must be that of {followed} "
-                    f"({campaign.laws[followed]!r}), since {name} follows {followed}; "
-                    f"got {campaign.laws[name]!r}"
-                )
-    tests = {}
-    for test in campaign.tests:
-        columns = {}
-        for role, source in test.columns.items():  # column and unit, then what is done to it
-            done = {k: v for k, v in asdict(source).items() if v and (k, v) != ("sign", 1)}
-            columns[role] = [source.column, source.unit, *([] if source.plain else [done])]
-        tests[test.id] = TestSettings(
-            file=_inside(campaign, test),
-            actuation=test.actuation,
-            fit=test.window,
-            session=test.session,
-            columns=columns,
-            **({"after": test.after} if test.after else {}),
-        )
-    check = campaign.noise_check
-    return Settings(
-        **({} if check is None else {"noise_check": check}),
-        model=campaign.model,
-        noise=campaign.noise,
-        start=campaign.start,
-        priors=f"{priors.title} ({priors.path.name})",
-        laws={name: campaign.laws[name] for name in default_laws()},
-        dependence=campaign.dependence,
-        tolerances=campaign.tolerances,
-        rate=campaign.rate,
-        area=campaign.area,
-        actuation_unit=campaign.actuation_unit,
-        tests=tests,
-    )
-
-
 def _inside(campaign: Campaign, test: Test) -> str:
     """Path of a test's file relative to its campaign's folder, with slashes."""
     return test.path.relative_to(campaign.folder).as_posix()
+
+
+def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
+    """Design of the population of the tests to calibrate.
+
+    Raises
+    ------
+    MfdError
+        When laws, priors or actuations do not allow any.
+    """
+    some = tasks[0]
+    names = some.posterior().names
+    if "noise_sd" not in names:
+        raise CampaignError(
+            f"noise_sd is fixed in {some.priors.path.name}: the population of tests needs a prior "
+            "of it, such as a narrow lognormal"
+        )
+    under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
+    return design_of(some.priors, names, under, settings.laws, settings.dependence)
 
 
 def _read(campaign: Campaign, test: Test) -> Record:
@@ -227,7 +211,10 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
+        conditions=conditions_of(trace),
+        peak_force=float(np.max(np.abs(np.asarray(trace.force)))),
         derived=record.derived,
+        measured=measured.to_content() if (measured := measured_cycles(record)) else {},
     )
     return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 
@@ -238,7 +225,6 @@ def _task(
     test: Test,
     trace: Trace,
     options: Options,
-    settings: Settings,
 ) -> Task:
     """Job that calibrates a test, of whose prior some draws must give a usable force."""
     digest = hashlib.sha256(test.id.encode()).digest()
@@ -249,10 +235,10 @@ def _task(
         priors=priors,
         model=campaign.model,
         noise=campaign.noise,
-        start=campaign.start,
+        start=campaign.settings.campaign.start,
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
-        checks_noise=settings.checks_noise(options.effort),
+        checks_noise=campaign.settings.checks_noise(options.effort),
     )
     posterior = task.posterior()
     drawn = posterior.draw_prior(np.random.default_rng(0), 64)
@@ -262,21 +248,3 @@ def _task(
             "none of 64 prior draws gives a usable force"
         )
     return task
-
-
-def planned_design(tasks: Sequence[Task], settings: Settings) -> Design:
-    """Design of the population of the tests to calibrate.
-
-    Raises
-    ------
-    MfdError
-        When laws, priors or actuations do not allow any.
-    """
-    names, priors = tasks[0].posterior().names, tasks[0].priors
-    if "noise_sd" not in names:
-        raise CampaignError(
-            f"noise_sd is fixed in {priors.path.name}: the population of tests needs a prior "
-            "of it, such as a narrow lognormal"
-        )
-    under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
-    return design_of(priors, names, under, settings.laws, settings.dependence)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.bands import Compared, compare
-from mfd_bayes.evaluation.derived_rows import measured_rows, predicted_rows
-from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, draws_of
+from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, n_draws
+from mfd_bayes.evaluation.scores import Compared, compare
+from mfd_bayes.evaluation.test_summary import predicted_rows
 from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
@@ -21,12 +21,11 @@ from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
-from mfd_bayes.runs.average import ModelAverage
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
-from mfd_bayes.runs.tested import far_sentences
+from mfd_bayes.runs.manifest import unchanged
+from mfd_bayes.runs.model_average import ModelAverage
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 from mfd_bayes.units import actuation_kind, parse_actuation, parse_quantity
 
@@ -152,7 +151,7 @@ def predict(out: Path, question: Question) -> Answer:
             f"--actuation {question.actuation!r} must be {actuation_kind(run.actuation_unit)}, as "
             "in the campaign"
         )
-    motion, remarks = _motion_of(question)
+    motion, remarks, record = _motion_of(question)
     measured = replace(motion, actuation=level)  # with its force, if the file has one
     trace = replace(measured, force=None)
     own = question.test if question.test in run.tests else ""
@@ -161,17 +160,18 @@ def predict(out: Path, question: Question) -> Answer:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
     drawn = measured if question.compare else trace
     design: tuple[DesignRow, ...] = ()
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         band = _band(source, measured if question.given else trace, question)
-        rows = predicted_rows(source, drawn, band, measured, question.after)
+        compared_with = record if question.compare else None
+        rows = predicted_rows(source, trace, band, compared_with, question.after, measured)
         if question.design:
             remarks += design_warnings(run)
             design = design_rows(run, trace, question.probability)
     band = replace(band, remarks=(*band.remarks, *remarks))
     compared, judged, disagrees = None, "", False
     if drawn.force is not None:
-        compared, held = compare(band, drawn), measured_rows(drawn, band, rows)
-        judged, disagrees = compared.judged(held), compared.disagrees(held)
+        compared = compare(band, drawn)
+        judged, disagrees = compared.judged(rows), compared.disagrees(rows)
     answer = Answer(
         band,
         tuple(convert_row(row, run.system) for row in rows),
@@ -216,8 +216,8 @@ def check_question(question: Question) -> None:
     check_outputs(outputs, [question.motion] if question.motion else [], force=question.force)
 
 
-def _motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
-    """Motion that is asked for, and a remark where it had to be thinned.
+def _motion_of(question: Question) -> tuple[Trace, tuple[str, ...], Record | None]:
+    """Motion that is asked for, a remark where it had to be thinned, and its record, if any.
 
     Its actuation is that of the question, whatever columns its file has.
     """
@@ -226,7 +226,7 @@ def _motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
     if question.motion is None:
         if question.compare or question.rate or question.given:
             raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
-        return parse_sine(question.sine).trace(0.0), ()
+        return parse_sine(question.sine).trace(0.0), (), None
     record = read_record(question.motion, actuation=question.actuation)
     given = f"--given {question.given!r}" if question.given else ""
     needs = "--compare" if question.compare else given
@@ -234,15 +234,15 @@ def _motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
         raise CampaignError(f"{needs} needs a column of the force in {question.motion}")
     if question.rate:
         rate = parse_quantity(question.rate, "rate", of="--rate")
-        return _thinned(record, rate, question.window), ()
+        return _thinned(record, rate, question.window), (), record
     if record.time.size <= MOST:
-        return record.trace(), ()
+        return record.trace(), (), record
     rate = record.rate * MOST / record.time.size
     remark = (
         f"the motion has {record.time.size} samples, more than the {MOST} that are predicted at "
         f"once: the band is given at {rate:.4g} Hz; --rate sets another"
     )
-    return _thinned(record, rate, question.window), (remark,)
+    return _thinned(record, rate, question.window), (remark,), record
 
 
 def _thinned(record: Record, rate: float, window: tuple[float, float] | None) -> Trace:
@@ -273,7 +273,7 @@ def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
     return source.predict(
         *asked,
         # without sessions the tables of --design are then of the same draws
-        draws=max(draws_of(source), DRAWS) if question.design else DRAWS,
+        draws=max(n_draws(source), DRAWS) if question.design else DRAWS,
         test=question.test,
         whole=whole,
         explain=question.explain,

@@ -6,7 +6,7 @@ with importing():
     from scipy import stats  # noqa: F401
 
     from mfd_bayes.calibration import task  # noqa: F401
-    from mfd_bayes.reporting import publication  # noqa: F401
+    from mfd_bayes.reporting import figures, publish  # noqa: F401
     from mfd_bayes.store.arviz import import_arviz
 
     import_arviz()

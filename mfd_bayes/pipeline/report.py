@@ -7,20 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.evaluation import assess, verdicts
+from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
+from mfd_bayes.evaluation.properties import stored_peaks
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
+from mfd_bayes.reporting.conversion import convert_scores, system_of
 from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
-from mfd_bayes.reporting.forms import PLAIN, Forms
+from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
-from mfd_bayes.runs.folder import check_places, draws_as
+from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, named_system
+from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.paths import draws_as
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
 
 Observe = Callable[[Step], None]
@@ -69,27 +70,31 @@ def write_report(
     run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
 ) -> CampaignView:
     """Write the tables, figures and report of an open run, whose folder must be locked."""
-    from mfd_bayes.reporting.publication import publish
+    from mfd_bayes.reporting.publish import publish
 
     processes = Workplace(jobs).processes
     observe(Step("report", "checks and bands"))
-    metric = named_system(units, run.system).name == SI.name
-    view = replace(assess(run, processes), metric=metric)
+    system = named_system(units, run.system)
+    view = replace(assess(run, processes), metric=system.name == SI.name)
     if forms.next_test:
         observe(Step("report", "which test next"))
         view = replace(view, next_test=run.next_test())
-    run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
+    run = run.rewrite(
+        verdicts=verdicts(view), warnings=view.warnings, peak_factors=stored_peaks(run)
+    )
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
-    view = in_words(view)
-    publish(view, run.folder, processes, observe, forms)
+    observe(Step("report", "data sheet"))
+    at = [parse_condition(text, run.actuation_unit) for text in forms.at]
+    sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
+    publish(view, run.folder, processes, observe, forms, sheet)
     return view
 
 
 def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
     """Scores of what was left out in the units of the campaign, and its unit of force."""
-    system = shown_in(view)
-    return in_tables(view, system).left_out, system.force
+    system, found = system_of(view), view.left_out
+    return found and convert_scores(found, system.factor("kip")), system.force
 
 
 def check(out: Path, units: str = "") -> CampaignView:
@@ -99,10 +104,10 @@ def check(out: Path, units: str = "") -> CampaignView:
     """
     run = open_run(out)
     metric = named_system(units, run.system).name == SI.name
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         view = assess(run)
-    checks = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
-    return in_words(replace(view, metric=metric, checks=tuple(checks)))
+    checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
+    return replace(view, metric=metric, checks=tuple(checks))
 
 
 def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:

@@ -14,28 +14,27 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.outputs import check_folder
-from mfd_bayes.reporting.response_page import ResponseView, render_response
-from mfd_bayes.reporting.response_tables import (
+from mfd_bayes.reporting.response import (
+    ResponseView,
     draws_csv,
     limits_csv,
     peaks_csv,
     peaks_tex,
+    render_response,
     response_json,
     shares_csv,
     sweep_csv,
+    sweep_sentence,
 )
-from mfd_bayes.reporting.sweep_words import sweep_sentence
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
 from mfd_bayes.response.variance_shares import Shares, variance_shares
-from mfd_bayes.runs.asked import use_of_run, use_word
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
+from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, SYSTEMS, US, System
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, SYSTEMS, US, System
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 
@@ -171,7 +170,7 @@ def respond(prepared: Prepared, observe: Callable[[Step], None]) -> Answer:
         )
 
     sweep, remarks = None, tuple[str, ...]()
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         response = response_of(prepared.building)
         if prepared.levels is not None:
             levels, unit = prepared.levels
@@ -209,8 +208,7 @@ def view_of(
         for name in ("drift", "acceleration")
         for g, ground in enumerate(grounds)
     )
-    beyond = beyond_tests(run.tested, run.system, run.actuation_unit, response)
-    use, word = use_of_run(run.manifest, run.system), use_word(run.manifest)
+    beyond, use, word = beyond_tests(run, response), run.caution, run.use
     stated = {*chain.from_iterable(beyond), use}
     mark, headline = _mark(response, beyond=any(beyond), use=word)
     imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
@@ -268,13 +266,14 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
             sentences.append(f"{ground.name}: every draw diverged.")
             continue
         by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
+        scale = by / response.building.heights if ratios else by
         low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
-        bare = response.bare.drift[0, g]
-        without = by * float(np.max(bare / response.building.heights if ratios else bare))
+        without = float(np.max(response.bare.drift[0, g] * scale))
         sentences.append(
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
             f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
         )
+        sentences += _bounds(response, g, scale, unit) + _matters(response, g)
         sentences += [f"{sentence}." for sentence in beyond[g]] if response.dampers.count else []
     sentences += [f"{sentence}." for sentence in beyond[-1]]
     sentences += [use] if use else []
@@ -285,6 +284,30 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
                 f"of {100 * limit.probability:.3g} % (standard error {100 * limit.error:.2g} %)."
             )
     return sentences
+
+
+def _bounds(response: Response, ground: int, scale: Array | float, unit: str) -> list[str]:
+    """The largest drift with all dampers at one of their design values, in a sentence."""
+    at = {name: response.references.get(name) for name in ("lower", "upper")}
+    parts = [
+        f"{name} {float(np.max(bound.drift[0, ground] * scale)):.3g} {unit}"
+        for name, bound in at.items()
+        if bound is not None and not bound.unstable[0, ground]
+    ]
+    name = response.grounds[ground].name
+    return [f"{name}: with all dampers at their bound, {', '.join(parts)}."] if parts else []
+
+
+def _matters(response: Response, ground: int) -> list[str]:
+    """What makes the band of the largest drift wide, in a sentence."""
+    shares = variance_shares(response, "drift", ground)
+    if not shares:
+        return []
+    source = max(shares, key=lambda name: shares[name])
+    return [
+        f"{response.grounds[ground].name}: {100 * shares[source]:.0f} % of the variance of the "
+        f"largest drift is {source}."
+    ]
 
 
 def write_response(
