@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import FREE_EXPONENT, Check, Judgement, NoiseRow, ReadingRow
 
 from mfd_bayes.calibration.identifiability import Pair, Sensitivity
 from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.views import FREE_EXPONENT, Check, Judgement, NoiseRow, ReadingRow
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures, page, tables
@@ -166,7 +166,9 @@ def test_the_data_sheet_marks_what_lies_outside(pages):
 def test_only_what_misses_is_listed(campaign, text):
     assert "What misses" not in text
     warned = (
-        Finding("a", "force sign", Message("{jump} too far", {"jump": Quantity.of(0.8, unit="in")})),
+        Finding(
+            "a", "force sign", Message("{jump} too far", {"jump": Quantity.of(0.8, unit="in")})
+        ),
         Finding("b", "lag", Message("late")),
     )
     judged = (Judgement("c", Use.NOT_USABLE, "sign <swapped>", 9.0),)
@@ -253,7 +255,10 @@ def hostile(tmp_path, campaign):
         pairs=(Pair(name, name, 0.8),),
         sensitivities=(Sensitivity(name, 0.1, 0.1),),
     )
-    checks = (*(replace(c, target=name) for c in one.checks), Check(name, name, name, 0.0, name, Verdict.NOTE))
+    checks = (
+        *(replace(c, target=name) for c in one.checks),
+        Check(name, name, name, 0.0, name, Verdict.NOTE),
+    )
     rows = tuple(replace(row, note=name) for row in one.rows)
     one = replace(one, rows=rows, identifiability=study, checks=checks, actuation=name)
     return replace(
@@ -339,7 +344,9 @@ def test_the_glossary_holds_plain_sentences_and_every_verdict(text):
         assert meaning.endswith(".")
     (verdicts,) = (meaning for name, meaning in words.items() if name.startswith("Verdict"))
     for verdict in Verdict:
-        assert f"{verdict.capitalize()}: {verdict.message[0].lower()}{verdict.message[1:]}" in verdicts
+        assert (
+            f"{verdict.capitalize()}: {verdict.message[0].lower()}{verdict.message[1:]}" in verdicts
+        )
     shown = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd></div>", text))
     assert shown == {name: words[name] for name in page.WORDS}
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from mfd_bayes.evaluation.views import Check, NoiseRow, ReadingRow
 
+from mfd_bayes.evaluation.views import Check, NoiseRow, ReadingRow
 from mfd_bayes.reporting import tables
 from mfd_bayes.reporting.symbols import parts_of
 from mfd_bayes.reporting.tables import (
@@ -378,7 +378,9 @@ def test_the_table_of_a_record_has_every_sample(campaign):
     held = pd.read_csv(io.StringIO(record_table(campaign.tests[1], SI)))
     assert held["fitted"].eq(0).all()
     assert "velocity_mm_per_s" in held
-    assert held["force_kN"][0] == pytest.approx(4.4482216 * campaign.tests[1].trace.force[0], rel=1e-5)
+    assert held["force_kN"][0] == pytest.approx(
+        4.4482216 * campaign.tests[1].trace.force[0], rel=1e-5
+    )
 
 
 def test_tables_behind_the_figures_of_all_tests(campaign):
