@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections import Counter
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,8 +33,8 @@ _ESCAPES = re.compile(
     re.VERBOSE,
 )
 
-LISTED = 12
-"""Up to this many tests, the end of a run lists every verdict; beyond, only those that failed."""
+WIDTH, LINES = 100, 10
+"""Most columns and lines of the end of a run."""
 
 
 def clean(text: object) -> str:
@@ -231,18 +231,29 @@ def _left_out_table(found: LeftOutView, force: str) -> Table:
 
 
 def print_checks(view: CampaignView, *, every: bool) -> None:
-    """Print how many checks of each kind passed, and those that did not; or every check."""
-    if not every:
-        _print_kinds(view.checks)
-    shown = [c for c in view.checks if every or c.verdict in (Verdict.FAIL, Verdict.CARE)]
-    if shown:
+    """Print what misses, one line each; or a table of every check before."""
+    if every:
         heads = ("subject", "check", "target", "value", "limit", "verdict")
-        table = _table("Checks" if every else "Checks that failed or need care", heads)
-        for c in shown:
+        table = _table("Checks", heads)
+        for c in view.checks:
             _add(table, c.subject, c.name, c.target, f"{c.value:.4g}", _limit(c), c.verdict)
         open_console().print(table)
-    print_warnings(view.warnings)
-    _print_verdicts(view)
+    for line in missed_lines(view):
+        say(line)
+
+
+def missed_lines(view: CampaignView) -> list[str]:
+    """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
+    words = view.systems[view.metric].words
+    return [
+        *(f"warning: {f.subject}: {f.message.to_text(words)}" for f in view.warnings),
+        *(
+            f"{c.verdict}: {c.subject}: {c.name}, {c.target}: {c.value:.4g} ({_limit(c)})"
+            for c in view.checks
+            if c.verdict in (Verdict.FAIL, Verdict.CARE)
+        ),
+        *(f"{j.use}: {j.subject}: {j.told}" for j in view.judgements if j.use != Use.USABLE),
+    ]
 
 
 def _limit(check: Check) -> str:
@@ -251,38 +262,21 @@ def _limit(check: Check) -> str:
     return f"{check.limit} ({check.tolerance:.0%})" if known else check.limit
 
 
-def _print_kinds(checks: Iterable[Check]) -> None:
-    """Print how many checks of each kind passed, were noted and failed."""
-    kinds: dict[str, Counter[str]] = {}
-    for check in checks:
-        kinds.setdefault(check.name, Counter())[check.verdict] += 1
-    table = _table("Checks of every test and of the population (--all shows each)", ["check"])
-    for verdict in Verdict:
-        table.add_column(verdict, justify="right")
-    for name, count in kinds.items():
-        _add(table, name, *(str(count[verdict]) for verdict in Verdict))
-    open_console().print(table)
-
-
 def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
-    """Print warnings and verdicts of a run, and where to look; quiet: only the run's verdict."""
-    if not quiet:
-        print_warnings(view.warnings)
-        _print_verdicts(view)
-    say(f"{view.verdict.upper()}: {view.sentence}")
-    if not quiet:
-        command = shlex.join(["mfd-bayes", "check", str(out)])
-        say(f"look next at {out / 'report.html'}; every check: {command}")
+    """Print the verdict of a run, what misses, and where to look; quiet: the verdict alone.
 
-
-def _print_verdicts(view: CampaignView) -> None:
-    """Print each test's verdict with its reasons; of many tests, those that are not just usable."""
-    judged = view.judgements
-    many = len(judged) > LISTED
-    if many:
-        usable = sum(j.use == Use.USABLE for j in judged)
-        say(f"{usable} of {len(judged)} tests are usable without more")
-    width = max((len(j.subject) for j in judged), default=0)
-    for j in judged:
-        if not many or j.use != Use.USABLE:
-            say(f"  {j.subject:{width}}  {j.use}{f': {j.told}' if j.told else ''}")
+    These are at most `LINES` lines of at most `WIDTH` columns; `mfd-bayes check` has the rest.
+    """
+    text = clean(f"{view.verdict.upper()}: {view.sentence}")
+    lines = LINES if quiet else 4
+    verdict = textwrap.wrap(text, WIDTH, max_lines=lines, placeholder=" …", break_on_hyphens=False)
+    for line in verdict:
+        say(line)
+    if quiet:
+        return
+    missed, room = missed_lines(view), LINES - len(verdict) - 2
+    for line in missed[:room]:
+        say(textwrap.shorten(clean(line), WIDTH, placeholder=" …"))
+    more = f"{len(missed) - room} more, and " if len(missed) > room else ""
+    say(f"{more}every check: {shlex.join(['mfd-bayes', 'check', str(out)])}")
+    say(f"look next at {out / 'report.html'}")

@@ -125,6 +125,7 @@ _TABLES = (
     *("laws.csv", "law_scores.csv", "checks.csv", "scores.csv"),
     *("parameters.json", "laws.json", "parameters.tex", "laws.tex"),
     *("crossvalidation.csv", "tested_range.csv", "tables.docx", "tables.xlsx"),
+    *("datasheet.csv", "datasheet.tex", "datasheet.html", "datasheet.pdf"),
 )
 
 
@@ -141,7 +142,7 @@ ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
 
 _ASKED_FOR = (
-    *("tables.docx", "tables.xlsx", "report.pdf"),
+    *("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf"),
     *(*ADVICE, "figures/next.png", "figures/next.csv"),
 )
 """What a report writes only where it is asked for, and advice: all rests on the population."""

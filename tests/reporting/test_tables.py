@@ -107,7 +107,8 @@ def test_a_prediction_says_what_it_is(campaign):
 
 def test_a_new_run_in_a_folder_removes_every_table_of_the_old_one(campaign, tmp_path):
     (tmp_path / "manifest.json").write_text("{}")
-    for name in report_tables(campaign):
+    sheets = (f"datasheet.{end}" for end in ("csv", "tex", "html", "pdf"))
+    for name in (*report_tables(campaign), *sheets):
         (tmp_path / name).write_text("")
     discard(tmp_path)
     assert not any(tmp_path.iterdir())
