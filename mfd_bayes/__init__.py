@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
     from mfd_bayes.reporting.notebook import open_run
-    from mfd_bayes.runs.average import ModelAverage
+    from mfd_bayes.runs.model_average import ModelAverage
     from mfd_bayes.runs.run import Run
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
@@ -40,8 +40,8 @@ _HOMES = {
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
     "Model": "mfd_bayes.friction.model",
-    "ModelAverage": "mfd_bayes.runs.average",
     "Parameter": "mfd_bayes.friction.quantity",
+    "ModelAverage": "mfd_bayes.runs.model_average",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",
     "Run": "mfd_bayes.runs.run",

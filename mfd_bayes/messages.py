@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from string import Formatter
 
 from mfd_bayes.units import in_digits
 
@@ -58,3 +59,17 @@ class Message:
 def _internal(values: Sequence[float], unit: str, digits: int) -> str:
     shown = dict.fromkeys(in_digits(value, digits) for value in values)
     return f"{' to '.join(shown)} {unit.replace('*', '·')}"
+
+
+def join(messages: Iterable[Message], separator: str) -> Message:
+    """Several sentences as one, with a separator between them."""
+    templates, values = [], {}
+    for number, message in enumerate(messages):
+        parts = []
+        for text, name, _, _ in Formatter().parse(message.template):
+            parts.append(text.replace("{", "{{").replace("}", "}}"))
+            if name is not None:
+                parts.append(f"{{{name}_{number}}}")
+                values[f"{name}_{number}"] = message.values[name]
+        templates.append("".join(parts))
+    return Message(separator.join(templates), values)

@@ -18,7 +18,7 @@ from typer.main import get_command
 import mfd_bayes as mb
 from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.campaign import schema
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.population.laws import complete_laws

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, RecordError, StoreError, UnitError
 from mfd_bayes.records.file_name_check import contradictions

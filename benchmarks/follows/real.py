@@ -77,7 +77,7 @@ def lay_out(source: Path, folder: Path, model: str) -> Path:
 def bands_of(run: mb.Run, name: str) -> dict[str, Band]:
     """Bands of a second part: with an unknown start, with the end of the first, and mirrored."""
     trace = run.held_out[name]
-    before = run.order.before(name, trace, Forecast(draws=DRAWS))
+    before = run.sequence.before(name, trace, Forecast(draws=DRAWS))
     if before is None:
         raise SystemExit(f"{name} follows none")
     mirrored = replace(before, place=1.0 - before.place)

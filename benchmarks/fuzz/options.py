@@ -21,8 +21,7 @@ from mfd_bayes.errors import FitError, MfdError
 from mfd_bayes.jobs.local import Workplace, check_workers
 from mfd_bayes.pipeline import prediction
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 
 _PREDICT = ("predict", "out", "--motion", "a.csv", "--actuation", "500 psi", "-o", "b.csv")
 COMMANDS: tuple[tuple[str, ...], ...] = (

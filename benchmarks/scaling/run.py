@@ -35,7 +35,7 @@ from mfd_bayes.calibration.prior_files import find_priors, load_priors
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.pipeline.commands import Options, Step, calibrate_campaign
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import MANIFEST
+from mfd_bayes.runs.paths import MANIFEST
 from mfd_bayes.store.files import read_json
 
 WORKERS = 2

@@ -89,7 +89,7 @@ def check(
         view = pipeline.check(out, units or "")
     if not quiet:
         console.print_checks(view, every=every)
-    console.say(view.sentence)
+    console.print_sentences(view)
     if pipeline.fails(view):
         raise typer.Exit(1)
 

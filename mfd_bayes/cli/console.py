@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.design import DesignRow
     from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.findings import Finding
-    from mfd_bayes.runs.results import Comparison
+    from mfd_bayes.runs.scores import Comparison
+    from mfd_bayes.runs.verdict import Finding
 
 _ESCAPES = re.compile(
     r"""(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]              # colours, movements of the cursor
@@ -233,10 +233,10 @@ def _left_out_table(found: LeftOutView, force: str) -> Table:
 def print_checks(view: CampaignView, *, every: bool) -> None:
     """Print what misses, one line each; or a table of every check before."""
     if every:
-        heads = ("subject", "check", "target", "value", "limit", "verdict")
-        table = _table("Checks", heads)
+        table = _table("Checks", ("test", "check", "feature", "observed", "expected", "status"))
         for c in view.checks:
-            _add(table, c.subject, c.name, c.target, f"{c.value:.4g}", _limit(c), c.verdict)
+            values = (_figure(view, c.observed, c.unit), _expected(view, c))
+            _add(table, c.test, c.check, c.feature, *values, c.status)
         open_console().print(table)
     for line in missed_lines(view):
         say(line)
@@ -248,18 +248,30 @@ def missed_lines(view: CampaignView) -> list[str]:
     return [
         *(f"warning: {f.subject}: {f.message.to_text(words)}" for f in view.warnings),
         *(
-            f"{c.verdict}: {c.subject}: {c.name}, {c.target}: {c.value:.4g} ({_limit(c)})"
+            f"{c.status}: {c.test}: {c.message.to_text(words)}"
             for c in view.checks
-            if c.verdict in (Verdict.FAIL, Verdict.CARE)
+            if c.status in (Verdict.FAIL, Verdict.WARNING)
         ),
-        *(f"{j.use}: {j.subject}: {j.told}" for j in view.judgements if j.use != Use.USABLE),
+        *(
+            f"{j.use}: {j.subject}: {j.to_text(words)}"
+            for j in view.judgements
+            if j.use != Use.USABLE
+        ),
     ]
 
 
-def _limit(check: Check) -> str:
-    """Limit of a check, with its tolerance where it has one."""
-    known = math.isfinite(check.tolerance)
-    return f"{check.limit} ({check.tolerance:.0%})" if known else check.limit
+def _figure(view: CampaignView, value: float, unit: str) -> str:
+    """A value in the units of a view."""
+    if unit in ("1", "dimensionless"):
+        return f"{value:.4g}"
+    return view.systems[view.metric].words([value], unit)
+
+
+def _expected(view: CampaignView, check: Check) -> str:
+    """What passes a check, with its tolerance where it has one."""
+    known = check.unit in ("1", "dimensionless")
+    limit = check.limit if known else _figure(view, check.expected, check.unit)
+    return f"{limit} ({check.tolerance:.0%})" if math.isfinite(check.tolerance) else limit
 
 
 def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
@@ -267,7 +279,9 @@ def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
 
     These are at most `LINES` lines of at most `WIDTH` columns; `mfd-bayes check` has the rest.
     """
-    text = clean(f"{view.verdict.upper()}: {view.sentence}")
+    words = view.systems[view.metric].words
+    text = " ".join(sentence.to_text(words) for sentence in view.sentences)
+    text = clean(f"{view.verdict.upper()}: {text}")
     lines = LINES if quiet else 4
     verdict = textwrap.wrap(text, WIDTH, max_lines=lines, placeholder=" …", break_on_hyphens=False)
     for line in verdict:
@@ -280,3 +294,9 @@ def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
     more = f"{len(missed) - room} more, and " if len(missed) > room else ""
     say(f"{more}every check: {shlex.join(['mfd-bayes', 'check', str(out)])}")
     say(f"look next at {out / 'report.html'}")
+
+
+def print_sentences(view: CampaignView) -> None:
+    """Print the verdict on a run, a line for each of its sentences, in the units of a view."""
+    for sentence in view.sentences:
+        say(sentence.to_text(view.systems[view.metric].words))

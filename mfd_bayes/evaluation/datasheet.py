@@ -129,7 +129,7 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
         tested=_tested(run),
         verdict=_verdict(run, rows),
         not_known=_not_known(run),
-        formulas={name: text for name, text in FORMULAS.items() if name != "c_eq"},
+        formulas={quantity: FORMULAS[quantity] for quantity, _, _ in _QUANTITIES},
     )
 
 
@@ -244,23 +244,13 @@ def _predicted(
         for side, factor in peaks.items():
             middle[f"peak_{side}"] *= factor.expected
         nominal.append(middle)
-        values = cycles_of(trace, seen.draws)
         with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
-        largest = cycles_of(trace, with_offset, peaks)
-        bounded.append(values | {f"peak_{side}": largest[f"peak_{side}"] for side in peaks})
-    full = _full_strokes(trace)
-    return _together(nominal, full), _together(bounded, full)
+        bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
+    return _together(nominal), _together(bounded)
 
 
-def _full_strokes(trace: Trace) -> NDArray[np.bool_]:
-    from mfd_bayes.records.loops import find_loops
-
-    return find_loops(trace).strong
-
-
-def _together(parts: Iterable[Mapping[str, Array]], full: NDArray[np.bool_]) -> dict[str, Array]:
-    several = list(parts)
-    return {name: np.concatenate([part[name][:, full] for part in several]) for name in UNITS}
+def _together(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
 
 
 def _measured(
@@ -310,12 +300,10 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     tested = rows[(rows["cycle"] == 0) & rows["tested"]]
     cycles, outside = int(tested["n_cycles"].sum()), int(tested["n_outside"].sum())
     share = outside / cycles if cycles else 0.0
-    worst = tested.loc[tested["n_outside"].idxmax()] if outside else None
-    most = (
-        f", most of them {worst['quantity'].replace('_', ' ')} at {worst['condition']}"
-        if worst is not None
-        else ""
-    )
+    most = ""
+    if outside:
+        worst = tested.sort_values("n_outside").to_dict("records")[-1]
+        most = f", most of them {worst['quantity'].replace('_', ' ')} at {worst['condition']}"
     second = Message(
         f"{outside} of {cycles} measured values ({100 * share:.1f} %) lie outside their 95 % "
         "bounds{most}.",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.measured import (
     MeasuredCycles,
     cycle_values,
-    mean_at_full_stroke,
+    mean_of,
     measured_cycles,
 )
 from mfd_bayes.records.trace import Trace
@@ -36,6 +35,7 @@ UNITS: Mapping[str, str] = {
     "energy_of_ramps": "kip*in",
     "energy_in_all": "kip*in",
     "c_eq": "kip*s/in",
+    "build_up_slope": "kip/in",
     "gap": "in",
     "gap_width": "in",
     "C_fwd": "1",
@@ -43,7 +43,11 @@ UNITS: Mapping[str, str] = {
 }
 """Internal unit of every property of a test, in the order of tables."""
 
-_OF_CYCLES = ("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq", "gap")
+_SIGNS = {"fwd": 1.0, "bwd": -1.0}
+_OF_CYCLES = (
+    *("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq"),
+    *("build_up_slope", "gap"),
+)
 
 
 def measured_of(manifest: Manifest, name: str, trace: Trace) -> MeasuredCycles:
@@ -100,7 +104,8 @@ class PeakFactor:
             return np.ones((n, cycles))
         t = rng.standard_t(max(self.tests - 1, 3), (n, 1))
         away = self.between * np.sqrt(1.0 + 1.0 / self.tests) * t
-        return np.exp(self.mean + away + self.within * rng.standard_normal((n, cycles)))
+        within = self.within * rng.standard_normal((n, cycles))
+        return np.asarray(np.exp(self.mean + away + within))
 
     @classmethod
     def of(cls, ratios: Iterable[Array]) -> PeakFactor:
@@ -117,7 +122,8 @@ class PeakFactor:
         return cls(float(means.mean()), float(np.sqrt(between)), float(np.sqrt(within)), means.size)
 
 
-Peaks = Mapping[Literal["fwd", "bwd"], PeakFactor]
+Peaks = Mapping[str, PeakFactor]
+"""By direction, "fwd" and "bwd"."""
 NO_FACTOR: Peaks = {"fwd": PeakFactor(), "bwd": PeakFactor()}
 
 
@@ -147,39 +153,69 @@ def _median_force(posterior: Posterior, test: TestResult) -> Array:
 
 
 def peaks_of(run: Run) -> Peaks:
-    """The factors of a run's calibrated tests."""
+    """The factors of a run's calibrated tests, as its report has stored them, else computed."""
+    stored = run.manifest.peak_factors
+    if stored:
+        return {
+            side: PeakFactor(mean, between, within, int(tests))
+            for side, (mean, between, within, tests) in stored.items()
+        }
     return peak_factors(run.manifest, run.tests)
 
 
+def stored_peaks(run: Run) -> dict[str, tuple[float, ...]]:
+    """The factors of a run's calibrated tests as its manifest keeps them."""
+    return {side: astuple(factor) for side, factor in peak_factors(run.manifest, run.tests).items()}
+
+
 def properties_of(
-    trace: Trace, force: Array, peaks: Peaks = NO_FACTOR, seed: int = 0
+    trace: Trace,
+    force: Array,
+    peaks: Peaks = NO_FACTOR,
+    *,
+    smooth: Array | None = None,
+    seed: int = 0,
 ) -> dict[str, Array]:
     """Properties under a motion of forces (n, T), kip, by name, (n,) each, in `UNITS`.
 
-    Peaks are those that a load cell would see: `peaks` times those of the forces.
+    Peaks are those that a load cell would see: `peaks` times those of the forces without noise,
+    `smooth`, by default the same forces.
     """
-    values, full = cycle_values(trace, force), find_loops(trace).strong
-    found = {name: mean_at_full_stroke(values[name], full) for name in _OF_CYCLES}
-    found["energy_per_cycle"] = mean_at_full_stroke(values["energy"], full)
-    found["energy_of_ramps"] = mean_at_full_stroke(values["energy"], ~full)
-    found["energy_in_all"] = np.trapezoid(force, trace.displacement, axis=1)
-    bounds = find_loops(trace).bounds
-    parts = [0, *bounds[bounds > 0].tolist(), trace.samples]
+    loops = find_loops(trace)
+    values, full = cycle_values(trace, force), loops.strong
+    found = {name: mean_of(values[name], full) for name in _OF_CYCLES}
+    found["energy_per_cycle"] = mean_of(values["energy"], full)
+    found["energy_of_ramps"] = mean_of(values["energy"], ~full)
+    found["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
+    parts = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
     rng = np.random.default_rng(seed)
-    for side, sign in (("fwd", 1.0), ("bwd", -1.0)):
-        largest = [np.max(sign * force[:, a:b], axis=1) for a, b in pairwise(parts) if b > a]
-        factor = peaks[side].draw(rng, len(force), len(largest))  # type: ignore[index]
+    smooth = force if smooth is None else smooth
+    for side, sign in _SIGNS.items():
+        largest = [np.max(sign * smooth[:, a:b], axis=1) for a, b in pairwise(parts) if b > a]
+        factor = peaks[side].draw(rng, len(force), len(largest))
         found[f"peak_{side}"] = np.max(np.transpose(largest) * factor, axis=1)
     return found
 
 
 def cycles_of(
-    trace: Trace, force: Array, peaks: Peaks = NO_FACTOR, seed: int = 0
+    trace: Trace,
+    force: Array,
+    peaks: Peaks = NO_FACTOR,
+    *,
+    smooth: Array | None = None,
+    seed: int = 0,
 ) -> dict[str, Array]:
-    """Values of each full cycle under forces (n, T), kip, (n, L) each, with peaks as a load cell sees."""
-    values = cycle_values(trace, force)
-    rng = np.random.default_rng(seed)
-    for side, factor in peaks.items():
-        name = f"peak_{side}"
-        values[name] = values[name] * factor.draw(rng, *values[name].shape)
+    """Values of each full cycle at full stroke, (n, L) each, by name, as `properties_of`."""
+    loops, rng = find_loops(trace), np.random.default_rng(seed)
+    values = {name: found[:, loops.strong] for name, found in cycle_values(trace, force).items()}
+    smooth = force if smooth is None else smooth
+    spans = [
+        s for s, full in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True) if full
+    ]
+    for side, sign in _SIGNS.items():
+        largest = [np.max(sign * smooth[:, a : b + 1], axis=1) for a, b in spans]
+        shape = len(force), len(spans)
+        values[f"peak_{side}"] = np.transpose(largest).reshape(shape) * peaks[side].draw(
+            rng, *shape
+        )
     return values

@@ -15,26 +15,23 @@ from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import TestResult, load_result
 from mfd_bayes.calibration.task import Task
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.jobs.local import check_workers, run_jobs
 from mfd_bayes.jobs.job import Progress, State, Step
+from mfd_bayes.jobs.local import check_workers, run_jobs
 from mfd_bayes.pipeline.plan import Plan
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
-    CAMPAIGN,
-    POPULATION,
-    PRIORS,
+    Existing,
     check_apart,
+    check_free,
     hash_stored,
-    pooled_of,
-    posterior_of,
-    record_of,
+    prepare_folder,
     remove_partial_files,
     remove_stale,
 )
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import Manifest, Status
-from mfd_bayes.runs.resumption import Existing, check_free, prepare_folder
+from mfd_bayes.runs.paths import CAMPAIGN, POPULATION, PRIORS, pooled_of, posterior_of, record_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.store.netcdf import save_trace
@@ -87,7 +84,7 @@ def working_in(plan: Plan, out: Path) -> Iterator[None]:
 def check_dry(plan: Plan, out: Path) -> None:
     """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
     check_place(plan, out)
-    existing = Existing.asked(resume=plan.options.resume, force=plan.options.force)
+    existing = Existing.of(resume=plan.options.resume, force=plan.options.force)
     check_free(plan.campaign.folder, out, existing)
 
 
@@ -103,9 +100,9 @@ def check_place(plan: Plan, out: Path) -> None:
 def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
     options = plan.options
-    existing = Existing.asked(resume=options.resume, force=options.force)
+    existing = Existing.of(resume=options.resume, force=options.force)
     resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, existing)
-    for sentence in resumed.told:
+    for sentence in resumed.notes:
         observe(Step("resume", State.NOTE, message=sentence))
     manifest = resumed.manifest
     todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
@@ -174,7 +171,7 @@ def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifes
         return manifest
     keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in before.model_fields_set]
     names = {POPULATION, *map(pooled_of, manifest.tests)}
-    stored = {name: digest for name, digest in (before.files or {}).items() if name in names}
+    stored = {name: digest for name, digest in before.files.items() if name in names}
     return manifest.changed(**{key: getattr(before, key) for key in keys}).with_files(stored)
 
 

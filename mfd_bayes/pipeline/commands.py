@@ -14,8 +14,8 @@ from mfd_bayes.evaluation import fails, is_whole
 from mfd_bayes.evaluation.views import (
     CampaignView,
 )
-from mfd_bayes.jobs.local import check_workers
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.jobs.local import check_workers
 from mfd_bayes.pipeline.calibration import calibrate_locked, check_dry, working_in
 from mfd_bayes.pipeline.comparison import compare
 from mfd_bayes.pipeline.crossvalidation import crossvalidate
@@ -34,9 +34,10 @@ from mfd_bayes.pipeline.question import Question
 from mfd_bayes.pipeline.ready import get_ready
 from mfd_bayes.pipeline.report import check, left_out_shown, report, write_report
 from mfd_bayes.reporting.publish import Forms
-from mfd_bayes.runs.folder import MANIFEST, check_links, discard
+from mfd_bayes.runs.folder import check_links, discard
 from mfd_bayes.runs.lock import OWNER, alone_in
 from mfd_bayes.runs.manifest import Truth, read_begun
+from mfd_bayes.runs.paths import MANIFEST
 from mfd_bayes.store.files import PART, is_part, remove_file
 
 __all__ = [

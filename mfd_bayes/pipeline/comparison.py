@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.evaluation.models import Candidate, candidates, check_cycles, compare_runs
+from mfd_bayes.evaluation.compare import Candidate, candidates, check_cycles, compare_runs
 from mfd_bayes.evaluation.views import (
     LeftOutView,
 )
@@ -22,8 +22,8 @@ from mfd_bayes.reporting.tables import (
     comparison_csv,
 )
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.results import Comparison
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.scores import Comparison
 from mfd_bayes.store.files import write_text
 
 Observe = Callable[[Step], None]

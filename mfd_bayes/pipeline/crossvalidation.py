@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from mfd_bayes.evaluation.folds import fold_id, folds_of, part_kind, parts_of, run_folds
+from mfd_bayes.evaluation.crossvalidate import fold_id, folds_of, part_kind, parts_of, run_folds
 from mfd_bayes.evaluation.views import (
     CampaignView,
 )
@@ -15,8 +15,8 @@ from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.runs.folder import remove_partial_files
-from mfd_bayes.runs.results import CampaignCrossValidation
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.scores import CampaignCrossValidation
 
 Observe = Callable[[Step], None]
 
@@ -50,7 +50,10 @@ def check_parts(plan: Plan) -> Collection[str]:
     sessions = plan.manifest.settings.sessions
     settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
     return parts_of(
-        settings, part_kind(plan.options.by), plan.campaign.actuation_unit, plan.campaign.path
+        settings,
+        part_kind(plan.options.by),
+        plan.campaign.settings.actuation_unit,
+        plan.campaign.path,
     )
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
-from mfd_bayes.runs.folder import check_places, draws_as
+from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.systems import named_system
+from mfd_bayes.runs.paths import draws_as
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.unit_system import named_system
 
 
 def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:

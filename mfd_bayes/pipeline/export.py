@@ -15,10 +15,9 @@ from mfd_bayes.response.building import Building, Device
 from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.opensees import Equivalent, equivalents
 from mfd_bayes.response.schema import Limits
-from mfd_bayes.runs.folder import POPULATION
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.tested import Span, far_sentences, leaving
+from mfd_bayes.runs.paths import POPULATION
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.tested_range import Span, departures, far_sentences
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 from mfd_bayes.units import actuation_kind, parse_actuation
 
@@ -126,7 +125,7 @@ def _level(run: Run, actuation: str) -> float:
 def _remarks(run: Run, level: float, asked: Export) -> list[str]:
     """Where the actuation leaves what was tested."""
     span = Span("actuation", run.actuation_unit, level, level)
-    outside = leaving(run.tested, [span])
+    outside = departures(run.tested, [span])
     far = far_sentences(outside, run.system)
     if far and not asked.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to export it all the same")

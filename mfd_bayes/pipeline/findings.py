@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.campaign.file import Test
-from mfd_bayes.evaluation.zeros import zero_sentences
+from mfd_bayes.campaign.campaign import Test
+from mfd_bayes.campaign.schema import CampaignFile
+from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
@@ -21,8 +22,7 @@ from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.spikes import without_spikes
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.settings import Settings
+from mfd_bayes.runs.verdict import Finding
 
 WIDE, NARROW = 6.0, 1.0 / 12.0
 """A gap wider or narrower than the priors' typical one by these factors is in another unit."""
@@ -58,7 +58,7 @@ def findings_together(
 
 def findings_of(
     faults: Sequence[tuple[str, Fault]],
-    settings: Settings,
+    settings: CampaignFile,
     design: Design,
     calibrated: Mapping[str, Trace],
 ) -> tuple[Finding, ...]:
@@ -71,13 +71,13 @@ def findings_of(
     found = [Finding(name, fault.name, fault.message) for name, fault in every]
     told = [
         Finding("laws", "zero actuation", Message("{text}", {"text": sentence}))
-        for sentence in zero_sentences(design, [*calibrated])
+        for sentence in zero_pressure_sentences(design, [*calibrated])
     ]
     return (*found, *told)
 
 
 def _of_settings(
-    settings: Settings, design: Design, tests: Mapping[str, Trace]
+    settings: CampaignFile, design: Design, tests: Mapping[str, Trace]
 ) -> Iterator[tuple[str, Fault]]:
     """What a campaign asks for that the calibration of its tests does not do."""
     model = models.find_model(settings.model)
@@ -88,7 +88,7 @@ def _of_settings(
             "is not used",
         )
         yield "laws", unused_laws
-    unused = [name for name in settings.dependence or {} if name not in design.names]
+    unused = [name for name in settings.dependence if name not in design.names]
     if unused:
         dependence = Fault.of(
             "dependence",

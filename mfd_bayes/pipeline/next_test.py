@@ -20,12 +20,11 @@ from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.regular import why_no_file
 from mfd_bayes.reporting.tables import next_csv
-from mfd_bayes.runs.folder import ADVICE
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.manifest import unchanged
+from mfd_bayes.runs.paths import ADVICE
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text, write_bytes, write_text
 
 SHOWN = 10
@@ -107,7 +106,7 @@ def next_test(out: Path, wish: Wish) -> Told:
     files = _files(table, wish)
     candidates = _candidates(wish.candidates)
     run = replace(open_run(out), units=wish.units)
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         advice = run.next_test(
             wish.goal or None,
             candidates,

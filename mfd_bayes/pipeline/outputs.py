@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs.folder import MANIFEST, is_of_run, name_in_run
+from mfd_bayes.runs.paths import MANIFEST, is_file_of_a_run
 from mfd_bayes.store.files import check_place
 
 
@@ -40,8 +40,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
                 both = path.exists() and one.exists()
                 if path.resolve() == one.resolve() or (both and path.samefile(one)):
                     raise StoreError(f"cannot write {path}: it is an input of this command, {one}")
-            name = name_in_run(path)
-            if name is not None and is_of_run(name):
+            if is_file_of_a_run(path):
                 raise StoreError(f"cannot write {path}: it is a file of the run in that folder")
             if path.exists() and not force:
                 raise StoreError(f"{path} exists: give another name, or --force to replace it")

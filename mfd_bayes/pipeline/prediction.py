@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.bands import Compared, compare
-from mfd_bayes.evaluation.derived_rows import measured_rows, predicted_rows
-from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, draws_of
+from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, n_draws
+from mfd_bayes.evaluation.scores import Compared, compare
+from mfd_bayes.evaluation.test_summary import predicted_rows
 from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
 from mfd_bayes.pipeline.question import Question, check_question, motion_of
 from mfd_bayes.population.bands import DRAWS, Band
@@ -18,12 +18,11 @@ from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
-from mfd_bayes.runs.average import ModelAverage
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
-from mfd_bayes.runs.tested import far_sentences
+from mfd_bayes.runs.manifest import unchanged
+from mfd_bayes.runs.model_average import ModelAverage
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 from mfd_bayes.units import actuation_kind, parse_actuation
 
@@ -70,22 +69,22 @@ def predict(out: Path, question: Question) -> Answer:
     source = ModelAverage((run, *others)) if others else run
     system = run.system
     level = _level(run, question)
-    motion, thinned = motion_of(question)
+    motion, thinned, record = motion_of(question)
     told = replace(motion, actuation=level)
     trace = replace(told, force=None)
     _check_reach(run, trace, question)
     drawn = told if question.compare else trace
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         band = _band(source, told if question.given else trace, question)
-        rows = predicted_rows(source, drawn, band, told, question.after)
+        known = record if question.compare else None
+        rows = predicted_rows(source, trace, band, known, question.after, told)
         narrow = design_warnings(run) if question.design else ()
         bounds = design_rows(run, trace, question.probability) if question.design else ()
     band = replace(band, remarks=(*band.remarks, *thinned, *narrow))
     compared, judged = None, ("", False)
     if drawn.force is not None:
         compared = compare(band, drawn)
-        held = measured_rows(drawn, band, rows)
-        judged = compared.judged(held), compared.disagrees(held)
+        judged = compared.judged(rows), compared.disagrees(rows)
     derived = tuple(convert_row(row, system) for row in rows)
     design = tuple(convert_row(row, system) for row in bounds)
     answer = Answer(band, derived, system, compared, design, *judged)
@@ -130,7 +129,7 @@ def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
     return source.predict(
         *asked,
         # without sessions the tables of --design are then of the same draws
-        draws=max(draws_of(source), DRAWS) if question.design else DRAWS,
+        draws=max(n_draws(source), DRAWS) if question.design else DRAWS,
         test=question.test,
         whole=whole,
         explain=question.explain,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.calibration.prior_files import WRITTEN, load_priors
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import (
     Draft,
     campaign_text,
@@ -15,7 +16,6 @@ from mfd_bayes.campaign.draft import (
     own_priors,
 )
 from mfd_bayes.campaign.draft.priors import Units, priors_text
-from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.prior_check import MOST, most_wrong, prior_fan, share_inside
 from mfd_bayes.messages import Message
@@ -27,8 +27,9 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.summary import Inspection, inspect_record
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
-from mfd_bayes.runs.systems import System, named_system, system_of
+from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes, write_text
+from mfd_bayes.units import split_quantity
 
 
 def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft]:
@@ -144,11 +145,15 @@ def _reworded(inspection: Inspection, record: Record, system: System) -> Inspect
 def system_of_records(records: Iterable[Record], units: str = "") -> System:
     """System of units of a name, else the one that fits the records' own units and sizes."""
     known = list(records)
-    measured = [r.columns.get("actuation", ("", "")) for r in known]
     own = system_of(
         (r.columns["displacement"][1] for r in known),
         (r.force for r in known),
-        (r.given_actuation or {"unit": m[1]} for r, m in zip(known, measured, strict=True)),
+        (
+            split_quantity(r.given_actuation)[1]
+            if r.given_actuation
+            else r.columns.get("actuation", ("", ""))[1]
+            for r in known
+        ),
     )
     return named_system(units, own)
 

@@ -111,8 +111,8 @@ def check_question(question: Question) -> None:
     check_outputs(outputs, inputs, force=question.force)
 
 
-def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
-    """Motion that is asked for, and a remark where it had to be thinned.
+def motion_of(question: Question) -> tuple[Trace, tuple[str, ...], Record | None]:
+    """Motion that is asked for, a remark where it had to be thinned, and its record if any.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
     if question.motion is None:
         if question.compare or question.rate or question.given:
             raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
-        return parse_sine(question.sine).trace(0.0), ()
+        return parse_sine(question.sine).trace(0.0), (), None
     # the actuation is that of the question, whatever columns the file has
     record = read_record(question.motion, actuation=question.actuation)
     if question.compare and record.force is None:
@@ -135,8 +135,9 @@ def motion_of(question: Question) -> tuple[Trace, tuple[str, ...]]:
         )
     window = question.window
     if question.rate:
-        return _thinned(record, parse_quantity(question.rate, "rate", of="--rate"), window), ()
-    return _at_most(record, window)
+        rate = parse_quantity(question.rate, "rate", of="--rate")
+        return _thinned(record, rate, window), (), record
+    return *_at_most(record, window), record
 
 
 def _thinned(record: Record, rate: float, window: tuple[float, float] | None) -> Trace:

@@ -8,24 +8,23 @@ from pathlib import Path
 
 from mfd_bayes.evaluation import assess, verdicts
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
+from mfd_bayes.evaluation.properties import stored_peaks
 from mfd_bayes.evaluation.views import (
     IDENTIFIABILITY,
     CampaignView,
     LeftOutView,
 )
-from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.ready import get_ready
-from mfd_bayes.reporting.conversion import convert_scores, in_words, system_of
+from mfd_bayes.reporting.conversion import convert_scores, system_of
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, named_system
+from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
 
 Observe = Callable[[Step], None]
@@ -83,13 +82,14 @@ def write_report(
     if forms.next_test:
         observe(Step("report", "which test next"))
         view = replace(view, next_test=run.next_test())
-    run = run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
+    run = run.rewrite(
+        verdicts=verdicts(view), warnings=view.warnings, peak_factors=stored_peaks(run)
+    )
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
     at = [parse_condition(text, run.actuation_unit) for text in forms.at]
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
-    view = in_words(view)
     publish(view, run.folder, processes, observe, forms, sheet)
     return view
 
@@ -107,7 +107,7 @@ def check(out: Path, units: str = "") -> CampaignView:
     """
     run = open_run(out)
     system = named_system(units, run.system)
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         view = assess(run)
-    told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
-    return in_words(replace(view, metric=system.name == SI.name, checks=tuple(told)))
+    shown = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
+    return replace(view, metric=system.name == SI.name, checks=tuple(shown))

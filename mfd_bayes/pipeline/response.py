@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import BuildingError, MfdError, UnitError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.outputs import check_folder
@@ -21,12 +21,10 @@ from mfd_bayes.response.ground import Ground, example_ground, parse_acceleration
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
 from mfd_bayes.response.variance_shares import Shares, variance_shares
-from mfd_bayes.runs.asked import use_of_run, use_word
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
+from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, SYSTEMS, System
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, SYSTEMS, System
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.files import write_text
 
@@ -170,7 +168,7 @@ def respond(asked: Prepared, observe: Callable[[Step], None]) -> Found:
             observe=lambda step: observe(replace(step, id=f"{told}{step.id}")),
         )
 
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         response = answer(asked.building)
         sweep = None
         if levels is not None:
@@ -238,10 +236,9 @@ def view_of(
         for name in ("drift", "acceleration")
         for g, ground in enumerate(response.grounds)
     )
-    beyond = beyond_tests(run.tested, run.system, run.actuation_unit, response)
-    use = use_of_run(run.manifest, run.system)
+    beyond, use = beyond_tests(run, response), run.caution
     told = {*chain.from_iterable(beyond), use}
-    mark = _mark(response, alone=any(beyond), use=use_word(run.manifest))
+    mark = _mark(response, alone=any(beyond), use=run.use)
     return ResponseView(
         title,
         about,
@@ -264,7 +261,7 @@ def view_of(
             "largest energy not accounted for": f"{imbalance:.1e} of the input",
             "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
         },
-        _headline(mark, alone=any(beyond), use=use_word(run.manifest)),
+        _headline(mark, alone=any(beyond), use=run.use),
     )
 
 

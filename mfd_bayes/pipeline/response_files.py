@@ -19,7 +19,7 @@ from mfd_bayes.reporting.response import (
 )
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import SYSTEMS, US, System
+from mfd_bayes.runs.unit_system import SYSTEMS, US, System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 
 MARKER = "response.json"

@@ -109,17 +109,15 @@ def read_off(trace: Trace, offset: float = 0.0) -> Readings:
 
     A motion without a full stroke, or without a force, has none: all are NaN.
     """
+    nan = float("nan")
     if trace.force is None or trace.cycle_turns.size < 2:
-        return Readings(*[float("nan")] * 5)
+        return Readings(nan, nan, nan, nan, nan)
     found = stroke_estimates(trace, trace.force[None] - offset)
+    slope, gap = (float(_median(v[:, found.full])[0]) for v in (found.slope, found.gap))
     loops = find_loops(trace)
     energy = np.asarray(loops.energy)[loops.strong]
-    values = (
-        found.slip(1.0),
-        found.slip(-1.0),
-        *(_median(v[:, found.full]) for v in (found.slope, found.gap)),
-    )
-    return Readings(*(float(v[0]) for v in values), float(energy.mean()) if energy.size else np.nan)
+    mean = float(energy.mean()) if energy.size else nan
+    return Readings(float(found.slip(1.0)[0]), float(found.slip(-1.0)[0]), slope, gap, mean)
 
 
 def asymmetry(trace: Trace) -> Array:
@@ -183,7 +181,7 @@ def _median(values: Array) -> Array:
     if not values.shape[-1]:
         return np.full(len(values), np.nan)
     known = np.ma.masked_invalid(values)
-    return np.asarray(np.ma.median(known, axis=-1).filled(np.nan))
+    return np.asarray(np.ma.median(known, axis=-1).filled(np.nan))  # type: ignore[no-untyped-call]
 
 
 UNLOADING = (0.8, 0.2)

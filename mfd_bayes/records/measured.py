@@ -34,6 +34,7 @@ UNITS: Mapping[str, str] = {
     "effective_damping": "1",
     "energy": "kip*in",
     "c_eq": "kip*s/in",
+    "build_up_slope": "kip/in",
     "gap": "in",
 }
 """Internal unit of the values of a cycle, in the order of tables."""
@@ -47,6 +48,8 @@ FORMULAS: Mapping[str, str] = {
     "effective_damping": "beta_eff = (2/pi) E_loop / (K_eff (|D+| + |D-|)^2) (ASCE/SEI 7, 17.2.8)",
     "energy": "E_loop, the area of the loop: the integral of F dx over the cycle",
     "c_eq": "E_loop over the integral of v^2 dt over the cycle",
+    "build_up_slope": "slope of the force after the gap, from 20 % to 80 % of the slip force; mean "
+    "of both strokes",
     "gap": "travel after a turn at which the line of the build-up, from 20 % to 80 % of the slip "
     "force, meets the slip force; mean of both strokes",
 }
@@ -77,8 +80,8 @@ class MeasuredCycles:
     energy : kip*in
     c_eq : kip*s/in
         Equivalent viscous damping coefficient.
-    gap : in
-        NaN where it cannot be read off.
+    build_up_slope, gap : kip/in and in
+        NaN where they cannot be read off.
     offset : kip
         Correction that would make the mean force of both directions equal; it is not applied.
     largest_fwd, largest_bwd : float, kip
@@ -99,6 +102,7 @@ class MeasuredCycles:
     effective_damping: Array
     energy: Array
     c_eq: Array
+    build_up_slope: Array
     gap: Array
     offset: Array
     largest_fwd: float
@@ -110,7 +114,7 @@ class MeasuredCycles:
 
         NaN where there is no full cycle, or no cycle has the value.
         """
-        found = {name: mean_at_full_stroke(getattr(self, name), self.full_stroke) for name in UNITS}
+        found = {name: mean_of(getattr(self, name), self.full_stroke) for name in UNITS}
         return {name: float(value) for name, value in found.items()} | {
             "peak_fwd": self.largest_fwd,
             "peak_bwd": self.largest_bwd,
@@ -162,7 +166,6 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
     if not count:
         return found
     strokes = stroke_estimates(trace, force)
-    gaps = dict(zip(strokes.first.tolist(), strokes.gap.T, strict=True))
     turns = trace.cycle_turns[: 2 * count + 1]
     for cycle, (begin, end) in enumerate(pairwise(loops.bounds.tolist())):
         kept = slice(begin, end + 1)
@@ -182,18 +185,17 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
             sign = 1.0 if x[last] > x[first] else -1.0
             side = "slip_fwd" if sign > 0.0 else "slip_bwd"
             found[side][:, cycle] = sign * _at(x, force, first, last, 0.5 * (x[high] + x[low]))
-        read = np.array([gaps[first] for first in halves[:2]])
-        known = np.isfinite(read)
-        total, parts = np.where(known, read, 0.0).sum(axis=0), known.sum(axis=0)
-        found["gap"][:, cycle] = np.where(parts > 0, total / np.maximum(parts, 1), np.nan)
+        both = slice(2 * cycle, 2 * cycle + 2)
+        for name, values in (("build_up_slope", strokes.slope), ("gap", strokes.gap)):
+            found[name][:, cycle] = mean_of(values[:, both])
     return found
 
 
-def mean_at_full_stroke(values: Array, full_stroke: NDArray[np.bool_]) -> Array:
-    """Mean over the cycles at full stroke of values (…, L) that are known, (…)."""
-    kept = np.where(full_stroke & np.isfinite(values), values, 0.0)
-    count = np.sum(full_stroke & np.isfinite(values), axis=-1)
-    return np.where(count > 0, kept.sum(axis=-1) / np.maximum(count, 1), np.nan)
+def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
+    """Mean of values (…, L) that are known, of some cycles or of all, (…); NaN where none is."""
+    known = np.isfinite(values) if kept is None else np.isfinite(values) & kept
+    count, total = known.sum(axis=-1), np.where(known, values, 0.0).sum(axis=-1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _at(x: Array, force: Array, first: int, last: int, level: float) -> Array:

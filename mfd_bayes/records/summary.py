@@ -9,7 +9,6 @@ import numpy as np
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.file_name_check import contradictions
-from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.motion import Array
@@ -114,13 +113,12 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Mes
         ("effective damping", "effective_damping", "1"),
         ("equivalent damping", "c_eq", "kip*s/in"),
         ("gap", "gap", "in"),
+        ("build-up slope", "build_up_slope", "kip/in"),
     ):
         value = Quantity.of(own[name], unit=unit, digits=4)
         text = f"{own[name]:.4g}" if unit == "1" else "{value}"
         if np.isfinite(own[name]):
             facts[title] = Message(text, {"value": value})
-    if np.isfinite(slope := read_off(trace).slope):
-        facts["build-up slope"] = Message("{slope}", {"slope": Quantity.of(slope, unit="kip/in")})
     return {title: fact for title, fact in facts.items() if "nan" not in str(fact)}
 
 

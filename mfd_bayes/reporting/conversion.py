@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from mfd_bayes.evaluation.views import (
     CampaignView,
-    Check,
     Fan,
     LawView,
     LeftOutRow,
@@ -16,7 +15,7 @@ from mfd_bayes.evaluation.views import (
     TestView,
 )
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +25,7 @@ _OF_UNIT = frozenset(
         *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
         *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "read_off"),
         *("smallest", "largest", "prior", "posterior", "measured_low", "measured_high"),
+        *("observed", "expected", "joint_q2.5", "joint_q50", "joint_q97.5"),
     }
 )
 """Fields of a row, and columns of a table, that are in the unit that the row names."""
@@ -55,8 +55,7 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     if "unit" in frame:
         by = frame["unit"].map(system.factor)
         for name in _OF_UNIT.intersection(frame.columns):
-            if frame[name].dtype.kind == "f":  # `largest` of readings says yes or no
-                shown[name] = frame[name] * by
+            shown[name] = frame[name] * by
         shown["unit"] = frame["unit"].map(system.unit)
     names = {}
     for name in frame.columns:
@@ -140,32 +139,6 @@ def convert_scores(found: LeftOutView, by: float) -> LeftOutView:
 
     rows = tuple(converted(row) for row in found.rows)
     return replace(found, rows=rows, mean=converted(found.mean))
-
-
-def in_words(view: CampaignView) -> CampaignView:
-    """A report whose sentences give their figures in the units of the campaign."""
-    system = system_of(view)
-    if system == US:
-        return view
-    say = system.reworded
-    return replace(
-        view,
-        sentence=say(view.sentence),
-        remarks=tuple(map(say, view.remarks)),
-        checks=tuple(_check(check, system) for check in view.checks),
-        judgements=tuple(
-            replace(j, sentence=say(j.sentence), notes=say(j.notes)) for j in view.judgements
-        ),
-    )
-
-
-def _check(check: Check, system: System) -> Check:
-    """A check whose sentence, and value where it has a unit, are in the units of a system."""
-    found = replace(check, target=system.reworded(check.target))
-    if not check.unit:
-        return found
-    value = check.value * system.factor(check.unit)
-    return replace(found, value=value, unit=system.unit(check.unit))
 
 
 def shares_of(tests: tuple[TestView, ...]) -> Mapping[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.records.numbers import real_numbers
-from mfd_bayes.runs import opening
+from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.systems import System
+    from mfd_bayes.runs.unit_system import System
 
 
 def open_run(folder: str | Path) -> Run:
@@ -29,10 +29,7 @@ def open_run(folder: str | Path) -> Run:
         When the folder is no finished run, a file in it is not what the run wrote, or another
         process changes it meanwhile.
     """
-    run = opening.open_run(folder)
-    extras = Notebook(run.system)
-    tests = {name: replace(test, extras=extras) for name, test in run.tests.items()}
-    return replace(run, tests=tests, extras=extras)
+    return runs.open_run(folder, Notebook)
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ class Notebook:
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
-        from mfd_bayes.evaluation.bands import fan_of
+        from mfd_bayes.evaluation.scores import fan_of
         from mfd_bayes.reporting.conversion import convert_fan, convert_trace
         from mfd_bayes.reporting.figures import loops
         from mfd_bayes.store.netcdf import load_groups
@@ -105,7 +102,7 @@ def _of_cycles(test: TestResult) -> Any:
     """Log density of each cycle given all others, (chain, draw, cycle)."""
     import xarray as xr
 
-    from mfd_bayes.evaluation.cycles import cycle_log_likelihood, find_cycles
+    from mfd_bayes.evaluation.compare import cycle_log_likelihood, find_cycles
 
     stored, posterior = test.stored, test.posterior
     shape = stored.stats["lp"].shape

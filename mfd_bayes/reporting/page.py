@@ -37,7 +37,7 @@ from mfd_bayes.reporting.tables import (
     score_sheet,
     table_of,
 )
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import in_digits
 
@@ -255,7 +255,7 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
         scores=score_sheet([row for row in view.scores if row.subject in names]),
         left_out=score_sheet([*view.left_out.rows, view.left_out.mean]) if view.left_out else None,
         width=width_sentence(shares_of(view.tests)),
-        exponents=[check for check in view.checks if check.name == FREE_EXPONENT],
+        exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
         advice=None
         if advice is None
         else {

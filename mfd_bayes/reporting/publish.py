@@ -34,7 +34,7 @@ from mfd_bayes.reporting.tables import (
     to_latex,
     to_word,
 )
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes, write_text
 
 if TYPE_CHECKING:

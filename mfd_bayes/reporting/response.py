@@ -16,8 +16,8 @@ from mfd_bayes.reporting.tables import escape_tex, to_csv
 from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.response.variance_shares import Shares
-from mfd_bayes.runs.systems import SYSTEMS, System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.store.files import json_text
 from mfd_bayes.units import GRAVITY, percent
 

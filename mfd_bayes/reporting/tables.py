@@ -36,8 +36,8 @@ from mfd_bayes.reporting.symbols import (
     split_population,
     unit_text,
 )
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
@@ -51,17 +51,16 @@ ACTUATION = "actuation in "
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 _INTERVAL = "lower:q2.5 median:q50 upper:q97.5"
 _POSTERIOR = f"unit mean sd {_INTERVAL} ess_bulk ess_tail r_hat contraction note"
+_JOINT = "joint_lower:joint_q2.5 joint_median:joint_q50 joint_upper:joint_q97.5 disagrees"
 _SCORES = (
     "coverage_50 coverage_90 coverage_95 width_95:width_95_kip "
     "interval_score:interval_score_95_kip crps:crps_kip rrse"
 )
 _COLUMNS = {
-    "parameters": f"subject:test name:parameter {_POSTERIOR}",
+    "parameters": f"subject:test name:parameter {_POSTERIOR} {_JOINT}",
     "laws": f"subject:group name:constant {_POSTERIOR}",
     "derived": f"subject:test role name:quantity unit mean sd {_INTERVAL} measured note",
-    "readings": (
-        f"subject:test name:quantity unit value:read_off {_INTERVAL} tolerance missed largest"
-    ),
+    "readings": f"subject:test name:quantity unit value:read_off {_INTERVAL} tolerance missed",
     "noises": (
         f"subject:test name:quantity unit noise {_INTERVAL} other:other_noise "
         "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 decides"
@@ -70,7 +69,9 @@ _COLUMNS = {
         "quantity law chosen elpd elpd_se difference:elpd_difference "
         "difference_se:elpd_difference_se weight pareto_k"
     ),
-    "checks": "subject name:check target value limit verdict size tolerance unit",
+    "checks": (
+        "test check feature observed expected unit difference tolerance p_value status note"
+    ),
     "scores": f"subject:test role {_SCORES}",
     "crossvalidation": (
         f"part subject:test {_SCORES} fitted_width:fitted_width_95_kip "
@@ -103,7 +104,7 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
     rows: dict[str, Iterable[Any]] = {
         "parameters": (row for test in tests for row in test.rows),
         "derived": (row for test in tests for row in test.derived),
-        "readings": (row for test in tests for row in test.readings),
+        "readings": (row for test in tests for row in test.loop_estimates),
         "noises": (row for test in tests for row in test.noises),
         "laws": view.law_rows,
         "law_scores": (row for choice in view.law_choices for row in choice.rows),

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction

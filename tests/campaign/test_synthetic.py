@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 
 ONE = Matrix(pressures=(0.0, 1000.0), frequencies=(0.5,), cycles=(2,), held_out=(500.0, 0.5))

@@ -8,9 +8,8 @@ import pytest
 from mfd_bayes.cli.console import LINES, WIDTH, clean, open_console, print_checks, print_end, say
 from mfd_bayes.evaluation.views import Check, Judgement
 from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.systems import SYSTEMS
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.unit_system import SYSTEMS
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 
 @pytest.mark.parametrize(
@@ -50,11 +49,7 @@ def test_a_line_is_one_line(capsys):
 
 
 def test_a_table_shows_names_as_they_are(capsys):
-    check = SimpleNamespace(
-        subject="[red]p[/red]", name=":smile:", target="\x1b[31mk3", value=1.0, limit="<= 1"
-    )
-    check.verdict = "pass"
-    check.tolerance = float("nan")
+    check = Check("[red]p[/red]", ":smile:", "\x1b[31mk3", 1.0, 1.0, Verdict.PASS)
     view = SimpleNamespace(checks=[check], warnings=(), judgements=(), systems=SYSTEMS, metric=0)
     print_checks(view, every=True)
     out = capsys.readouterr().out
@@ -70,18 +65,18 @@ def test_a_console_takes_no_text_for_markup(capsys):
 
 def view_of(count, bad=(), sentence="It is so."):
     judged = [
-        Judgement(f"p{i}", Use.NOT_USABLE, "the sign is swapped " * 9, 9.0)
+        Judgement(f"p{i}", Use.NOT_USABLE, (Message("the sign is swapped " * 9),), 9.0)
         if i in bad
-        else Judgement(f"p{i}", Use.USABLE, "", 0.1)
+        else Judgement(f"p{i}", Use.USABLE, (), 0.1)
         for i in range(count)
     ]
     late = Message("it is {late} late", {"late": Quantity.of(0.8, unit="in")})
     return SimpleNamespace(
         judgements=judged,
-        checks=[Check("p0", "R-hat", "k3", 1.2, "<= 1.01", Verdict.FAIL)],
+        checks=[Check("p0", "R-hat", "k3", 1.2, 1.01, Verdict.FAIL)],
         warnings=[Finding("p0", "lag", late)],
         verdict=Use.NOT_USABLE if bad else Use.USABLE,
-        sentence=sentence,
+        sentences=[Message(sentence)],
         systems=SYSTEMS,
         metric=1,
     )
@@ -93,7 +88,7 @@ def test_a_run_ends_with_its_verdict_and_what_misses(capsys, tmp_path):
     assert lines[:3] == [
         "NOT USABLE: It is so.",
         "warning: p0: it is 20.3 mm late",
-        "fail: p0: R-hat, k3: 1.2 (<= 1.01)",
+        "fail: p0: R-hat of k3: 1.2 (<= 1.01)",
     ]
     assert lines[3].startswith("not usable: p1: the sign is swapped")
     assert lines[4:] == [

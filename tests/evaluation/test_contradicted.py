@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.contradicted import contradicted_starts
+from mfd_bayes.evaluation.outliers import contradicted_order
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
 TIME = np.arange(201) / 50
 
@@ -49,7 +49,7 @@ def with_start(run, start, first=1.0, sampled=True):
 
 @pytest.mark.parametrize(("start", "first"), [(0.2, 1.0), (0.8, -1.0)])
 def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
-    (found,) = contradicted_starts(with_start(run, start, first))
+    (found,) = contradicted_order(with_start(run, start, first))
     assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
     assert str(found.message).startswith("the test begins at 0.20 [0.1")
     assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
@@ -58,15 +58,15 @@ def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, f
 
 @pytest.mark.parametrize(("start", "first"), [(1.0, 1.0), (0.0, -1.0), (0.88, 1.0)])
 def test_a_start_where_the_test_before_ended_is_none(run, start, first):
-    assert contradicted_starts(with_start(run, start, first)) == []
+    assert contradicted_order(with_start(run, start, first)) == []
 
 
 def test_a_start_that_was_not_sampled_contradicts_nothing(run):
-    assert contradicted_starts(with_start(run, 0.2, sampled=False)) == []
+    assert contradicted_order(with_start(run, 0.2, sampled=False)) == []
 
 
 def test_tests_that_follow_none_are_not_compared(run):
     settings = run.manifest.settings
     tests = {n: t.model_copy(update={"after": ""}) for n, t in settings.tests.items()}
     free = run.manifest.changed(settings=settings.model_copy(update={"tests": tests}))
-    assert contradicted_starts(replace(with_start(run, 0.2), manifest=free)) == []
+    assert contradicted_order(replace(with_start(run, 0.2), manifest=free)) == []

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation import folds
-from mfd_bayes.evaluation.folds import FOLDER, Fold, _pooled, leave_out, parts_of
+from mfd_bayes.evaluation import crossvalidate as folds
+from mfd_bayes.evaluation.crossvalidate import FOLDER, Fold, _pooled, leave_out, parts_of
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.inference import Inference
 from mfd_bayes.population.population import LawDraws
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.storage import save_test_draws
-from mfd_bayes.runs.folder import hash_stored, pooled_of
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.order import StoredPooled
+from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.runs.paths import pooled_of
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.test_sequence import StoredPooled
 
 
 def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):

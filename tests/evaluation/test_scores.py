@@ -4,7 +4,7 @@ from pydantic import TypeAdapter
 from scipy import stats
 
 from mfd_bayes.evaluation.scores import COVERAGES, crps, rrse, score
-from mfd_bayes.runs.results import Score
+from mfd_bayes.runs.scores import Score
 
 
 def normal_crps(mean, sd, y):

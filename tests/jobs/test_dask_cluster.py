@@ -21,12 +21,12 @@ from typer.testing import CliRunner
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
-from mfd_bayes.evaluation.folds import folds_of, run_folds
+from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibration import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.runs.folder import posterior_of
+from mfd_bayes.runs.paths import posterior_of
 
 pytestmark = [
     pytest.mark.skipif(
@@ -213,7 +213,7 @@ def test_another_seed_would_be_noticed(address, tasks, reference, tmp_path):
 
 
 def test_folds_of_a_cross_validation_need_no_shared_folder(address, whole):
-    from mfd_bayes.runs.opening import open_run
+    from mfd_bayes.runs.run import open_run
 
     run = open_run(whole)
     folds = folds_of(run, "test", "quick")

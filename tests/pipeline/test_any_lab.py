@@ -9,13 +9,13 @@ from typer.testing import CliRunner
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft.shapes import by_loop
-from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline.preparation import inspect_campaign, system_of_records
 from mfd_bayes.records.loop_features import scales_of
 from mfd_bayes.records.record import read_record
-from mfd_bayes.runs.systems import SI, SI_SMALL, US, US_SMALL
+from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, US_SMALL
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.runs.folder import discard
-from mfd_bayes.runs.systems import SI_SMALL
+from mfd_bayes.runs.unit_system import SI_SMALL
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")

@@ -15,9 +15,9 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation import assess
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
-DATA = Path(__file__).parents[1] / "data" / "run_format_0"
+DATA = Path(__file__).parents[1] / "data" / "run"
 TEST = "p500_f0.5"
 
 

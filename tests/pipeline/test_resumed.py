@@ -6,9 +6,8 @@ import pytest
 
 from mfd_bayes.pipeline import calibration
 from mfd_bayes.pipeline.calibration import calibrate
-from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.resumption import with_keys
+from mfd_bayes.runs.manifest import read_manifest, with_keys
+from mfd_bayes.runs.run import open_run
 
 RESULTS = ("law_scores", "population_sampler", "crossvalidation", "comparison", "verdicts")
 OPTIONAL = (

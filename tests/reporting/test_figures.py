@@ -34,7 +34,7 @@ from mfd_bayes.reporting.figures.posteriors import (
 )
 from mfd_bayes.reporting.figures.style import to_png
 from mfd_bayes.reporting.publish import Drawing
-from mfd_bayes.runs.systems import US
+from mfd_bayes.runs.unit_system import US
 
 UNIT = re.compile(r", (in|in/s|s|kip|kip/in|ksi)$")
 

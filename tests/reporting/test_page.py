@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mfd_bayes.campaign.file import load_campaign
 
 from mfd_bayes.calibration.identifiability import Pair, Sensitivity
 from mfd_bayes.campaign.draft.toml import commented, quoted
-from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.views import FREE_EXPONENT, Check, Judgement, NoiseRow, ReadingRow
@@ -28,10 +28,9 @@ from mfd_bayes.reporting import figures, page, tables
 from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary, render
 from mfd_bayes.reporting.tables import report_tables
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.systems import SI
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.unit_system import SI
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 ROOT = Path(__file__).parents[2]
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))

@@ -9,7 +9,7 @@ from mfd_bayes.errors import ReportError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.publish import Drawing, Forms, publish
-from mfd_bayes.runs.systems import SI, US
+from mfd_bayes.runs.unit_system import SI, US
 
 
 def files(folder):

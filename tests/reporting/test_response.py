@@ -19,8 +19,8 @@ from mfd_bayes.reporting.response import (
 )
 from mfd_bayes.response.result import Passing, Row
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import SI, US
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.units import GRAVITY
 
 UNITS = ("1", "in", "in/s^2", "kip", "kip*in")

@@ -33,7 +33,7 @@ from mfd_bayes.reporting.tables import (
     to_word,
 )
 from mfd_bayes.runs.folder import discard
-from mfd_bayes.runs.systems import SI, US
+from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.runs.verdict import Verdict
 
 STIFFNESS = 4.4482216 / 25.4  # kN/mm of a kip/in

@@ -20,7 +20,7 @@ from mfd_bayes.reporting.figures import posteriors
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.symbols import in_figure, label, plain
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
 
 _MEDIAN = "#4db894"

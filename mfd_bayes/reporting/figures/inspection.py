@@ -17,7 +17,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import POINTS, thinned
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
 _COLOURS = (

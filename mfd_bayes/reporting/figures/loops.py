@@ -25,8 +25,8 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
-from mfd_bayes.runs.systems import US, System
-from mfd_bayes.runs.tested import conditions
+from mfd_bayes.runs.tested_range import conditions
+from mfd_bayes.runs.unit_system import US, System
 
 POINTS = 4000
 """Most points of a line: a screen cannot show more."""

@@ -20,7 +20,7 @@ from mfd_bayes.evaluation.views import Array, Marginal, TestView, TruthRow
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import in_figure, label
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
 RANKS = 10
