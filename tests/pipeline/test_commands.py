@@ -205,7 +205,7 @@ def test_every_file_of_the_contract_is_there(out, campaign):
     for test in TESTS:
         assert (out / "tests" / test / "posterior.nc").is_file()
         pictures = {p.stem for p in (out / "tests" / test).glob("*.png")}
-        assert {"loops", "history", "corner", "trace"} <= pictures
+        assert {"loops", "history", "corner", "ranks"} <= pictures
     assert not list(out.rglob("*.part"))
     assert not list(out.rglob(".*"))
 
@@ -408,8 +408,8 @@ def test_predict_explains_what_makes_the_band_wide(out, motion, tmp_path):
 def test_the_report_says_what_makes_the_band_of_a_held_out_test_wide(out):
     page = (out / "report.html").read_text()
     section = page[page.index('id="held-out"') : page.index('id="unknown"')]
-    assert "What makes these bands wide" in section
-    assert "test-to-test scatter of gap" in section
+    assert " of the band's variance come" in section
+    assert "test-to-test scatter of gap" in (out / "tests" / HELD_OUT / "page.html").read_text()
 
 
 def test_a_prediction_is_the_same_for_the_same_seed(run):
@@ -443,15 +443,16 @@ def test_without_actuation_there_is_no_prediction(run):
 # --- the other commands
 
 
-def test_a_run_ends_with_each_tests_verdict_and_where_to_look(finished_run):
+def test_a_run_ends_with_its_verdict_and_where_to_look(finished_run):
     folder, outcome = finished_run.out, finished_run
     verdicts = json.loads((folder / "manifest.json").read_text())["verdicts"]
-    *_, whole, look = outcome.stdout.splitlines()
-    for test in TESTS:
-        (line,) = [text for text in outcome.stdout.splitlines() if text.startswith(f"  {test} ")]
-        assert line.split(maxsplit=1)[1].startswith(verdicts[test])
-    assert whole.startswith(f"{verdicts['campaign'].upper()}: ")
+    *lines, look = outcome.stdout.splitlines()
     assert look.startswith(f"look next at {folder}/report.html")
+    (whole,) = (
+        n for n, text in enumerate(lines) if text.startswith(f"{verdicts['campaign'].upper()}: ")
+    )
+    assert len(lines) - whole < 10
+    assert max(map(len, lines[whole:-1])) <= 100
 
 
 @pytest.mark.usefixtures("no_figures_of_tests")
@@ -465,7 +466,7 @@ def test_report_remakes_the_report_without_sampling_and_quietly_says_the_verdict
     outcome = here("report", copied, "--quiet")
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stderr == ""
-    assert outcome.stdout.partition(": ")[2] == f"{sentence}\n"
+    assert outcome.stdout.partition(": ")[2].split() == sentence.split()
     assert (copied / "report.html").stat().st_size > 10_000
     assert list((copied / "figures").glob("*.png"))
     for name, content in tables.items():
@@ -636,8 +637,9 @@ def test_check_exits_by_the_verdicts(out, monkeypatch):
     monkeypatch.setattr(pipeline, "check", cache(pipeline.check))  # the same three times
     outcome = here("check", out)
     assert outcome.exit_code == (1 if failed else 0), outcome.output
-    assert "R-hat" in outcome.stdout
+    assert "R-hat" not in outcome.stdout  # only what misses is listed
     everything = here("check", out, "--all")
+    assert "R-hat" in everything.stdout
     assert everything.exit_code == outcome.exit_code
     assert len(everything.stdout) > 5 * len(outcome.stdout)
     assert sentence in outcome.stdout
@@ -716,7 +718,7 @@ def test_predictions_of_levels_left_out_cover_the_force(crossed):
 def test_the_report_shows_what_was_left_out_beside_the_test_held_out(crossed):
     page = (crossed[0] / "report.html").read_text()
     section = page[page.index('id="held-out"') : page.index('id="unknown"')]
-    for words in ("Every level left out in turn", "1500 psi", "Scores of the tests held out"):
+    for words in ("Every level held out in turn", "coverage of the 95 % band"):
         assert words in section
     assert HELD_OUT not in pd.read_csv(crossed[0] / "crossvalidation.csv")["test"].to_numpy()
 
