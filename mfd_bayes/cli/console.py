@@ -121,7 +121,7 @@ def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
     ]
     if not quiet:
         title = "Truth against posterior (95 % equal-tailed interval)"
-        print_rows(title, heads, rows, folded=len(heads))
+        print_rows(title, heads, rows, folded=2)
     informed = [row for row in view.truth if row.informed]
     hits = sum(row.inside for row in informed)
     say(
