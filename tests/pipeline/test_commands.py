@@ -204,7 +204,7 @@ def test_every_file_of_the_contract_is_there(out, campaign):
     for test in TESTS:
         assert (out / "tests" / test / "posterior.nc").is_file()
         pictures = {p.stem for p in (out / "tests" / test).glob("*.png")}
-        assert {"loops", "history", "corner", "ranks"} <= pictures
+        assert {"loops", "history", "corner", "trace"} <= pictures
     assert not list(out.rglob("*.part"))
     assert not list(out.rglob(".*"))
     page = re.sub(
