@@ -23,6 +23,7 @@ from mfd_bayes.calibration.result import load_result
 from mfd_bayes.evaluation import assess, verdicts
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
+from mfd_bayes.evaluation.properties import peaks_of
 from mfd_bayes.evaluation.summary import build_summary
 from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.views import CampaignView
@@ -225,7 +226,7 @@ def _opened(out: Path) -> tuple[Run, CampaignView]:
 def read_posterior(path: Path) -> object:
     """A test's posterior, as a report shows it."""
     run, _ = _opened(path.parents[2])
-    return calibrated_view(run.manifest, load_result("a", path, run.priors))
+    return calibrated_view(run.manifest, peaks_of(run), load_result("a", path, run.priors))
 
 
 def read_held_out(path: Path) -> object:
