@@ -126,11 +126,11 @@ def test_a_session_that_no_test_has_is_said(run, trace):
 
 
 def test_a_run_that_cannot_be_used_is_said(run, trace):
-    verdicts = {"campaign": "not usable", "sentence": "It is wrong by 1 kip."}
-    bad = replace(run, manifest=run.manifest.changed(verdicts=verdicts), units="si")
+    verdicts = {"campaign": "not usable", "sentence": "It is wrong."}
+    bad = replace(run, manifest=run.manifest.changed(verdicts=verdicts))
     (remark,) = bad.predict(replace(trace, force=None), draws=100).remarks
-    assert remark == "the run is not usable as it is: It is wrong by 4.45 kN."
-    assert bad.caution == "the run of this device is not usable: It is wrong by 4.45 kN."
+    assert remark == "the run is not usable as it is: It is wrong."
+    assert bad.caution == "the run of this device is not usable: It is wrong."
     assert run.caution == ""
 
 
