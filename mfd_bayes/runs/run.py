@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -14,7 +14,6 @@ from mfd_bayes.calibration.extras import Extras
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import TestResult, load_result
-from mfd_bayes.campaign.schema import TestTable
 from mfd_bayes.errors import FitError, NotThereError, StoreError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.jobs.job import State
@@ -64,7 +63,7 @@ class ByName(Mapping[str, Item]):
         Item of a name.
     """
 
-    def __init__(self, what: str, names: Any, read: Callable[[str], Item]) -> None:
+    def __init__(self, what: str, names: Iterable[str], read: Callable[[str], Item]) -> None:
         self._what, self._names, self._read = what, tuple(names), read
         self._items: dict[str, Item] = {}
 
@@ -116,15 +115,10 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     for name in (*map(posterior_of, done), *map(record_of, held_out)):
         if not (folder / name).is_file():
             raise StoreError(f"{folder / name} is missing from the run")
-    tests = ByName("calibrated test", done, partial(_read_test, folder, manifest, priors, extras))
-    return Run(
-        folder,
-        manifest,
-        priors,
-        tests,
-        ByName("held-out test", held_out, partial(_read_trace, folder, manifest)),
-        extras,
-    )
+    read_test = partial(_read_test, folder, manifest, priors, extras)
+    tests = ByName("calibrated test", done, read_test)
+    traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
+    return Run(folder, manifest, priors, tests, traces, extras)
 
 
 def _read_test(
@@ -209,20 +203,15 @@ class Run:
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
         check_trace("trace", trace, FitError)
-        tested = self.tested
-        if test:
-            conditions = self.manifest.tests[self._calibrated(test)].conditions
-            tested = range_of([conditions], self.actuation_unit)
-        return departures(tested, reach_of(trace, self.actuation_unit))
-
-    def _calibrated(self, name: str) -> str:
-        return name if name in self.tests else self.tests[name].id  # which raises
+        unit, entries = self.actuation_unit, self.manifest.tests
+        own = ByName("calibrated test", self.tests, lambda name: entries[name].conditions)
+        tested = range_of([own[test]], unit) if test else self.tested
+        return departures(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
-        tests = self.manifest.settings.tests
-        by_name: ByName[TestTable] = ByName("test", tests, tests.__getitem__)
-        return by_name[name].session
+        sessions = self.manifest.settings.sessions
+        return ByName("test", sessions, sessions.__getitem__)[name]
 
     @cached_property
     def predictor(self) -> Predictor:
