@@ -37,7 +37,7 @@ def test_the_documentation_shows_the_same_as_the_report(campaign):
     page = hooks._fill("glossary", "glossary.md")
     words = dict(re.findall(r"^\*\*(.+?)\*\*: (.+)$", page, re.MULTILINE))
     assert {unescape(n): unescape(t) for n, t in words.items()} == words_of_report(campaign)
-    assert "{{ glossary }}" in (ROOT / "docs/pages/glossary.md").read_text(encoding="utf-8")
+    assert "{{ glossary }}" in (ROOT / "docs/pages/report.md").read_text(encoding="utf-8")
 
 
 def test_texts_hold_no_markup_but_plain_emphasis():
