@@ -89,11 +89,11 @@ from mfd_bayes.cli.commands import main
 
 if __name__ == "__main__":
     if {"calibrate", "crossvalidate", "report"} & set(sys.argv):
-        from mfd_bayes.reporting import publication
+        from mfd_bayes.reporting import figures, publish
 
-        publication.draw_shared = lambda view: iter(())
-        publication.draw_test = lambda test, system, unit: iter(())
-        publication._ALONE = 10**9  # tests are drawn in this process
+        figures.draw_shared = lambda view: iter(())
+        figures.draw_test = lambda test, system, unit: iter(())
+        publish.ALONE = 10**9  # tests are drawn in this process
     main()
 """
 
@@ -110,7 +110,7 @@ def without_figures(tmp_path_factory) -> list[str]:
 def no_figures(monkeypatch) -> None:
     """Reports of up to three tests that are made in this process have no figures."""
     for name in ("draw_shared", "draw_test"):
-        monkeypatch.setattr(f"mfd_bayes.reporting.publication.{name}", lambda *_: iter(()))
+        monkeypatch.setattr(f"mfd_bayes.reporting.figures.{name}", lambda *_: iter(()))
 
 
 @pytest.fixture

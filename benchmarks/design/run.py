@@ -38,8 +38,8 @@ from benchmarks.heldout import records
 from mfd_bayes.calibration.cycles import derive_from_force
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.evaluation.design import DesignRow, design_rows
-from mfd_bayes.evaluation.folds import Fold, folds_of
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.run import Run

@@ -16,6 +16,7 @@ from mfd_bayes.calibration import priors
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.calibration.quantities import sampled_quantities
 from mfd_bayes.errors import PriorError, UnitError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
@@ -115,8 +116,8 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     )
 
 
-def load_priors(name: str, folder: Path | None = None) -> PriorFile:
-    """Priors of a file, checked.
+def load_priors(name: str, folder: Path | None = None, model: Model | None = None) -> PriorFile:
+    """Priors of a file, checked; a user's own model makes its parameters known.
 
     Raises
     ------
@@ -132,14 +133,14 @@ def load_priors(name: str, folder: Path | None = None) -> PriorFile:
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
     try:
-        return _read(path, content)
+        return _read(path, content, sampled_quantities(model))
     except PriorError as error:
         if len(str(error)) <= _LONGEST:
             raise
         raise PriorError(f"{str(error)[:_LONGEST]}…") from None
 
 
-def _read(path: Path, content: dict[str, Any]) -> PriorFile:
+def _read(path: Path, content: dict[str, Any], known: Mapping[str, Quantity]) -> PriorFile:
     scales = _scales(path.name, content["scales"]) if "scales" in content else None
     unknown = set(content) - {"title", "scales", "parameters", "scatter"}
     if unknown:
@@ -161,8 +162,8 @@ def _read(path: Path, content: dict[str, Any]) -> PriorFile:
     return PriorFile(
         path=path,
         title=str(content.get("title", path.stem)),
-        parameters={key: _prior(path, key, table) for key, table in sections[0].items()},
-        scatter={key: _scatter(path, key, table) for key, table in sections[1].items()},
+        parameters={key: _prior(path, key, table, known) for key, table in sections[0].items()},
+        scatter={key: _scatter(path, key, table, known) for key, table in sections[1].items()},
     )
 
 
@@ -199,9 +200,8 @@ def _in_units(name: str, value: Any, scales: Mapping[str, float] | None) -> Any:
     return f"{float(match[1]) * scales[over] / scales.get(under, 1.0)!r} {unit}"
 
 
-def _prior(path: Path, name: str, table: dict[str, Any]) -> Prior:
+def _prior(path: Path, name: str, table: dict[str, Any], known: Mapping[str, Quantity]) -> Prior:
     where = f"prior of {name[:60]} in {path.name}"
-    known = sampled_quantities()
     if name not in known:
         raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(known)}")
     family = priors.FAMILIES.get(str(table.get("family")))
@@ -224,7 +224,9 @@ def _prior(path: Path, name: str, table: dict[str, Any]) -> Prior:
         raise PriorError(f"{where}: {error}") from error
 
 
-def _scatter(path: Path, name: str, table: dict[str, Any]) -> Scatter:
+def _scatter(
+    path: Path, name: str, table: dict[str, Any], known: Mapping[str, Quantity]
+) -> Scatter:
     where = f"scatter {name[:60]} in {path.name}"
     members, keys = table.get("parameters"), set(table) - {"parameters", "reason"}
     if keys not in ({"sd"}, {"above", "probability"}) or not isinstance(members, list):
@@ -232,7 +234,6 @@ def _scatter(path: Path, name: str, table: dict[str, Any]) -> Scatter:
             f"{where}: expected the keys parameters (a list), reason, and sd; or above and "
             "probability in place of sd, for a scatter that is likely none"
         )
-    known = sampled_quantities()
     if unknown := [member for member in members if member not in known]:
         raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
     key = "sd" if "sd" in keys else "above"

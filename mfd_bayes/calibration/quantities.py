@@ -24,9 +24,9 @@ OF_RECORDS = (
 """What a record has, whatever the model and the noise."""
 
 
-def known_quantities() -> dict[str, Quantity]:
-    """Quantities of all models, of records and of all noises, by name."""
-    parts = [model.quantities for model in models.MODELS.values()]
+def known_quantities(model: Model | None = None) -> dict[str, Quantity]:
+    """Quantities of all models, or of one, of records and of all noises, by name."""
+    parts = [m.quantities for m in ([model] if model else models.MODELS.values())]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
     return {quantity.name: quantity for part in parts for quantity in part}
 
@@ -38,9 +38,10 @@ def quantities_of_fit(model: Model, noise: Noise, *, sampled_start: bool) -> lis
     return [q for q in (*model.quantities, *record, *noise.quantities) if q.sampled]
 
 
-def sampled_quantities() -> dict[str, Quantity]:
-    """Those that may have a prior, by name."""
-    return {name: q for name, q in known_quantities().items() if q.sampled}
+def sampled_quantities(model: Model | None = None) -> dict[str, Quantity]:
+    """Those that may have a prior, by name; of a user's own model, its own come first."""
+    own = known_quantities(model) if model and model.own else {}
+    return {name: q for name, q in (known_quantities() | own).items() if q.sampled}
 
 
 def units() -> dict[str, str]:

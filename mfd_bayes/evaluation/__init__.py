@@ -1,6 +1,5 @@
-"""Bands, checks, tables and the verdict of a finished run."""
+"""Scores, checks, tables, the data sheet and the verdict of a finished run."""
 
-from mfd_bayes.evaluation.shown import is_whole
-from mfd_bayes.evaluation.verdict import assess, fails, verdicts
+from mfd_bayes.evaluation.summary import assess, fails, is_whole, verdicts
 
 __all__ = ["assess", "fails", "is_whole", "verdicts"]

@@ -12,10 +12,9 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from mfd_bayes.friction.banks import State, SteppedModel
-from mfd_bayes.friction.model import Array, Columns, check_start, through_vertices
+from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
 from mfd_bayes.friction.parameters import BOUC_WEN_QUANTITIES
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
@@ -268,7 +267,7 @@ def total_force(c: Mapping[str, Any], z: Array, x: Array, v: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class BoucWen(SteppedModel):
+class BoucWen(Model):
     """Bouc-Wen hysteresis, a spring and a dashpot side by side.
 
         F = α k (x − x_0) + (1 − α) z + c v
@@ -293,23 +292,11 @@ class BoucWen(SteppedModel):
     )
     slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
 
-    def force(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """Force of every parameter vector (n, 7), (n, T), kip; see `Model.force`.
-
-        Fy_fwd and Fy_bwd follow the actuation.
-        """
-        c: dict[str, Any] = dict(self.columns(theta))
-        n = c["k"].size
-        check_start(start, n)
-        factors = self.factors(trace, n, scales)
-        c["curve"], row = Curve.of(c, wide=bool(factors)), np.arange(n)
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """Force at the samples, (T, n), kip."""
+        n = start.size
+        given: dict[str, Any] = {**c, "curve": Curve.of(c, wide=bool(factors))}
+        row = np.arange(n)
         _, x, nearest, samples = through_vertices(trace)
         z = np.zeros((x.size, n))
         for begin, end, forward in _stretches(x, PIECE // max(n, 1), each=bool(factors)):
@@ -318,13 +305,12 @@ class BoucWen(SteppedModel):
                 {name: f[nearest[i]] for name, f in factors.items()} for i in (begin - 1, begin)
             )
             strength = strength_of(c, forward, before, after)
-            z[begin:end] = advanced(c, row, strength, z[begin - 1], way)
+            z[begin:end] = advanced(given, row, strength, z[begin - 1], way)
         moved = trace.displacement[:, None] - trace.displacement[0]
-        return total_force(c, z[samples], moved, trace.velocity[:, None]).T
+        return total_force(c, z[samples], moved, trace.velocity[:, None])
 
-    def constants(self, theta: ArrayLike) -> dict[str, Any]:
-        """See `SteppedModel`."""
-        c = self.columns(theta)
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """Columns and the curve of z."""
         return c | {"curve": Curve.of(c, wide=True), "row": np.arange(c["k"].size)}
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:

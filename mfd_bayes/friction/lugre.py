@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.banks import State, SteppedModel
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
-from mfd_bayes.friction.model import Array, Columns, check_start
+from mfd_bayes.friction.model import Array, Columns, Model, State
 from mfd_bayes.friction.parameters import PARAMETERS, STATIC, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.recurrence import Blocks, scratch
@@ -157,7 +156,7 @@ def force_along(c: Columns, factors: Columns, path: MotionPath) -> Array:
     return force
 
 
-class PaperModel(SteppedModel):
+class PaperModel(Model):
     """What LuGre and the three stages have in common: the paper's friction."""
 
     positive: ClassVar[frozenset[str]] = frozenset({"sigma0", "gamma1", "gamma2", "v_s"})
@@ -200,18 +199,14 @@ class PaperModel(SteppedModel):
         """Static friction, where its excess is sampled."""
         return tuple(static for static, (_, excess) in STATIC.items() if excess in names)
 
-    def slip_along(
-        self, columns: Columns, trace: Trace, scales: Mapping[str, Array] | None
-    ) -> Array:
+    def slip_along(self, columns: Columns, trace: Trace, factors: Columns) -> Array:
         """F1 at every sample of the trace's path, (P, n), kip."""
-        factors = self.factors(trace, columns["v_s"].size, scales)
         factors = {name: f.take(trace.path.nearest, axis=0) for name, f in factors.items()}
         return force_along(columns, factors, trace.path)
 
-    def constants(self, theta: ArrayLike) -> dict[str, Any]:
-        """See `SteppedModel`."""
-        columns = self.columns(theta)
-        return columns | curve_of(columns)._asdict()
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """Columns and the Stribeck curve."""
+        return c | curve_of(c)._asdict()
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """Undeflected bristles; of a direction that is not known, the first velocity's is taken."""
@@ -262,7 +257,10 @@ def _at(c: Mapping[str, Any], scales: Columns) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class LuGre(PaperModel):
-    """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4)."""
+    """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4).
+
+    theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
+    """
 
     name: ClassVar[str] = "lugre"
     parameters: ClassVar[tuple[str, ...]] = (
@@ -270,19 +268,6 @@ class LuGre(PaperModel):
     )
     quantities: ClassVar[tuple[Quantity, ...]] = quantities_of(parameters)
 
-    def force(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """Force of every parameter vector, (n, T), kip; see `Model.force`.
-
-        theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
-        """
-        columns = self.columns(theta)
-        check_start(start, columns["v_s"].size)
-        force = self.slip_along(columns, trace, scales)
-        return force.take(trace.path.samples, axis=0).T
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """F1 at the samples, (T, n), kip."""
+        return self.slip_along(c, trace, factors).take(trace.path.samples, axis=0)

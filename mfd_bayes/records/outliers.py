@@ -162,36 +162,44 @@ ANYTHING = 14.0
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause; `name` is that of a fault, `factor` that by which it is wrong."""
+    """What may be wrong with a test.
+
+    Attributes
+    ----------
+    name : str
+        Of a fault: "unit of force", "force", "actuation", "another device".
+    factor : float
+        By which it is too large.
+    role, unit, read_in : str
+        Of a wrong unit: whose, the unit that it seems to be in, and the one it was read in.
+    """
 
     name: str
-    words: str
-    misfit: float
     factor: float = 1.0
+    role: str = ""
+    unit: str = ""
+    read_in: str = ""
 
 
-def likely_cause(found: Deviation, units: dict[str, str]) -> Cause:
+def likely_cause(deviation: Deviation, units: dict[str, str]) -> Cause:
     """The cause that explains a deviation best.
 
     A length that is too large by f makes the gap f times as wide and the build-up f times less
     steep; a force that is too large by f makes build-up and slip force f times as large; an
-    actuation that is too large by f leaves the loop as it is and the law is asked elsewhere.
+    actuation that is too large by f leaves the loop as it is and moves the law's value.
     """
-    known = np.isfinite(found.values)
-    values = np.where(known, found.values, 0.0)
-    weights = np.where(known, 1.0 / found.sds**2, 0.0)
-    causes: list[Cause] = []
-    for role, way in (*WAYS.items(), ("actuation", -found.exponents)):
-        used = units.get(role, "")
-        for unit in UNITS.get(role, ()):
-            wrong = factor(used, role) / factor(unit, role)
-            if abs(np.log(wrong)) > 0.2:
-                misfit = float((values - way * np.log(wrong)) ** 2 @ weights)
-                words = f"its {role} seems to be in {unit}, not in {used}"
-                causes.append(Cause(f"unit of {role}", words, misfit, wrong))
+    known = np.isfinite(deviation.values)
+    values = np.where(known, deviation.values, 0.0)
+    weights = np.where(known, 1.0 / deviation.sds**2, 0.0)
+    causes = [(ANYTHING, Cause("another device"))]
+    for role, way in (*WAYS.items(), ("actuation", -deviation.exponents)):
         size = float(way**2 @ weights)
         log = float((way * values) @ weights) / size if size > 0 else 0.0
         misfit = float((values - way * log) ** 2 @ weights)
-        causes.append(Cause(role, "", misfit + FREE, float(np.exp(log))))
-    causes.append(Cause("another device", "", ANYTHING))
-    return min(causes, key=lambda cause: cause.misfit)
+        causes.append((misfit + FREE, Cause(role, float(np.exp(log)))))
+        for unit in UNITS.get(role, ()):
+            wrong = factor(units[role], role) / factor(unit, role)
+            if abs(np.log(wrong)) > 0.2:
+                misfit = float((values - way * np.log(wrong)) ** 2 @ weights)
+                causes.append((misfit, Cause(f"unit of {role}", wrong, role, unit, units[role])))
+    return min(causes, key=lambda pair: pair[0])[1]

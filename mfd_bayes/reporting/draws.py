@@ -11,7 +11,7 @@ import numpy as np
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mfd_bayes.evaluation.views import Array, CampaignView, TestView
 from mfd_bayes.reporting.colours import BANDS, DATA, SKY
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 SAMPLES = 1500
 """Most samples of a test in the plot: a screen cannot show more."""
@@ -84,7 +84,7 @@ def _packed(
     arrays = (trace.time, trace.displacement, force, fan.median, widest.lower, widest.upper)
     at = _shown(trace.samples, trace.turning_points, most)
     stage = np.zeros(trace.samples) if test.stage is None else test.stage
-    packed = {name: _float32(a[at]) for name, a in zip(_COLUMNS, arrays, strict=True)}
+    packed = {name: _float32(values[at]) for name, values in zip(_COLUMNS, arrays, strict=True)}
     return {
         "name": {s.name: f"{test.id}, {s.actuation(trace, actuation_unit)}" for s in systems},
         "fitted": test.role != "validate",

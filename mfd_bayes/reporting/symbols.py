@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import unicodedata
+from html import unescape
 
 from markupsafe import Markup, escape
 
@@ -85,7 +87,7 @@ def in_figure(name: str) -> str:
     """Symbol of a quantity as matplotlib writes it; an unknown name as plain text."""
     if symbol := maths(name):
         return f"${symbol}$"
-    word, of, more = of_population(name)
+    word, of, more = split_population(name)
     return f"{word} {in_figure(of)}{more}" if word else plain(name.replace("_", " "))
 
 
@@ -94,8 +96,18 @@ def in_html(name: str) -> Markup:
     if symbol := _written(name)[1]:
         return Markup(symbol)
     shown = printable(name)
-    word, of, more = of_population(shown)
+    word, of, more = split_population(shown)
     return escape(word + " ") + in_html(of) + more if word else escape(shown.replace("_", " "))
+
+
+_PART = re.compile(r"<sub>(.*?)</sub>|<[^>]+>|([^<]+)")
+
+
+def parts_of(name: str) -> list[tuple[str, bool]]:
+    """Symbol of a quantity as parts of text, each with whether it is a subscript."""
+    found = _PART.finditer(in_html(name))
+    parts = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in found)
+    return [part for part in parts if part[0]]
 
 
 def meaning(name: str) -> str:
@@ -112,7 +124,7 @@ def meaning(name: str) -> str:
     return f"{text}: {what or meaning(of) or of.replace('_', ' ')}{more}"
 
 
-def of_population(name: str) -> tuple[str, str, str]:
+def split_population(name: str) -> tuple[str, str, str]:
     """Prefix in words, quantity and covariate of a population's quantity; else empty."""
     prefix, of, more = _parts(name)
     if not prefix:
@@ -166,12 +178,19 @@ def label(name: str, unit: str) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number for reading, with that many significant digits; a dash for NaN."""
+    """A number for reading, with that many significant digits; a dash for NaN.
+
+    It has no exponent from 0.0001 to a million. The page's script writes numbers alike.
+    """
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    text = f"{value:#.{digits}g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+    size = abs(float(f"{value:.{digits - 1}e}"))
+    if 10**digits <= size < 1e6:
+        text = f"{float(f'{value:.{digits}g}'):.0f}"
+    else:
+        text = f"{value:#.{digits}g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
     return text.replace(".e", "e").removesuffix(".").replace("-", "−")
 
 

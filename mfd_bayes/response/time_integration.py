@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from mfd_bayes.friction.banks import PlasticBank
+from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground
@@ -83,7 +83,7 @@ class Devices:
             stiffness, strength = (
                 np.tile(values[strong], n) for values in (building.storeys, building.yields)
             )
-            yielding = PlasticBank.at_rest(stiffness, strength, elastic=stiffness)
+            yielding = ElastoPlastic.at_rest(stiffness, strength, elastic=stiffness)
             states.append((yielding, slice(m, m + int(strong.sum()))))
         none = np.zeros((n, m + int(strong.sum())))
         return cls((), none, dampers.times, dampers.scales)._with(states)

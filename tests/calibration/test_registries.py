@@ -12,9 +12,9 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.priors import WIDTH, Family
 from mfd_bayes.calibration.quantities import units
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.evaluation.models import check_models
+from mfd_bayes.evaluation.compare import check_models
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity

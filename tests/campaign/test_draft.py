@@ -10,9 +10,9 @@ import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
 
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps, own_priors
-from mfd_bayes.campaign.draft.levels import levels_in
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.draft.actuation import levels_in
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.records.channels import Source

@@ -792,7 +792,7 @@ def test_a_mistyped_campaign_file_gets_a_suggestion(tmp_path):
 
 def test_the_effort_of_a_run_is_taken_where_it_is_resumed(tmp_path):
     out = tmp_path / "out"
-    shutil.copytree(Path(__file__).parents[1] / "data" / "run_format_0", out)
+    shutil.copytree(Path(__file__).parents[1] / "data" / "run", out)
     assert pipeline.effort_of(out, None, resume=True) == "quick"
     assert pipeline.effort_of(out, "thorough", resume=True) == "thorough"
     assert pipeline.effort_of(out, None, resume=False) == "standard"

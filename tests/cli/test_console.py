@@ -3,11 +3,13 @@
 from types import SimpleNamespace
 
 import pytest
-from mfd_bayes.evaluation.views import Judgement
 
 from mfd_bayes.cli.console import LISTED, clean, open_console, print_checks, print_end, say
-from mfd_bayes.runs.findings import Finding
+from mfd_bayes.evaluation.views import Judgement
+from mfd_bayes.messages import Message
+from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.verdict import Use
+from mfd_bayes.runs.verdict import Finding, Use
 
 
 @pytest.mark.parametrize(
@@ -69,7 +71,7 @@ def view_of(count, bad=()):
     judged = [told.get(i, Judgement(f"p{i}", Use.USABLE, "", 0.1)) for i in range(count)]
     return SimpleNamespace(
         judgements=judged,
-        warnings=[Finding("p0", "lag", "it is late")],
+        warnings=[Finding("p0", "lag", Message("it is late"))],
         verdict=Use.NOT_USABLE if bad else Use.USABLE,
         sentence="It is so.",
     )

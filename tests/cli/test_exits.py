@@ -3,7 +3,7 @@
 import pytest
 import typer
 
-from mfd_bayes.cli.exits import mistakes
+from mfd_bayes.cli.errors import mistakes
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ commands.Options = Options
 commands.effort_of = lambda out, effort, *, resume: "quick"
 commands.calibrate_plan = work
 commands.plan_campaign = lambda *_: SimpleNamespace(
-    manifest=SimpleNamespace(warnings=()), system=SimpleNamespace(reworded=str)
+    manifest=SimpleNamespace(warnings=()), system=SimpleNamespace(words=str)
 )
 commands.is_whole = lambda view: True
 sys.modules[commands.__name__] = mfd_bayes.pipeline.commands = commands

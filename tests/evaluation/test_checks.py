@@ -1,14 +1,5 @@
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import (
-    CONTRACTION,
-    DIRECTIONS,
-    IDENTIFIABILITY,
-    LIKELIHOOD_SENSITIVITY,
-    PRIOR_SENSITIVITY,
-    TRADE_OFFS,
-    Row,
-)
 
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.identifiability import (
@@ -23,6 +14,15 @@ from mfd_bayes.evaluation.checks import (
     identifiability_checks,
     length_check,
     notes,
+)
+from mfd_bayes.evaluation.views import (
+    CONTRACTION,
+    DIRECTIONS,
+    IDENTIFIABILITY,
+    LIKELIHOOD_SENSITIVITY,
+    PRIOR_SENSITIVITY,
+    TRADE_OFFS,
+    Row,
 )
 
 FOUND = Identifiability(

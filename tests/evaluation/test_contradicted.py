@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.contradicted import contradicted_starts
+from mfd_bayes.evaluation.outliers import contradicted_starts
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
 TIME = np.arange(201) / 50
 
@@ -18,9 +18,7 @@ def run(benchmark_module, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "out"
     benchmark_module("fuzz.runs").write_run(folder)
     run = open_run(folder)
-    tests = dict(run.manifest.settings.tests)
-    tests["b"] = tests["b"].model_copy(update={"after": "a"})
-    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    settings = run.manifest.settings.with_test("b", after="a")
     return replace(run, manifest=run.manifest.changed(settings=settings))
 
 
@@ -51,8 +49,8 @@ def with_start(run, start, first=1.0, sampled=True):
 def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
     (found,) = contradicted_starts(with_start(run, start, first))
     assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
-    assert found.sentence.startswith("the test begins at 0.20 [0.1")
-    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in found.sentence
+    assert str(found.message).startswith("the test begins at 0.20 [0.1")
+    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
     assert not found.spoils
 
 
@@ -66,7 +64,5 @@ def test_a_start_that_was_not_sampled_contradicts_nothing(run):
 
 
 def test_tests_that_follow_none_are_not_compared(run):
-    settings = run.manifest.settings
-    tests = {n: t.model_copy(update={"after": ""}) for n, t in settings.tests.items()}
-    free = run.manifest.changed(settings=settings.model_copy(update={"tests": tests}))
+    free = run.manifest.changed(settings=run.manifest.settings.with_test("b", after=""))
     assert contradicted_starts(replace(with_start(run, 0.2), manifest=free)) == []

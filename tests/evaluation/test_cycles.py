@@ -8,7 +8,7 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError
-from mfd_bayes.evaluation.cycles import (
+from mfd_bayes.evaluation.compare import (
     FEWEST,
     conditional_density,
     cycle_log_likelihood,

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.fits import _rows, held_out_view
+from mfd_bayes.evaluation.test_summary import _rows, held_out_view
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.netcdf import Group, StoredTest
 
 TRACE = Trace.from_arrays([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], 1.0, [0.0, 1.0, 2.0])
@@ -44,9 +44,7 @@ def test_a_test_that_was_held_out_says_where_it_begins(benchmark_module, tmp_pat
     benchmark_module("fuzz.runs").write_run(tmp_path / "out")
     run = open_run(tmp_path / "out")
     free = held_out_view(run, "c", run.held_out["c"])
-    tests = dict(run.manifest.settings.tests)
-    tests["c"] = tests["c"].model_copy(update={"after": "b"})
-    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    settings = run.manifest.settings.with_test("c", after="b")
     run = replace(run, manifest=run.manifest.changed(settings=settings))
     view = held_out_view(run, "c", run.held_out["c"])
     assert free.begun == ""

@@ -2,15 +2,21 @@
 
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import COVERAGE, READING, Check
 
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.predictive import PredictiveCheck
 from mfd_bayes.evaluation.checks import GROSS, predictive_check
-from mfd_bayes.evaluation.judgement import judge, least_believed, use_of
-from mfd_bayes.evaluation.sentences import verdict_sentence
-from mfd_bayes.runs.findings import Finding
+from mfd_bayes.evaluation.verdict import judge, least_believed, use_of
+from mfd_bayes.evaluation.verdict import verdict_sentence
+from mfd_bayes.evaluation.views import COVERAGE, READING, Check
+from mfd_bayes.messages import Message
+from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.evaluation.judgement import least_believed
+from mfd_bayes.evaluation.verdict import judge, use_of
+from mfd_bayes.evaluation.sentences import verdict_sentence
+from mfd_bayes.evaluation.views import COVERAGE, READING, Check
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 NAN = float("nan")
 
@@ -36,8 +42,10 @@ def band(test, probability, inside):
 SWAPPED = Finding(
     "t70lb",
     "force sign",
-    "the force does negative work in the loops (-5.3 kip·in a loop): the sign of the force or of "
-    "the displacement is swapped",
+    Message(
+        "the force does negative work in the loops (-5.3 kip·in a loop): the sign of the force or "
+        "of the displacement is swapped"
+    ),
 )
 
 
@@ -152,7 +160,7 @@ def test_a_test_without_fault_is_usable_and_the_least_believed_is_named_all_the_
 
 
 def test_a_mild_fault_of_a_record_asks_for_care():
-    (judged,) = judge(["a"], [], [Finding("a", "lag", "the force is late")])
+    (judged,) = judge(["a"], [], [Finding("a", "lag", Message("the force is late"))])
     assert (judged.use, judged.sentence) == (Use.WITH_CARE, "the force is late")
 
 

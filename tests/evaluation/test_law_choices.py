@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.evaluation.law_choices import law_choices, weighed
+from mfd_bayes.evaluation.laws import law_choices, weighed
 from mfd_bayes.population.law_scores import LawScore
 
 

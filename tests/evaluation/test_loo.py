@@ -9,8 +9,8 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.sampling import sample
-from mfd_bayes.evaluation.evidence import log_evidence
-from mfd_bayes.evaluation.loo import (
+from mfd_bayes.evaluation.compare import log_evidence
+from mfd_bayes.evaluation.compare import (
     LARGEST_K,
     CrossValidation,
     cross_validate,

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.mixed_laws import FEWEST, mixed_rows
+from mfd_bayes.evaluation.laws import FEWEST, mixed_rows
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.runs.systems import SI, US
+from mfd_bayes.runs.unit_system import SI, US
 
 REFERENCE = 2.0  # ksi
 NUMBER = {name: number for number, name in enumerate(LAW_NAMES)}

@@ -2,10 +2,9 @@
 
 from types import SimpleNamespace
 
-from mfd_bayes.evaluation.views import Check
-
 from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.checks import CheckedTest, checks_of_test
+from mfd_bayes.evaluation.views import Check
 from mfd_bayes.runs.verdict import Verdict
 
 

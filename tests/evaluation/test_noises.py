@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import NOISE, Row
 
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.evaluation.judgement import judge
-from mfd_bayes.evaluation.noises import (
+from mfd_bayes.evaluation.verdict import judge
+from mfd_bayes.evaluation.test_summary import (
     noise_checks,
     noise_findings,
     noise_rows,
@@ -17,8 +16,9 @@ from mfd_bayes.evaluation.noises import (
     unchecked,
     with_others,
 )
+from mfd_bayes.evaluation.views import NOISE, Row
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import SI
+from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Use, Verdict
 
 TIME = np.arange(0.0, 6.0, 1 / 32)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.odd_tests import _apart, stand_apart
+from mfd_bayes.evaluation.outliers import _apart, stand_apart
 
 
 @pytest.mark.parametrize("count", [5, 8, 20])

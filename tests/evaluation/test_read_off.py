@@ -6,8 +6,8 @@ import pytest
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.evaluation.read_off import reading_check, reading_rows
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import _check
-from mfd_bayes.runs.systems import SI
+from mfd_bayes.calibration.predictive import _check
+from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Verdict
 
 TIME = np.arange(0.0, 10.0, 1 / 128)

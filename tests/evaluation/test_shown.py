@@ -8,17 +8,21 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import StoreError
+from mfd_bayes.evaluation import summary as shown
+from mfd_bayes.evaluation.summary import views_of_tests
+from mfd_bayes.jobs import parallel
+from mfd_bayes.runs.run import open_run
 from mfd_bayes.evaluation import shown
-from mfd_bayes.evaluation.shown import views_of_tests
+from mfd_bayes.evaluation.summary import views_of_tests
 from mfd_bayes.jobs import likelihoods
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
-DATA = Path(__file__).parents[1] / "data" / "run_format_0"
+DATA = Path(__file__).parents[1] / "data" / "run"
 
 
 @pytest.fixture
 def run(monkeypatch):
-    monkeypatch.setattr(likelihoods, "FEWEST", 2)
+    monkeypatch.setattr(parallel, "FEWEST", 2)
     return open_run(DATA)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.banks import PlasticBank, bank_of
+from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.friction.quantity import Quantity
@@ -98,7 +98,8 @@ def test_a_building_meets_the_device_of_the_record(model, level):
     reference = traces[0].reference_actuation
     levels = np.broadcast_to(level, TIME.size)
     shares = [model.proportional(np.full(n, p), reference) for p in levels]
-    bank = bank_of(model, theta, start, np.sign(sizes))
+    bank = model.start(theta, start, direction=np.sign(sizes))
+    bank = bank.step(np.zeros(n), np.zeros(n), 0.0)  # as in a building
     bank = bank.step(x[:, 0], v[:, 0], 1.0, shares[0])
     forces, rows = [bank.force], np.array([3, 1])
     for i in range(1, TIME.size):
@@ -171,7 +172,7 @@ def test_a_valve_that_is_closed_at_first_is_no_reference(model):
 
 
 def test_a_plastic_spring_slips_at_its_strength():
-    bank = PlasticBank.at_rest(np.array([10.0]), np.array([2.0]))
+    bank = ElastoPlastic.at_rest(np.array([10.0]), np.array([2.0]))
     forces = []
     for x in (0.1, 0.5, 0.4, 0.0):
         bank = bank.step(np.array([x]), np.zeros(1), 0.1)
@@ -196,4 +197,4 @@ def test_a_model_of_ones_own_is_one_class():
     with pytest.raises(FitError, match="parameter c must be finite and not negative, got -1"):
         Dashpot().force([[-1.0]], trace)
     with pytest.raises(FitError, match="dashpot has no step in time"):
-        bank_of(Dashpot(), [[2.0]])
+        Dashpot().start([[2.0]])

@@ -9,13 +9,13 @@ from typer.testing import CliRunner
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.campaign.draft.shapes import by_loop
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
+from mfd_bayes.campaign.draft.columns import by_loop
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline.preparation import inspect_campaign, system_of_records
+from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
 from mfd_bayes.records.loop_features import scales_of
 from mfd_bayes.records.record import read_record
-from mfd_bayes.runs.systems import SI, SI_SMALL, US, US_SMALL
+from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, US_SMALL
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_init_and_inspect_read_a_device_of_any_size(devices, run, tmp_path, numb
     assert stroke == pytest.approx(device.length * in_mm, rel=1e-3)
     found, records = inspect_campaign(campaign)
     system = system_of_records(records)
-    force = system.reworded(found[0].facts["slip force, read off"])
+    force = found[0].facts["slip force"].to_text(system.words)
     assert f" {system.force} " in force
     assert 0.1 < float(force.split()[0]) < 3000.0  # to be read, whatever the device's size
 

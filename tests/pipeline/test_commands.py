@@ -22,12 +22,12 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.pipeline import calibration as execution
+from mfd_bayes.pipeline import calibrate as execution
 from mfd_bayes.pipeline import commands as pipeline
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.runs.folder import discard
-from mfd_bayes.runs.systems import SI_SMALL
+from mfd_bayes.runs.unit_system import SI_SMALL
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
@@ -256,8 +256,8 @@ def test_the_manifest_says_how_it_came_about(out, campaign):
     assert manifest["versions"]["mfd_bayes"] == mb.__version__
     assert {"python", "numpy", "scipy", "emcee", "arviz"} <= set(manifest["versions"])
     assert manifest["platform"]
-    assert manifest["settings"]["rate"] == 50.0
-    assert manifest["settings"]["model"] == "three_stage"
+    assert manifest["settings"]["campaign"]["rate"] == 50.0
+    assert manifest["settings"]["campaign"]["model"] == "three_stage"
     folder = campaign[0].parent
     for file in ("campaign.toml", *(f"{test}.csv" for test in (*TESTS, HELD_OUT))):
         digest = hashlib.sha256((folder / file).read_bytes()).hexdigest()

@@ -17,7 +17,7 @@ from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.runs.manifest import check_readable, read_begun
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import save_trace
 from mfd_bayes.units import parse_actuation

@@ -15,9 +15,9 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation import assess
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
-DATA = Path(__file__).parents[1] / "data" / "run_format_0"
+DATA = Path(__file__).parents[1] / "data" / "run"
 TEST = "p500_f0.5"
 
 
@@ -50,9 +50,7 @@ def campaign(tmp_path):
 def test_the_check_is_as_the_campaign_says_else_not_for_a_first_look(campaign, key, effort, checks):
     plan = plan_campaign(campaign(key), Options(effort=effort))
     assert [task.checks_noise for task in plan.tasks] == [checks]
-    stored = plan.manifest.content["settings"]
-    assert stored.get("noise_check") == ({"": None}.get(key, checks))
-    assert ("noise_check" in stored) is bool(key)  # runs begun before this key can go on
+    assert plan.manifest.settings.campaign.noise_check == ({"": None}.get(key, checks))
 
 
 def test_a_setting_that_is_no_yes_or_no_is_refused(campaign):
@@ -62,7 +60,7 @@ def test_a_setting_that_is_no_yes_or_no_is_refused(campaign):
 
 @pytest.fixture
 def run_with_check(tmp_path, monkeypatch):
-    """A run of an earlier version, as if one of its tests had been fitted with other noises."""
+    """A run, as if one of its tests had been fitted with other noises."""
     out = Path(shutil.copytree(DATA, tmp_path / "out"))
     load_test = result.load_test
 
@@ -95,13 +93,13 @@ def test_a_run_names_test_quantity_and_both_values(run_with_check):
     view = assess(open_run(run_with_check))
     (warning,) = [w for w in view.warnings if w.name == "noise model"]
     assert warning.subject == TEST
-    assert warning.sentence.startswith("k3 is ")
-    assert "kip/in with ou, " in warning.sentence
-    assert warning.sentence.endswith(" with staged: the noise model decides")
+    assert str(warning.message).startswith("k3 is ")
+    assert "kip/in with ou, " in str(warning.message)
+    assert str(warning.message).endswith(" with staged: the noise model decides")
     (judged,) = [j for j in view.judgements if j.subject == TEST]
-    assert f"note: {warning.sentence}" in judged.told
+    assert f"note: {warning.message!s}" in judged.told
     names = {c.target: c.verdict for c in view.checks if c.name == "noise model"}
-    assert f"{warning.sentence}" in names
+    assert f"{warning.message!s}" in names
     assert names["no fit with iid: no prior for x"] == "note"
     (other,) = [test for test in view.tests if test.id == "p1000_f0.5"]
     assert other.noises == ()

@@ -9,12 +9,12 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.calibration import result
-from mfd_bayes.campaign import file
+from mfd_bayes.campaign import campaign as campaigns
 from mfd_bayes.cli.commands import app
 from mfd_bayes.evaluation import assess
 from mfd_bayes.pipeline import commands, comparison, crossvalidation, report
 from mfd_bayes.pipeline.plan import Options
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
 TESTS = ("a", "b")
 
@@ -46,13 +46,13 @@ def campaign(tmp_path):
 def reads(monkeypatch):
     """How often each record was read."""
     counts = Counter()
-    read_record = file.read_record
+    read_record = campaigns.read_record
 
     def count(path, *args, **kwargs):
         counts[path.stem] += 1
         return read_record(path, *args, **kwargs)
 
-    monkeypatch.setattr(file, "read_record", count)
+    monkeypatch.setattr(campaigns, "read_record", count)
     return counts
 
 
@@ -137,7 +137,7 @@ def test_a_run_that_was_just_calibrated_is_not_opened_again(campaign, tmp_path, 
 
 def test_a_report_opens_each_posterior_once_for_each_use(tmp_path, monkeypatch):
     """To open the run, and to judge the test."""
-    data = Path(__file__).parents[1] / "data" / "run_format_0"
+    data = Path(__file__).parents[1] / "data" / "run"
     out = Path(shutil.copytree(data, tmp_path / "out"))
     counts = Counter()
     load_test = result.load_test

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline import prediction, report
+from mfd_bayes.pipeline import predict as prediction
+from mfd_bayes.pipeline import report
 
 TIME = np.arange(401) / 100.0
 
@@ -343,14 +344,14 @@ def test_a_wide_interval_of_an_exponent_says_nothing(out, tmp_path, interval, wo
 
 
 def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_path, monkeypatch):
-    from mfd_bayes.reporting import publication
-    from mfd_bayes.reporting.forms import Forms
+    from mfd_bayes.reporting import publish
+    from mfd_bayes.reporting.publish import Forms
 
     benchmark_module("fuzz.runs").write_run(tmp_path / "out", small=True)
     assessed = report.assess(mb.open_run(tmp_path / "out"))
     monkeypatch.setattr(report, "assess", lambda *_: assessed)  # the same for both
     seen = []
-    monkeypatch.setattr(publication, "publish", lambda view, *more: seen.append((view, more[-1])))
+    monkeypatch.setattr(publish, "publish", lambda view, *more: seen.append((view, more[-1])))
     command = ("report", str(tmp_path / "out"), "--units", "si", "--excel")
     assert CliRunner().invoke(app, command).exit_code == 0
     assert CliRunner().invoke(app, command[:2]).exit_code == 0
@@ -364,8 +365,12 @@ def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_pa
 @pytest.mark.usefixtures("small_pictures")
 def test_with_another_run_both_give_half_of_the_draws(ask, run, tmp_path, monkeypatch):
     """Here both are the same run under two names, so that the band is about the same."""
-    settings = run.manifest.settings.model_copy(update={"model": "lugre"})
-    runs = {"other": replace(run, manifest=run.manifest.model_copy(update={"settings": settings}))}
+    settings = run.manifest.settings
+    general = settings.campaign.model_copy(update={"model": "lugre"})
+    manifest = run.manifest.changed(settings=settings.model_copy(update={"campaign": general}))
+    other = replace(run, manifest=manifest)
+    other.__dict__["predictor"] = run.predictor
+    runs = {"other": other}
     monkeypatch.setattr(prediction, "open_run", lambda path: runs.get(path.name, run))
     motion = written(tmp_path / "slow.csv", 0.5, 0.5)
     alone = ask("--motion", motion)

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.pipeline import calibration
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline import calibrate as calibration
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.resumption import with_keys
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.manifest import with_keys
 
 RESULTS = ("law_scores", "population_sampler", "crossvalidation", "comparison", "verdicts")
 OPTIONAL = (

@@ -4,7 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+
+from mfd_bayes.calibration.identifiability import (
+    Directions,
+    Identifiability,
+    Pair,
+    Sensitivity,
+)
 from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
@@ -23,17 +31,11 @@ from mfd_bayes.evaluation.views import (
     TestView,
     TruthRow,
 )
-
-from mfd_bayes.calibration.identifiability import (
-    Directions,
-    Identifiability,
-    Pair,
-    Sensitivity,
-)
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import shown_in
-from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
+from mfd_bayes.evaluation.datasheet import Datasheet
+from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.figures import draw_shared, draw_test
 from mfd_bayes.runs.verdict import Use, Verdict
 
@@ -175,30 +177,17 @@ def test_view() -> Callable[..., TestView]:
 
 
 def draw_pngs(view: CampaignView) -> dict[str, bytes]:
-    system = shown_in(view)
+    system = system_of(view)
     pngs = dict(draw_shared(view))
     for test in view.tests:
         pngs |= draw_test(test, system, view.actuation_unit)
     return pngs
 
 
-def write_tables(view: CampaignView) -> dict[str, str]:
-    tables = dict(shared_tables(view))
-    for test in view.tests:
-        tables |= tables_of_test(test)
-    return tables
-
-
 @pytest.fixture(scope="session")
 def draw() -> Callable[[CampaignView], dict[str, bytes]]:
     """PNG of every figure of a report, by its key."""
     return draw_pngs
-
-
-@pytest.fixture(scope="session")
-def tables_behind() -> Callable[[CampaignView], dict[str, str]]:
-    """The table behind every figure of a report, by its path from the run folder."""
-    return write_tables
 
 
 @pytest.fixture(scope="session")
@@ -210,3 +199,42 @@ def images(campaign: CampaignView) -> dict[str, bytes]:
 @pytest.fixture(scope="session")
 def campaign() -> CampaignView:
     return make_campaign((make_test("p800_f0.25"), make_test("held", "validate")))
+
+
+def make_datasheet() -> Datasheet:
+    """Two conditions, the second of which was not tested; a measured slip force is too large."""
+    nan = float("nan")
+    rows = []
+    for at, level, tested in ((0, 0.8, True), (1, 1.0, False)):
+        head = {"condition": f"c{at}", "actuation": level, "actuation_unit": "ksi"}
+        head |= {"stroke": 1.0, "frequency": 0.5, "tested": tested}
+        for quantity, direction, unit, cycle in (
+            ("slip_force", "forward", "kip", 0),
+            ("effective_damping", "", "1", 0),
+            ("energy", "", "kip*in", 1),
+        ):
+            outside = tested and quantity == "slip_force"
+            values = {"measured_low": 1.3, "measured": 1.35, "measured_high": 1.4}
+            values = values if tested else dict.fromkeys(values, nan)
+            rows.append(
+                head
+                | {"quantity": quantity, "direction": direction, "unit": unit, "cycle": cycle}
+                | values
+                | {"n_cycles": 3 * tested, "n_outside": int(outside), "nominal": 1.0}
+                | {"lower": 0.8, "upper": 1.25, "lambda_min": 0.8, "lambda_max": 1.25}
+                | {"note": "" if tested else "no test was made there"}
+            )
+    within = {"range": Quantity.of(0.8, unit="in")}
+    return Datasheet(
+        rows=pd.DataFrame(rows),
+        measured=pd.DataFrame(),
+        tested={"stroke": Message("{range}", within)},
+        verdict=(Message("usable"), Message("1 of 3 lies outside"), Message("within {range}", within)),
+        not_known=(Message("Temperature: no record has one."),),
+        formulas={"slip_force": "force at zero displacement"},
+    )
+
+
+@pytest.fixture(scope="session")
+def datasheet() -> Datasheet:
+    return make_datasheet()

@@ -4,8 +4,8 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import Marginal
 
+from mfd_bayes.evaluation.views import Marginal
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.reporting.conversion import convert_test, shown_in
@@ -19,7 +19,7 @@ from mfd_bayes.reporting.figures.loops import (
     stretches,
 )
 from mfd_bayes.reporting.figures.posteriors import draw_corner, draw_marginals, draw_truth
-from mfd_bayes.reporting.figures.residuals import draw_residuals
+from mfd_bayes.reporting.figures.posteriors import draw_residuals
 from mfd_bayes.reporting.figures.style import to_png
 
 UNIT = re.compile(r", (in|in/s|s|kip|kip/in|ksi)$")

@@ -19,9 +19,11 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline import prediction, report
+from mfd_bayes.pipeline import predict as prediction
+from mfd_bayes.pipeline import report
 from mfd_bayes.population import storage
-from mfd_bayes.runs import lock, opening
+from mfd_bayes.runs import lock
+from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.lock import OWNER, Owner, alone_in
 
 HOLD = """\
@@ -313,7 +315,7 @@ def test_a_run_that_changes_while_it_is_read_is_told(run_folder, monkeypatch, co
     home = run_folder.parent
     asked = ("--motion", home / "a.csv", "--actuation", "500 psi", "-o", home / "b.csv")
     words = [command, run_folder, *(asked if command == "predict" else ())]
-    place = {"opened": opening, "population": storage, "whole": report}[moment]
+    place = {"opened": runs, "population": storage, "whole": report}[moment]
     name = {"opened": "load_result", "population": "load_population", "whole": "open_run"}[moment]
     place = prediction if (moment, command) == ("whole", "predict") else place
     real = getattr(place, name)
@@ -331,8 +333,8 @@ def test_a_run_that_changes_while_it_is_read_is_told(run_folder, monkeypatch, co
 
 
 def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(run_folder):
-    found = opening.open_run(run_folder)
+    found = runs.open_run(run_folder).tests["a"]
     path = run_folder / "tests" / "a" / "posterior.nc"
     path.write_bytes(path.read_bytes() + b"\0")
     with pytest.raises(StoreError, match="was changed by another process"):
-        _ = found.tests["a"].draws
+        _ = found.draws

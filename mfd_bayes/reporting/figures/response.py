@@ -17,7 +17,7 @@ from mfd_bayes.reporting.symbols import plain
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def draw_profile(response: Response, system: System) -> Figure:
             limit = response.building.limits.acceleration / GRAVITY
             right.axvline(limit, color=colours.VERMILLION, ls="--")
         right.set_xlabel("largest floor acceleration, g")
-        left.set_title(plain(grounds[g].name), fontsize=9, fontweight="normal")
+        left.set_title(plain(grounds[g].name))
     grid[0, 1].legend(loc="best")
     return figure
 
@@ -145,11 +145,7 @@ def draw_histories(response: Response, ground: int, system: System) -> Figure:
     grid[-1].set_xlabel("time, s")
     grid[-1].margins(x=0.005)
     name = plain(response.grounds[ground].name)
-    grid[0].set_title(
-        f"Storey drift, {name}: median and 95 % band; grey: without dampers",
-        fontsize=9,
-        fontweight="normal",
-    )
+    grid[0].set_title(f"Storey drift, {name}: median and 95 % band; grey: without dampers")
     return figure
 
 
@@ -171,7 +167,7 @@ def draw_damper_loops(response: Response, ground: int, system: System) -> Figure
             colour = _MIDDLE if k == 0 else _NARROW
             path = travels[k, :, j] * length, forces[k, :, j] * force
             axes.plot(*path, color=colour, lw=0.5, zorder=3 - (k > 0))
-        axes.set_title(plain(response.building.devices[j].name), fontsize=8, fontweight="normal")
+        axes.set_title(plain(response.building.devices[j].name), fontsize=8)
         if j + columns >= shown:
             axes.set_xlabel(f"travel, {system.length}")
         if j % columns == 0:
