@@ -44,11 +44,12 @@ class Commands(TyperGroup):
         try:
             code = super().main(args, standalone_mode=False, **extra)
         except Exception as error:
-            show: Any = getattr(error, "show", None)  # of typer's own errors alone
-            if not standalone_mode or show is None:
+            usage: Any = error
+            if not standalone_mode or not hasattr(error, "show"):
                 raise
-            if str(error):  # else the help was shown
-                show()
+            usage.message = str(usage.message).removeprefix("Value error, ")
+            if usage.format_message():  # else the help was shown
+                usage.show()
             sys.exit(2)
         if not standalone_mode:
             return code

@@ -87,16 +87,15 @@ def _lines() -> Iterator[Observe]:
 @contextmanager
 def _bars() -> Iterator[Observe]:
     """Function that shows a step: a bar over all tests, one for each at work, a line at the end."""
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bars
     from rich.table import Column
 
     cut = Column(no_wrap=True, overflow="ellipsis", ratio=1)
     bars = Bars(
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
-        BarColumn(bar_width=20),
+        BarColumn(bar_width=8),
         TextColumn("{task.fields[state]}", markup=False, table_column=cut),
-        TimeElapsedColumn(),
         TimeRemainingColumn(compact=True),
         console=open_console(),
         expand=True,
