@@ -12,36 +12,16 @@ from scipy import special
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
 
-BIN = 1.0 / 32.0
-"""Signals are compared as means over bins of this length, s: the same at any sampling rate."""
-
-LIKE = 0.97
-"""Least correlation of two forces for a closer look."""
-
-LARGER = 1.1
-"""Two forces are not one measurement where the rms of one is larger than this times the other's."""
-
-PLACES = 6
-"""Most places, of those at which two forces are alike, that are looked at: cycles repeat."""
-
-SAME = 0.025
-"""Two forces are one measurement if they differ by less than this share of their sd."""
-
-NEAR = 0.25
-"""The same, before the lag is known to a small part of a bin."""
-
+BIN = 1.0 / 32.0  # s; signals are compared as means over bins: the same at any sampling rate
+SHORTEST, LONGEST = 64, 1 << 20  # fewest bins that must overlap, and most, nine hours, of a record
+CORRELATION = 0.97  # least of two forces for a closer look
+LARGER = 1.1  # most by which the rms of one force may exceed the other's
+PLACES = 6  # most places, of those at which two forces are alike, that are looked at: cycles repeat
+SAME, NEAR = 0.025, 0.25  # most difference of one measurement, in sds; before its lag is refined
 NOISE = 1.2
 """Two forces are one measurement if they typically differ by less than so many sds of their noise:
 tests that were repeated differ by 1.4 of them, and by what friction scatters."""
-
-QUIET = 1e-3
-"""Least noise that is expected of a force, as a share of its sd."""
-
-LONGEST = 1 << 20
-"""Most bins, nine hours: a longer record, such as one in a wrong unit of time, is not compared."""
-
-SHORTEST = 64
-"""Fewest bins in which two records must overlap."""
+QUIET = 1e-3  # least noise that is expected of a force, as a share of its sd
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +115,7 @@ def _coarse_lags(one: Signature, other: Signature) -> list[int]:
     least, most = np.minimum(*energies), np.maximum(*energies)
     larger = np.sqrt(most / np.maximum(least, 1e-9 * max(float(most.max()), 1e-300)))
     padded = np.concatenate([[-1.0], alike, [-1.0]])
-    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= LIKE)
+    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= CORRELATION)
     best = sorted(np.flatnonzero(peaks).tolist(), key=lambda k: -alike[k])[:PLACES]
     return [int(shifts[k]) for k in best if larger[k] < LARGER]
 

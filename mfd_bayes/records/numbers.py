@@ -81,8 +81,7 @@ def _refuse_unit(name: str, value: Any, error: type[MfdError]) -> None:
             raise error(f"{name} must be plain numbers without a unit, got one in {one.units}")
 
 
-MOST_DRAWS = 100_000
-"""Most draws that may be asked for: more would take the memory, and tell nothing new."""
+MOST_DRAWS = 100_000  # more would take the memory, and tell nothing new
 
 
 def whole_number(

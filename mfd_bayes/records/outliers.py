@@ -10,23 +10,13 @@ import numpy as np
 from mfd_bayes.records.motion import Array
 from mfd_bayes.units import factor
 
-FEWEST = 3
-"""Fewest tests among which one can be odd."""
-
 QUANTITIES = ("gap", "slope", "plateau")
-SCATTER = np.array([0.08, 0.25, 0.15])
-"""Sd of the logarithm between tests of one device that nobody wonders at, of each quantity."""
-
-FAR = 3.3
-"""A test is odd where a quantity is further away than this many sds of the others."""
-
-SAME_LEVEL = 0.05
-"""Actuations that differ by less than this share are one level."""
-
-BEND = np.array([0.3, 0.5, 0.7])
-"""Prior sd of the exponent of each quantity over the actuation; slip force has mean 0.5."""
-
-_MIDDLE = np.array([0.0, 0.0, 0.5])
+FEWEST = 3  # fewest tests among which one can be odd
+SCATTER = np.array([0.08, 0.25, 0.15])  # sd of each logarithm between tests of one device
+FAR = 3.3  # a test is odd where a quantity is further away than this many sds of the others
+SAME_LEVEL = 0.05  # actuations that differ by less than this share are one level
+BEND = np.array([0.3, 0.5, 0.7])  # prior sd of the exponent of each quantity over the actuation
+_MIDDLE = np.array([0.0, 0.0, 0.5])  # and its prior mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +139,10 @@ UNITS = {
     "force": ("kip", "lbf", "kN", "N", "MN", "kgf"),
 }
 """Units that a column may be in instead of the one that it was read in."""
-
 WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0, 1.0])}
 """By how much the logarithms of gap, build-up and slip force grow with that of a wrong factor."""
-
-FREE = 4.0
-"""Penalty of a cause with a free factor: a unit that explains as much is the likelier."""
-
-ANYTHING = 14.0
-"""Penalty of another device, which explains every deviation."""
+FREE = 4.0  # penalty of a cause with a free factor: a unit that explains as much is the likelier
+ANYTHING = 14.0  # penalty of another device, which explains every deviation
 
 
 @dataclass(frozen=True)
