@@ -54,7 +54,6 @@ FAULTY = {
         "noise of about 0.00394 in, 7% of the travel",
     ),
     "a drift": (lambda t, x, f: (t, x, f + 0.1 * t / t[-1]), "drift", "+0.101 kip"),
-    "a stepping zero": (lambda t, x, f: (t, x, f + 0.14 * (t > 6.0)), "drift", "load cell's zero"),
     "samples that were dropped": (
         lambda t, x, f: [np.delete(values, [700, 701]) for values in (t, x, f)],
         "dropped samples",
@@ -146,6 +145,11 @@ def test_a_force_out_of_step_is_told_with_its_lag(lag):
 def test_a_force_that_does_not_follow_the_motion_has_no_lag():
     time, displacement, _ = signals()
     assert estimate_lag(Trace.from_arrays(time, displacement, None, NOISE)) is None
+
+
+def test_a_zero_that_steps_is_a_drift():
+    time, displacement, force = signals(cycles=8)
+    assert names(time, displacement, force + 0.1 * (time > 8.0)) == ["drift"]
 
 
 def test_a_drift_is_seen_although_most_cycles_ramp():
