@@ -246,7 +246,7 @@ def acceleration(time: Array, displacement: Array) -> Array:
     """
     from scipy.signal import savgol_filter
 
-    found = np.zeros(time.size)
+    result = np.zeros(time.size)
     for piece in np.split(np.arange(time.size), after_gaps(time)):
         if piece.size < SAMPLES:
             continue
@@ -257,8 +257,8 @@ def acceleration(time: Array, displacement: Array) -> Array:
         window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), t.size - 1 + t.size % 2)
         smooth = np.interp(even, t, x)
         smooth = savgol_filter(smooth, window, _ORDER, deriv=2, delta=even[1] - even[0])
-        found[piece] = np.interp(t, even, smooth)
-    return found
+        result[piece] = np.interp(t, even, smooth)
+    return result
 
 
 def _radius(text: str, of: str) -> float:
