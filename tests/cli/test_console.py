@@ -4,11 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from mfd_bayes.cli.console import LISTED, clean, open_console, print_checks, print_end, say
+from mfd_bayes.cli.console import LISTED, clean, print_checks, print_end, say
 from mfd_bayes.evaluation.views import Judgement
 from mfd_bayes.messages import Message
-from mfd_bayes.runs.verdict import Finding
-from mfd_bayes.runs.verdict import Use
+from mfd_bayes.runs.unit_system import US
 from mfd_bayes.runs.verdict import Finding, Use
 
 
@@ -48,33 +47,35 @@ def test_a_line_is_one_line(capsys):
     assert capsys.readouterr() == ("a b\n", "c\n")
 
 
+def view_of(count, bad=(), checks=()):
+    """A view of some tests, of which those with the numbers `bad` are not usable."""
+    reasons, usable = (Message("the sign is swapped"),), Use.USABLE
+    return SimpleNamespace(
+        judgements=[
+            Judgement(f"p{i}", Use.NOT_USABLE, reasons, 9.0)
+            if i in bad
+            else Judgement(f"p{i}", usable, (), 0.1)
+            for i in range(count)
+        ],
+        checks=checks,
+        warnings=[Finding("p0", "lag", Message("it is late"))],
+        verdict=Use.NOT_USABLE if bad else usable,
+        sentences=(Message("It is so."),),
+        systems=(US,),
+        metric=False,
+    )
+
+
 def test_a_table_shows_names_as_they_are(capsys):
     check = SimpleNamespace(
-        subject="[red]p[/red]", name=":smile:", target="\x1b[31mk3", value=1.0, limit="<= 1"
+        test="[red]p[/red]", check=":smile:", feature="\x1b[31mk3", status="pass"
     )
-    check.verdict = "pass"
-    check.tolerance = float("nan")
-    print_checks(SimpleNamespace(checks=[check], warnings=(), judgements=()), every=True)
+    vars(check).update(observed=1.0, unit="1", limit="<= 1", tolerance=float("nan"))
+    print_checks(view_of(0, checks=[check]), every=True)
     out = capsys.readouterr().out
     assert "[red]p[/red]" in out
     assert ":smile:" in out
     assert "\x1b" not in out
-
-
-def test_a_console_takes_no_text_for_markup(capsys):
-    open_console().print("[bold]a[/bold] :smile:")
-    assert capsys.readouterr().out == "[bold]a[/bold] :smile:\n"
-
-
-def view_of(count, bad=()):
-    told = {i: Judgement(f"p{i}", Use.NOT_USABLE, "the sign is swapped", 9.0) for i in bad}
-    judged = [told.get(i, Judgement(f"p{i}", Use.USABLE, "", 0.1)) for i in range(count)]
-    return SimpleNamespace(
-        judgements=judged,
-        warnings=[Finding("p0", "lag", Message("it is late"))],
-        verdict=Use.NOT_USABLE if bad else Use.USABLE,
-        sentence="It is so.",
-    )
 
 
 def test_a_run_ends_with_every_verdict_and_where_to_look(capsys, tmp_path):
@@ -87,16 +88,14 @@ def test_a_run_ends_with_every_verdict_and_where_to_look(capsys, tmp_path):
         f"look next at {tmp_path}/my out/report.html; every check: "
         f"mfd-bayes check '{tmp_path}/my out'",
     ]
+    print_end(view_of(3, bad=[1]), tmp_path, quiet=True)
+    assert capsys.readouterr().out == "NOT USABLE: It is so.\n"
 
 
 def test_of_many_tests_only_those_that_are_not_usable_are_listed(capsys, tmp_path):
     print_end(view_of(LISTED + 1, bad=[3]), tmp_path)
-    lines = capsys.readouterr().out.splitlines()[1:]
-    assert lines[0] == f"{LISTED} of {LISTED + 1} tests are usable without more"
-    assert lines[1] == "  p3   not usable: the sign is swapped"
-    assert lines[2] == "NOT USABLE: It is so."
-
-
-def test_quiet_ends_with_the_verdict_alone(capsys, tmp_path):
-    print_end(view_of(3, bad=[1]), tmp_path, quiet=True)
-    assert capsys.readouterr().out == "NOT USABLE: It is so.\n"
+    assert capsys.readouterr().out.splitlines()[1:4] == [
+        f"{LISTED} of {LISTED + 1} tests are usable without more",
+        "  p3   not usable: the sign is swapped",
+        "NOT USABLE: It is so.",
+    ]
