@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mfd_bayes.reporting.exports import export_tables
 
 from benchmarks.fuzz.mutations import Rng
 from benchmarks.fuzz.seeds import FORCE, MOTION, TIME, priors, texts
@@ -21,10 +22,9 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.evaluation import assess, verdicts
-from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
-from mfd_bayes.evaluation.verdict import put_together
+from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign
 from mfd_bayes.population.design import design_of
@@ -35,7 +35,6 @@ from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.starts import Starts
 from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.runs.folder import Existing, hash_stored, prepare_folder
 from mfd_bayes.runs.manifest import read_manifest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections import Counter
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,8 +32,8 @@ _ESCAPES = re.compile(
     re.VERBOSE,
 )
 
-LISTED = 12
-"""Up to this many tests, the end of a run lists every verdict; beyond, only those that failed."""
+WIDTH, LINES = 100, 10
+"""Most columns and lines of the end of a run."""
 
 
 def clean(text: object) -> str:
@@ -219,28 +219,37 @@ def print_left_out(view: LeftOutView | None, force: str, *, quiet: bool = False)
 
 
 def print_checks(view: CampaignView, *, every: bool) -> None:
-    """Print how many checks of each kind passed, and those that did not; or every check."""
-    if not every:
-        kinds: dict[str, Counter[str]] = {}
-        for check in view.checks:
-            kinds.setdefault(check.check, Counter())[check.status] += 1
-        title = "Checks of every test and of the population (--all shows each)"
-        counts = [(name, *(count[verdict] for verdict in Verdict)) for name, count in kinds.items()]
-        print_rows(title, ("check", *Verdict), counts)
-    shown = [
-        (
-            *(c.test, c.check, c.feature, _figure(view, c.observed, c.unit), _expected(view, c)),
-            c.status,
-        )
-        for c in view.checks
-        if every or c.status in (Verdict.FAIL, Verdict.WARNING)
-    ]
-    if shown:
+    """Print what misses, one line each; or a table of every check before."""
+    if every:
         heads = ("test", "check", "feature", "observed", "expected", "status")
-        title = "Checks" if every else "Checks that failed or need care"
-        print_rows(title, heads, shown, folded=len(heads))
-    print_warnings(view.warnings, view.systems[view.metric])
-    _print_verdicts(view)
+        rows = [
+            (
+                *(c.test, c.check, c.feature, _figure(view, c.observed, c.unit)),
+                *(_expected(view, c), c.status),
+            )
+            for c in view.checks
+        ]
+        print_rows("Checks", heads, rows, folded=len(heads))
+    for line in missed_lines(view):
+        say(line)
+
+
+def missed_lines(view: CampaignView) -> list[str]:
+    """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
+    words = view.systems[view.metric].words
+    return [
+        *(f"warning: {f.subject}: {f.message.to_text(words)}" for f in view.warnings),
+        *(
+            f"{c.status}: {c.test}: {c.message.to_text(words)}"
+            for c in view.checks
+            if c.status in (Verdict.FAIL, Verdict.WARNING)
+        ),
+        *(
+            f"{j.use}: {j.subject}: {j.to_text(words)}"
+            for j in view.judgements
+            if j.use != Use.USABLE
+        ),
+    ]
 
 
 def _figure(view: CampaignView, value: float, unit: str) -> str:
@@ -258,31 +267,28 @@ def _expected(view: CampaignView, check: Check) -> str:
 
 
 def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
-    """Print warnings and verdicts of a run, and where to look; quiet: only the run's verdict."""
-    if not quiet:
-        print_warnings(view.warnings, view.systems[view.metric])
-        _print_verdicts(view)
-    print_sentences(view, f"{view.verdict.upper()}: ")
-    if not quiet:
-        command = shlex.join(["mfd-bayes", "check", str(out)])
-        say(f"look next at {out / 'report.html'}; every check: {command}")
+    """Print the verdict of a run, what misses, and where to look; quiet: the verdict alone.
+
+    These are at most `LINES` lines of at most `WIDTH` columns; `mfd-bayes check` has the rest.
+    """
+    words = view.systems[view.metric].words
+    text = " ".join(sentence.to_text(words) for sentence in view.sentences)
+    text = clean(f"{view.verdict.upper()}: {text}")
+    lines = LINES if quiet else 4
+    verdict = textwrap.wrap(text, WIDTH, max_lines=lines, placeholder=" …", break_on_hyphens=False)
+    for line in verdict:
+        say(line)
+    if quiet:
+        return
+    missed, room = missed_lines(view), LINES - len(verdict) - 2
+    for line in missed[:room]:
+        say(textwrap.shorten(clean(line), WIDTH, placeholder=" …"))
+    more = f"{len(missed) - room} more, and " if len(missed) > room else ""
+    say(f"{more}every check: {shlex.join(['mfd-bayes', 'check', str(out)])}")
+    say(f"look next at {out / 'report.html'}")
 
 
-def print_sentences(view: CampaignView, lead: str = "") -> None:
+def print_sentences(view: CampaignView) -> None:
     """Print the verdict on a run, a line for each of its sentences, in the units of a view."""
-    for number, sentence in enumerate(view.sentences):
-        say(f"{'' if number else lead}{sentence.to_text(view.systems[view.metric].words)}")
-
-
-def _print_verdicts(view: CampaignView) -> None:
-    """Print each test's verdict with its reasons; of many tests, those that are not just usable."""
-    judged = view.judgements
-    many = len(judged) > LISTED
-    if many:
-        usable = sum(j.use == Use.USABLE for j in judged)
-        say(f"{usable} of {len(judged)} tests are usable without more")
-    width = max((len(j.subject) for j in judged), default=0)
-    for j in judged:
-        if not many or j.use != Use.USABLE:
-            reasons = j.to_text(view.systems[view.metric].words)
-            say(f"  {j.subject:{width}}  {j.use}{f': {reasons}' if reasons else ''}")
+    for sentence in view.sentences:
+        say(sentence.to_text(view.systems[view.metric].words))

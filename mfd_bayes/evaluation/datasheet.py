@@ -129,7 +129,7 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
         tested=_tested(run),
         verdict=_verdict(run, rows),
         not_known=_not_known(run),
-        formulas={name: text for name, text in FORMULAS.items() if name != "c_eq"},
+        formulas={quantity: FORMULAS[quantity] for quantity, _, _ in _QUANTITIES},
     )
 
 

@@ -24,7 +24,7 @@ from scipy.special import psi
 from mfd_bayes.friction.columns import named_columns
 from mfd_bayes.friction.lugre import of_direction
 from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
-from mfd_bayes.friction.parameters import BACKLASH_QUANTITIES
+from mfd_bayes.friction.parameters import BACKLASH, quantities_in_order
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.recurrence import scratch, solve
 from mfd_bayes.friction.spring import Spring
@@ -477,7 +477,7 @@ class BacklashLuGre(Model):
     """
 
     name: ClassVar[str] = "backlash"
-    quantities: ClassVar[tuple[Quantity, ...]] = BACKLASH_QUANTITIES
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_in_order(BACKLASH)
     positive: ClassVar[frozenset[str]] = frozenset(
         {"k_fwd", "k_bwd", "ell", "Fc_fwd", "Fc_bwd", "v_s"}
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +28,7 @@ from mfd_bayes.evaluation.width import width_sentence
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.conversion import shares_of, system_of
-from mfd_bayes.reporting.explorer import explore
+from mfd_bayes.reporting.explorer import explore, script_json
 from mfd_bayes.reporting.tables import (
     ACTUATION,
     Line,
@@ -188,12 +187,6 @@ class Units:
     def table(self) -> Markup:
         """JSON for the script: factor and name of each unit in each system."""
         return Markup(script_json(self.used))
-
-
-def script_json(value: object) -> str:
-    """JSON that cannot close the script element around it."""
-    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c")
 
 
 def render(

@@ -49,7 +49,6 @@ ALONE = 3
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 """Programs that can print a page, in order of preference."""
 
-_FIGURES = ("loops", "history", "residuals", "marginals", "corner", "ranks")
 _PRINTING = 180.0
 """Longest time for printing, s; a report takes a few."""
 
@@ -171,7 +170,9 @@ class Drawing:
     @property
     def pictures(self) -> tuple[str, ...]:
         """Keys of all figures that a test can have."""
-        return tuple(f"tests/{self.id}/{name}" for name in _FIGURES)
+        from mfd_bayes.reporting.figures import OF_TEST
+
+        return tuple(f"tests/{self.id}/{name}" for name in OF_TEST)
 
     @property
     def makes(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ DRAWS = ("draws.csv", "draws.parquet")
 ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
 
-_ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf")
+_ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
 ON_REQUEST = (*_ON_REQUEST, *ADVICE, "figures/next.png", "figures/next.csv")
 """What is written only where it is asked for; all of it rests on the population."""
 
@@ -27,7 +27,8 @@ _TABLES = "parameters derived readings noises laws law_scores checks scores cros
 OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
-    *(*_ON_REQUEST, *DRAWS, "report.html", POPULATION, CAMPAIGN, PRIORS),
+    *("datasheet.csv", "datasheet.tex"),
+    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html", POPULATION, CAMPAIGN, PRIORS),
 )
 """Files that a run and its report write, but for the manifest and what lies in folders."""
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.outliers import contradicted_starts
+from mfd_bayes.evaluation.outliers import contradicted_order
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
 
@@ -18,7 +18,9 @@ def run(benchmark_module, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "out"
     benchmark_module("fuzz.runs").write_run(folder)
     run = open_run(folder)
-    settings = run.manifest.settings.with_test("b", after="a")
+    tests = dict(run.manifest.settings.tests)
+    tests["b"] = tests["b"].model_copy(update={"after": "a"})
+    settings = run.manifest.settings.model_copy(update={"tests": tests})
     return replace(run, manifest=run.manifest.changed(settings=settings))
 
 
@@ -47,7 +49,7 @@ def with_start(run, start, first=1.0, sampled=True):
 
 @pytest.mark.parametrize(("start", "first"), [(0.2, 1.0), (0.8, -1.0)])
 def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
-    (found,) = contradicted_starts(with_start(run, start, first))
+    (found,) = contradicted_order(with_start(run, start, first))
     assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
     assert str(found.message).startswith("the test begins at 0.20 [0.1")
     assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
@@ -56,13 +58,15 @@ def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, f
 
 @pytest.mark.parametrize(("start", "first"), [(1.0, 1.0), (0.0, -1.0), (0.88, 1.0)])
 def test_a_start_where_the_test_before_ended_is_none(run, start, first):
-    assert contradicted_starts(with_start(run, start, first)) == []
+    assert contradicted_order(with_start(run, start, first)) == []
 
 
 def test_a_start_that_was_not_sampled_contradicts_nothing(run):
-    assert contradicted_starts(with_start(run, 0.2, sampled=False)) == []
+    assert contradicted_order(with_start(run, 0.2, sampled=False)) == []
 
 
 def test_tests_that_follow_none_are_not_compared(run):
-    free = run.manifest.changed(settings=run.manifest.settings.with_test("b", after=""))
-    assert contradicted_starts(replace(with_start(run, 0.2), manifest=free)) == []
+    settings = run.manifest.settings
+    tests = {n: t.model_copy(update={"after": ""}) for n, t in settings.tests.items()}
+    free = run.manifest.changed(settings=settings.model_copy(update={"tests": tests}))
+    assert contradicted_order(replace(with_start(run, 0.2), manifest=free)) == []

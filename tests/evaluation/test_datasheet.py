@@ -9,7 +9,7 @@ from mfd_bayes import open_run
 from mfd_bayes.errors import MfdError
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
 
-DATA = Path(__file__).parents[1] / "data" / "run_format_0"
+DATA = Path(__file__).parents[1] / "data" / "run"
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,6 @@ import pytest
 
 from mfd_bayes.evaluation.crossvalidate import left_out_view
 from mfd_bayes.runs.scores import CampaignCrossValidation, Prediction, Score
-from mfd_bayes.evaluation.crossvalidate import left_out_view
-from mfd_bayes.runs.scores import CampaignCrossValidation, Prediction, Score
 
 
 def scored(width, crps):

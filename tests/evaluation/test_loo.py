@@ -9,7 +9,6 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.sampling import sample
-from mfd_bayes.evaluation.compare import log_evidence
 from mfd_bayes.evaluation.compare import (
     LARGEST_K,
     CrossValidation,
@@ -17,6 +16,7 @@ from mfd_bayes.evaluation.compare import (
     difference,
     join,
     leave_out,
+    log_evidence,
     standard_error,
 )
 from mfd_bayes.records.trace import Trace

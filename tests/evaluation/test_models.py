@@ -14,8 +14,7 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.evaluation import compare as comparison
-from mfd_bayes.evaluation.compare import CrossValidation
-from mfd_bayes.evaluation.compare import ALL, candidates, compare_runs
+from mfd_bayes.evaluation.compare import ALL, CrossValidation, candidates, compare_runs
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import comparison_csv

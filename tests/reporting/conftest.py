@@ -13,6 +13,7 @@ from mfd_bayes.calibration.identifiability import (
     Pair,
     Sensitivity,
 )
+from mfd_bayes.evaluation.datasheet import Datasheet
 from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
@@ -32,9 +33,8 @@ from mfd_bayes.evaluation.views import (
     TruthRow,
 )
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.evaluation.datasheet import Datasheet
 from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.figures import draw_shared, draw_test
 from mfd_bayes.runs.verdict import Use, Verdict
@@ -229,7 +229,11 @@ def make_datasheet() -> Datasheet:
         rows=pd.DataFrame(rows),
         measured=pd.DataFrame(),
         tested={"stroke": Message("{range}", within)},
-        verdict=(Message("usable"), Message("1 of 3 lies outside"), Message("within {range}", within)),
+        verdict=(
+            Message("usable"),
+            Message("1 of 3 lies outside"),
+            Message("within {range}", within),
+        ),
         not_known=(Message("Temperature: no record has one."),),
         formulas={"slip_force": "force at zero displacement"},
     )

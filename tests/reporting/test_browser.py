@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.reporting.figures import to_png
 from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import render

@@ -1,11 +1,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import in_system
+from mfd_bayes.reporting.conversion import convert_law, convert_row, convert_test, to_units
 from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, both_systems, named_system, system_of
 from mfd_bayes.units import convert
 
@@ -93,29 +94,33 @@ def test_actuations_in_words():
     assert "mean of a history" in SI.actuation(varying, "ksi")
 
 
-def test_a_report_keeps_its_meaning_in_the_other_system(campaign):
-    metric = in_system(campaign, SI)
-    ours, theirs = campaign.tests[0], metric.tests[0]
+def test_what_figures_show_keeps_its_meaning_in_the_other_system(campaign):
+    ours, theirs = campaign.tests[0], convert_test(campaign.tests[0], SI, "ksi")
     kip, inch = SI.factor("kip"), SI.factor("in")
     np.testing.assert_allclose(theirs.trace.force, ours.trace.force * kip)
     np.testing.assert_allclose(theirs.trace.displacement, ours.trace.displacement * inch)
     np.testing.assert_allclose(theirs.observation.median, ours.observation.median * kip)
-    rows = {row.name: row for row in theirs.rows}
+    assert theirs.actuation == "5.516 MPa"
+    assert convert_test(ours, US, "ksi") is ours
     k3 = next(row for row in ours.rows if row.name == "k3")
-    assert rows["k3"].unit == "kN/mm"
-    assert rows["k3"].upper == pytest.approx(k3.upper * SI.factor("kip/in"))
-    assert rows["k3"].r_hat == k3.r_hat
-    assert rows["k3"].contraction == k3.contraction
-    law, before = metric.laws[0], campaign.laws[0]
+    metric = convert_row(k3, SI)
+    assert metric.unit == "kN/mm"
+    assert metric.upper == pytest.approx(k3.upper * SI.factor("kip/in"))
+    assert (metric.r_hat, metric.contraction) == (k3.r_hat, k3.contraction)
+    law, before = convert_law(campaign.laws[0], SI, "ksi"), campaign.laws[0]
     slope = law.device.median[-1] / law.actuation[-1]  # kN/MPa, of kip/ksi
     expected = before.device.median[-1] / before.actuation[-1] * SI.factor("in^2")
     assert slope * 1e3 == pytest.approx(expected)
-    assert metric.actuation_unit == "MPa"
-    assert in_system(campaign, US) is campaign
 
 
-def test_rows_without_a_measurement_stay_so(campaign):
-    test = campaign.tests[0]
-    row = replace(test.derived[2], measured=float("nan"))
-    view = replace(campaign, tests=(replace(test, derived=(row,)),))
-    assert np.isnan(in_system(view, SI).tests[0].derived[0].measured)
+def test_a_table_is_converted_by_row_and_by_column():
+    frame = pd.DataFrame(
+        {"unit": ["kip", "1"], "mean": [1.0, 2.0], "crps_kip": 1.0, "k3 [kip/in]": 1.0, "n": 3}
+    )
+    metric = to_units(frame, SI)
+    assert list(metric) == ["unit", "mean", "crps_kN", "k3 [kN/mm]", "n"]
+    assert metric["unit"].tolist() == ["kN", "1"]
+    assert metric["mean"].tolist() == pytest.approx([SI.factor("kip"), 2.0])
+    assert metric["k3 [kN/mm]"][0] == pytest.approx(SI.factor("kip/in"))
+    assert metric["n"].tolist() == [3, 3]
+    assert to_units(frame, US) is frame

@@ -15,23 +15,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mfd_bayes.evaluation.views import FREE_EXPONENT, Check, Judgement, NoiseRow, ReadingRow
 
 from mfd_bayes.calibration.identifiability import Pair, Sensitivity
-from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.campaign.campaign import load_campaign
+from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.views import FREE_EXPONENT, Check, Judgement, NoiseRow, ReadingRow
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures, page, tables
 from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary, render
 from mfd_bayes.reporting.tables import report_tables
-from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.runs.scores import ComparisonRow
 from mfd_bayes.runs.unit_system import SI
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 ROOT = Path(__file__).parents[2]
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))
@@ -166,7 +165,9 @@ def test_the_data_sheet_marks_what_lies_outside(pages):
 def test_only_what_misses_is_listed(campaign, text):
     assert "What misses" not in text
     warned = (
-        Finding("a", "force sign", Message("{jump} too far", {"jump": Quantity.of(0.8, unit="in")})),
+        Finding(
+            "a", "force sign", Message("{jump} too far", {"jump": Quantity.of(0.8, unit="in")})
+        ),
         Finding("b", "lag", Message("late")),
     )
     judged = (Judgement("c", Use.NOT_USABLE, "sign <swapped>", 9.0),)
@@ -253,7 +254,10 @@ def hostile(tmp_path, campaign):
         pairs=(Pair(name, name, 0.8),),
         sensitivities=(Sensitivity(name, 0.1, 0.1),),
     )
-    checks = (*(replace(c, target=name) for c in one.checks), Check(name, name, name, 0.0, name, Verdict.NOTE))
+    checks = (
+        *(replace(c, target=name) for c in one.checks),
+        Check(name, name, name, 0.0, name, Verdict.NOTE),
+    )
     rows = tuple(replace(row, note=name) for row in one.rows)
     one = replace(one, rows=rows, identifiability=study, checks=checks, actuation=name)
     return replace(
@@ -339,7 +343,9 @@ def test_the_glossary_holds_plain_sentences_and_every_verdict(text):
         assert meaning.endswith(".")
     (verdicts,) = (meaning for name, meaning in words.items() if name.startswith("Verdict"))
     for verdict in Verdict:
-        assert f"{verdict.capitalize()}: {verdict.message[0].lower()}{verdict.message[1:]}" in verdicts
+        assert (
+            f"{verdict.capitalize()}: {verdict.message[0].lower()}{verdict.message[1:]}" in verdicts
+        )
     shown = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd></div>", text))
     assert shown == {name: words[name] for name in page.WORDS}
 

@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from mfd_bayes.evaluation.views import Check, NoiseRow, ReadingRow
 
-from mfd_bayes.evaluation.views import Check
+from mfd_bayes.evaluation.views import Check, NoiseRow, ReadingRow
 from mfd_bayes.reporting import tables
 from mfd_bayes.reporting.symbols import parts_of
 from mfd_bayes.reporting.tables import (
@@ -108,7 +107,8 @@ def test_a_prediction_says_what_it_is(campaign):
 
 def test_a_new_run_in_a_folder_removes_every_table_of_the_old_one(campaign, tmp_path):
     (tmp_path / "manifest.json").write_text("{}")
-    for name in report_tables(campaign):
+    sheets = (f"datasheet.{end}" for end in ("csv", "tex", "html", "pdf"))
+    for name in (*report_tables(campaign), *sheets):
         (tmp_path / name).write_text("")
     discard(tmp_path)
     assert not any(tmp_path.iterdir())
@@ -379,7 +379,9 @@ def test_the_table_of_a_record_has_every_sample(campaign):
     held = pd.read_csv(io.StringIO(record_table(campaign.tests[1], SI)))
     assert held["fitted"].eq(0).all()
     assert "velocity_mm_per_s" in held
-    assert held["force_kN"][0] == pytest.approx(4.4482216 * campaign.tests[1].trace.force[0], rel=1e-5)
+    assert held["force_kN"][0] == pytest.approx(
+        4.4482216 * campaign.tests[1].trace.force[0], rel=1e-5
+    )
 
 
 def test_tables_behind_the_figures_of_all_tests(campaign):

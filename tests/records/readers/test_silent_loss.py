@@ -305,7 +305,7 @@ def test_channels_of_different_lengths_are_cut_and_it_is_told(tmp_path):
     ("load", "more", "said"),
     [
         (wave("N", 60.0), (), "never measured at the same time"),
-        (wave("N", step=0.01), (), "Disp has a step of 0.05, Load of 0.01"),
+        (wave("N", step=0.01), (), "Disp has a step of 0.05 s and Load one of 0.01 s"),
         (wave("N", 1.0), [("Time", TIME, {"unit_string": "s"})], "Load begins 1 s after Disp"),
         (wave("N", step=0.01), [("Time", TIME, {"unit_string": "s"})], "one of 0.01 s"),
     ],

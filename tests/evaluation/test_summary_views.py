@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.evaluation import summary as shown
+from mfd_bayes.evaluation import summary
 from mfd_bayes.evaluation.summary import views_of_tests
 from mfd_bayes.jobs import parallel
-from mfd_bayes.runs.run import open_run
-from mfd_bayes.evaluation import shown
-from mfd_bayes.evaluation.summary import views_of_tests
-from mfd_bayes.jobs import likelihoods
 from mfd_bayes.runs.run import open_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"
@@ -40,7 +36,7 @@ def test_several_processes_make_the_views_that_one_makes(run, monkeypatch):
     alone, lost = views_of_tests(run)
     assert lost == {}
     assert [view.id for view in alone] == list(run.manifest.tests)
-    monkeypatch.setattr(shown, "in_turn", lambda _: pytest.fail("made by this process"))
+    monkeypatch.setattr(summary, "in_turn", lambda _: pytest.fail("made by this process"))
     together, lost = views_of_tests(run, 2)
     assert lost == {}
     assert not multiprocessing.active_children()
