@@ -89,6 +89,7 @@ import time
 from dataclasses import dataclass
 from types import ModuleType, SimpleNamespace
 
+import mfd_bayes.evaluation
 import mfd_bayes.pipeline
 from mfd_bayes.cli.commands import main
 from mfd_bayes.jobs.job import Progress, Step
@@ -128,7 +129,7 @@ def stand_in(name, **content):
 
 
 empty = SimpleNamespace(manifest=SimpleNamespace(warnings=()), system=None)
-stand_in("evaluation", is_whole=lambda view: True)
+stand_in("evaluation.summary", is_whole=lambda view: True)
 stand_in("pipeline.plan", Options=Options, effort_of=lambda *_, **__: "quick")
 sys.modules["mfd_bayes.pipeline.plan"].plan_campaign = lambda *_: empty
 stand_in("pipeline.calibrate", calibrate_plan=work)

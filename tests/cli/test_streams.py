@@ -22,6 +22,7 @@ DRIVER = """\
 import sys
 from types import ModuleType, SimpleNamespace
 
+import mfd_bayes.evaluation
 import mfd_bayes.pipeline
 from mfd_bayes.cli.commands import main
 from mfd_bayes.errors import StoreError
@@ -42,10 +43,11 @@ def check(out, units):
     )
 
 
-report, evaluation = ModuleType("mfd_bayes.pipeline.report"), ModuleType("mfd_bayes.evaluation")
-report.check, evaluation.fails = check, lambda view: True
+report = ModuleType("mfd_bayes.pipeline.report")
+summary = ModuleType("mfd_bayes.evaluation.summary")
+report.check, summary.fails = check, lambda view: True
 sys.modules[report.__name__] = mfd_bayes.pipeline.report = report
-sys.modules[evaluation.__name__] = mfd_bayes.evaluation = evaluation
+sys.modules[summary.__name__] = mfd_bayes.evaluation.summary = summary
 main()
 """
 
