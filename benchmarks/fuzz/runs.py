@@ -20,7 +20,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
-from mfd_bayes.evaluation import assess, verdicts
+from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
 from mfd_bayes.evaluation.summary import build_summary
