@@ -358,6 +358,9 @@ def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: No
         cells = {}
         for row in _records(group):
             lines = [Line("{}", (row["q50"],)), Line("[{}, {}]", (row["q2.5"], row["q97.5"]))]
+            if row.get("disagrees", False):
+                joint = (row["joint_q50"], row["joint_q2.5"], row["joint_q97.5"])
+                lines.append(Line("with the others: {} [{}, {}]", joint, marked=True))
             lines += [_other_line(other) for other in noises.get((row["test"], name), ())]
             cells[row["test"]] = Cell(tuple(lines), row["note"])
         rows.append(SheetRow(name, unit, tuple(cells.get(test) for test in heads)))
