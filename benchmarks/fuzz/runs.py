@@ -35,7 +35,6 @@ from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.starts import Starts
 from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.runs.folder import Existing, hash_stored, prepare_folder
 from mfd_bayes.runs.manifest import read_manifest
@@ -204,7 +203,7 @@ def read_report(path: Path) -> object:
     run = open_run(out)
     view = assess(run)
     written = json_text(run.manifest.changed(verdicts=verdicts(view)).content)
-    tables = report_tables(view) | export_tables(view)
+    tables = report_tables(view)
     return [len(text.encode()) for text in (written, *tables.values())]
 
 
