@@ -279,6 +279,13 @@ class SheetRow:
     detail: str = ""
 
     @property
+    def used(self) -> list[int]:
+        """Numbers of the lines that a cell has."""
+        cells = [cell for cell in self.cells if cell]
+        size = max((len(cell.lines) for cell in cells), default=0)
+        return [at for at in range(size) if any(cell.lines[at].known for cell in cells)]
+
+    @property
     def meaning(self) -> str:
         """What the quantity is, with its detail."""
         return ", ".join(filter(None, (meaning(self.name), self.detail)))

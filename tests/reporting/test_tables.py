@@ -184,6 +184,20 @@ def test_a_parameter_that_the_noise_decides_has_both_values_in_every_form(campai
     assert metric["decides"] == "yes"
 
 
+def test_where_a_test_alone_and_all_together_disagree_one_mark_says_so(campaign):
+    def with_joint(disagrees):
+        joint = {"joint_lower": 2.0, "joint_median": 2.5, "joint_upper": 3.0}
+        row = replace(campaign.tests[0].rows[1], **joint, disagrees=disagrees)
+        return of_two(campaign, rows=(row,))
+
+    line = read(report_tables(with_joint(True))["parameters.csv"])[0]
+    assert (line["joint_q50"], line["disagrees"]) == ("2.5", "yes")
+    for disagrees in (True, False):
+        (row,) = paper_sheets(with_joint(disagrees), US)[0].rows
+        marked = [line.text for line in row.cells[0].lines if line.marked]
+        assert marked == ["with the others: 2.50 [2.00, 3.00]"] * disagrees
+
+
 def noted(view, note="mostly the prior"):
     """Two tests; the second has a note on k3."""
     test = view.tests[0]
