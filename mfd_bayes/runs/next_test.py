@@ -74,10 +74,7 @@ def next_test(
 
 
 def _chosen(
-    run: Run,
-    goal: str | Goal | None,
-    candidates: Candidates | None,
-    limits: str | Limits | None,
+    run: Run, goal: str | Goal | None, candidates: Candidates | None, limits: str | Limits | None
 ) -> GoalSettings:
     """What is given, checked, and for the rest what the campaign file says."""
     unit = run.actuation_unit

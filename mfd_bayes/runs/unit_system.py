@@ -123,9 +123,7 @@ def named_system(name: str, own: System) -> System:
 
 
 def system_of(
-    lengths: Iterable[str],
-    forces: Iterable[ArrayLike | None] = (),
-    actuations: Iterable[str] = (),
+    lengths: Iterable[str], forces: Iterable[ArrayLike | None] = (), actuations: Iterable[str] = ()
 ) -> System:
     """System of units that records were measured in, fit for the size of their forces.
 

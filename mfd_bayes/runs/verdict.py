@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -53,22 +54,9 @@ class Use(StrEnum):
         return marks.get(self, Verdict.FAIL)
 
 
-SPOILING = frozenset(
-    {
-        "no force",
-        "force sign",
-        "both signs",
-        "channels",
-        "time unit",
-        "duplicate",
-        "actuation",
-        "unit of displacement",
-        "unit of force",
-        "displacement",
-        "force",
-        "another device",
-        "beyond the priors",
-    }
+SPOILING = re.compile(
+    "no force|force sign|both signs|channels|time unit|duplicate|actuation|unit of displacement"
+    "|unit of force|displacement|force|another device|beyond the priors"
 )
 """Names of findings that say that something is wrong with a test: its results cannot be used."""
 
@@ -97,4 +85,4 @@ class Finding:
     @property
     def spoils(self) -> bool:
         """Whether something is wrong with the test, rather than to be kept in mind."""
-        return self.name in SPOILING
+        return SPOILING.fullmatch(self.name) is not None

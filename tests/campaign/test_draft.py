@@ -178,10 +178,7 @@ def test_a_level_is_read_off_a_name(name, level):
         ("800psi", "# Supply of 3000 psi\n", None, "800 psi", "it could also be 3000 psi"),
         ("0psi", "", None, "0 psi", "only laws with an intercept learn from it"),
         ("a", "", 500 + np.cos(7 * TIME), "500 psi", ""),
-        (
-            *("a", "", 500 + 200 * np.sin(TIME)),
-            *({"name": "pressure_psi", "unit": "psi"}, ""),
-        ),
+        (*("a", "", 500 + 200 * np.sin(TIME)), *({"name": "pressure_psi", "unit": "psi"}, "")),
     ],
 )
 def test_the_actuation_is_that_of_the_column_the_header_or_the_name(
