@@ -140,6 +140,10 @@ class Manifest(Part):
         known = all(s.law in LAW_NAMES and len(s.levels) > 1 for s in self.law_scores)
         if not known or len(levels) > len(dict(levels)):
             raise ValueError("law_scores must be of known laws, and of the same two levels or more")
+        try:
+            _ = [str(finding.message) for finding in self.warnings]
+        except (AttributeError, LookupError, ValueError) as error:
+            raise ValueError(f"warnings have a message that cannot be written: {error}") from error
         if self.status == Status.FINISHED and not self.finished:
             raise ValueError("finished is missing")
         return self

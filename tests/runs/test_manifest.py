@@ -111,6 +111,8 @@ def test_a_listed_file_outside_the_folder_is_not_looked_at(out, change):
         (("law_scores", 0, "levels"), [1.0, 2.0, 3.0]),
         (("law_scores", 0, "elpd"), 1e300),
         (("dependence_scores", 0), "none"),
+        (("warnings", 0, "message", "template"), "{nothing}"),
+        (("warnings", 0, "message"), "a sentence"),
     ],
 )
 def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value):
