@@ -28,6 +28,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from mfd_bayes.evaluation.read_off import reading_rows
+
 from benchmarks.common.brfd_campaign import HEADER, TEST
 from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import platform_line
@@ -35,7 +37,6 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.noise_sensitivity import Bounds, moves, quantiles_of
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.calibration.task import calibrate_test
-from mfd_bayes.evaluation.read_off import reading_rows
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 
 TENSIONS = (25, 35, 70, 80)
