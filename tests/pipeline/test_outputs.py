@@ -152,6 +152,8 @@ def test_a_harmonic_motion_is_predicted_into_a_new_folder(home):
     bands.unlink()
     refused(here(*asked, "-o", bands), "bands.png exists")
     refused(here(*asked, "-o", bands.parent), "give the name of a file")
+    assert here(*asked, "-o", bands, "-q", "--no-figures", "--force").exit_code == 0
+    assert {path.name for path in bands.parent.iterdir()} == {"bands.csv", "bands_derived.csv"}
 
 
 @pytest.mark.parametrize("command", ["inspect", "prior-check"])
