@@ -66,6 +66,7 @@ def predict(
             help="Predict together with this run of another model; may be repeated.",
         ),
     ] = None,
+    figures: Annotated[bool, Option("--figures/--no-figures", help="Draw the PNGs.")] = True,
     force: options.Replace = False,
     units: options.Units = None,
     quiet: options.Quiet = False,
@@ -108,7 +109,8 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
         console.say(f"warning: {remark}", err=True)
     console.say(
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
-        f"({answer.name}), from {band.source}: {question.bands} and {question.picture}"
+        f"({answer.name}), from {band.source}: {question.bands}"
+        f"{f' and {question.picture}' if question.figures else ''}"
     )
     if answer.compared is not None:
         console.say(answer.compared.sentence(answer.system))

@@ -7,7 +7,6 @@ anew, and also where the path of the folder of temporary files is too long for t
 
 from __future__ import annotations
 
-import gc
 import multiprocessing
 import os
 import signal
@@ -34,7 +33,7 @@ ATTEMPTS = 3
 """The run gives up when this many processes were killed at one job, as where memory is short."""
 
 WATCH = 0.1
-"""Seconds between looks at the news of other processes, and at whether the parent lives."""
+"""Seconds between looks at the news of other processes."""
 
 LONGEST = 107 - len("/pymp-12345678/listener-12345678")
 """Most bytes of the path of the folder of the server's socket; Linux takes 107 in all."""
@@ -244,29 +243,3 @@ def follow_parent() -> None:
             os._exit(1)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
-
-
-@contextmanager
-def importing() -> Iterator[None]:
-    """Let the server of processes end with its parent also while it imports libraries.
-
-    What it has imported stays for good: no collection of garbage looks at it, here or in the
-    processes that are forked.
-    """
-    parent, done = os.getppid(), threading.Event()
-
-    def watch() -> None:
-        while not done.wait(WATCH):
-            if os.getppid() != parent:
-                os._exit(1)
-
-    watching = threading.Thread(target=watch, daemon=True)
-    watching.start()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.enable()
-        done.set()
-        watching.join()  # a process with threads must not be forked

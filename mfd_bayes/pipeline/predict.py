@@ -68,6 +68,8 @@ class Question:
         Part of the record in which the force in the motion's file is known: "0 s to 3 s".
     after : str
         Id of the test of the run that the motion follows without a reset.
+    figures : bool
+        Whether the PNGs are drawn.
     force : bool
         Whether files that exist are replaced.
     others : tuple of Path
@@ -88,6 +90,7 @@ class Question:
     rate: str = ""
     units: str = ""
     design: bool = False
+    figures: bool = True
     force: bool = False
     given: str = ""
     after: str = ""
@@ -284,8 +287,6 @@ def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
 
 def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) -> None:
     """Write the tables and the pictures of a prediction; `measured` has a given part's force."""
-    from mfd_bayes.reporting.figures import Marks, draw_history, draw_loops, to_png
-
     band, system = answer.band, answer.system
     title = f"Predicted force at {question.actuation}"
     about = [f"actuation {question.actuation}"]
@@ -299,6 +300,12 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
         write_text(question.beside("design.csv"), design_csv(answer.design, question.actuation))
     else:
         remove_file(question.beside("design.csv"))  # it is of an earlier question
+    if not question.figures:
+        remove_file(question.picture)
+        remove_file(question.beside("history.png"))
+        return
+    from mfd_bayes.reporting.figures import Marks, draw_history, draw_loops, to_png
+
     intervals = [Interval(band.probability, band.lower, band.upper)]
     if band.whole_lower is not None and band.whole_upper is not None:
         bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)

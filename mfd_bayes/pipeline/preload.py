@@ -1,12 +1,9 @@
 """What the processes of a run need: a module for the server that they are forked from."""
 
-from mfd_bayes.jobs.local import importing
+from scipy import stats  # noqa: F401
 
-with importing():
-    from scipy import stats  # noqa: F401
+from mfd_bayes.calibration import task  # noqa: F401
+from mfd_bayes.reporting import figures, publish  # noqa: F401
+from mfd_bayes.store.arviz import import_arviz
 
-    from mfd_bayes.calibration import task  # noqa: F401
-    from mfd_bayes.reporting import figures, publish  # noqa: F401
-    from mfd_bayes.store.arviz import import_arviz
-
-    import_arviz()
+import_arviz()

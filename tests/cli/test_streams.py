@@ -35,7 +35,7 @@ def check(out, units):
         raise StoreError(f"{out} is not a run folder")
     failed = SimpleNamespace(
         test="a", check="R-hat", feature="k3", observed=1.2, unit="1", limit="1", tolerance=0.1,
-        status=Verdict.FAIL,
+        status=Verdict.FAIL, message=Message("It is bad."),
     )
     return SimpleNamespace(
         checks=(failed,) * 300, warnings=(), judgements=(), sentences=(Message("Bad."),),

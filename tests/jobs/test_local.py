@@ -110,13 +110,6 @@ def test_processes_have_one_thread_whatever_this_one_has(monkeypatch):
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the server here")
 
-WAITING = """
-import time
-from mfd_bayes.jobs.local import get_ready
-get_ready("slow_module")
-print("ready", flush=True)
-time.sleep(60)
-"""
 POOL = """
 import sys, time
 from concurrent.futures import ProcessPoolExecutor
@@ -143,41 +136,6 @@ def run(script: str, folder: Path, *words: str) -> "subprocess.Popen[str]":
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])},
         start_new_session=True,
     )
-
-
-def of_session(leader: int) -> list[int]:
-    """Live processes of a session."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            fields = (entry / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if entry.name.isdigit() and int(fields[3]) == leader and fields[0] != "Z":
-            found.append(int(entry.name))
-    return found
-
-
-@linux
-@pytest.mark.parametrize("watched", [True, False])
-def test_the_server_ends_with_its_parent_while_it_imports(tmp_path, watched):
-    within = "with importing():\n    " if watched else ""
-    text = f"import time\nfrom mfd_bayes.jobs.local import importing\n{within}time.sleep(20)\n"
-    (tmp_path / "slow_module.py").write_text(text)
-    process = run(WAITING, tmp_path)
-    assert process.stdout.readline() == "ready\n"
-    time.sleep(1.0)  # the server has begun to import
-    process.kill()
-    process.wait()
-    began = time.monotonic()
-    while of_session(process.pid) and time.monotonic() < began + 3.0:
-        time.sleep(0.05)
-    left = of_session(process.pid)
-    for pid in left:
-        os.kill(pid, signal.SIGKILL)
-    process.stdout.close()
-    process.stderr.close()
-    assert (not left) == watched
 
 
 @linux

@@ -66,7 +66,7 @@ def results_of(out):
 
 
 @pytest.mark.parametrize(
-    "name", ["write_bytes", "save_trace", "run_jobs", "load_result", "_finish"]
+    "name", ["write_bytes", "save_trace", "run_jobs", "load_result", "hash_stored"]
 )
 def test_a_finished_run_that_is_resumed_and_killed_has_all_its_results(
     plan, out, monkeypatch, name
