@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.scores import Comparison
+    from mfd_bayes.runs.unit_system import System
     from mfd_bayes.runs.verdict import Finding
 
 _ESCAPES = re.compile(
@@ -89,7 +89,7 @@ def _figures(values: Iterable[float], digits: int = 4) -> list[str]:
     return ["–" if math.isnan(value) else f"{value:.{digits}g}" for value in values]
 
 
-def print_warnings(warnings: Iterable[Finding], system: System = US) -> None:
+def print_warnings(warnings: Iterable[Finding], system: System) -> None:
     """Print what was found that a reader must know, a line each, in the units of a system."""
     for finding in warnings:
         say(f"warning: {finding.subject}: {finding.message.to_text(system.words)}")

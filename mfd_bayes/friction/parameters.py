@@ -7,37 +7,15 @@ from types import MappingProxyType
 from mfd_bayes.friction.quantity import Quantity, html_of
 
 PARAMETERS = (
-    "sigma0",
-    "sigma1",
-    "sigma2",
-    "Fs_fwd",
-    "Fc_fwd",
-    "Fs_bwd",
-    "Fc_bwd",
-    "k2",
-    "k3",
-    "d2",
-    "d3",
-    "gamma1",
-    "gamma2",
-    "v_s",
-)
+    "sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd",
+    "k2", "k3", "d2", "d3", "gamma1", "gamma2", "v_s",
+)  # fmt: skip
 """All parameters of the MFD paper, in its order."""
 
 BACKLASH = (
-    "k_fwd",
-    "k_bwd",
-    "gap",
-    "ell",
-    "k_0",
-    "Fc_fwd",
-    "Fc_bwd",
-    "n",
-    "sigma2",
-    "static_excess_fwd",
-    "static_excess_bwd",
-    "v_s",
-)
+    "k_fwd", "k_bwd", "gap", "ell", "k_0", "Fc_fwd", "Fc_bwd", "n", "sigma2",
+    "static_excess_fwd", "static_excess_bwd", "v_s",
+)  # fmt: skip
 """Parameters of LuGre with a backlash spring, in the order of model.md section 9."""
 
 BOUC_WEN = ("k", "alpha", "Fy_fwd", "Fy_bwd", "beta", "exponent", "c")

@@ -36,8 +36,8 @@ def read_json(path: Path) -> Table:
     bare = isinstance(content, list) and bool(content) and isinstance(content[0], list)
     whole: dict[str, Any] = content if isinstance(content, dict) else {}
     match content:
-        case [[*first], *_]:
-            columns = _of_rows(path, content, labels([""] * len(first)))
+        case [[*cells], *_]:
+            columns = _of_rows(path, content, labels([""] * len(cells)))
         case {"columns": [*names], "data": [*lines]}:
             columns = _of_rows(path, lines, [str(name) for name in names])
         case [*lines]:
@@ -47,15 +47,15 @@ def read_json(path: Path) -> Table:
         case _:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
     apart: dict[str, str] = {}
-    first: dict[frozenset[str], str] = {}  # labels of rows, to the first column that has them
+    like: dict[frozenset[str], str] = {}  # labels of rows, to the first column that has them
     for name, column in columns.items():
         if isinstance(column, dict):
             numbers = [str(i) for i in range(len(column))]
             order = numbers if set(numbers) == set(column) else list(column)
             columns[name] = [column[k] for k in order]
-            like, one = first.setdefault(frozenset(column), name), next(iter(first.values()))
-            words = f"columns {one!r} and {like!r} have different lengths or row labels"
-            apart[name] = "" if like == one else words
+            same, first = like.setdefault(frozenset(column), name), next(iter(like.values()))
+            words = f"columns {first!r} and {same!r} have different lengths or row labels"
+            apart[name] = "" if same == first else words
     named = next((key for key in ("units", "unit") if key in whole), "")
     given = whole.get(named)
     if isinstance(given, list):

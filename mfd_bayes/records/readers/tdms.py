@@ -91,7 +91,8 @@ def read_tdms(path: Path) -> Table:
         else:
             together.append([name])
     times: dict[str, Column] = {}
-    apart, notes = {}, []
+    apart: dict[str, str] = {}
+    notes = []
     for number, names in enumerate(together):
         own, group = [clocks[name] for name in names], channels[names[0]]["group"]
         title = "time" if len(together) == 1 else f"{group}/time"
