@@ -84,7 +84,7 @@ def crossing_times(
 ) -> list[float]:
     """Times, s, from each turning point to a distance `gap` from it, if reached before the next."""
     times = []
-    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=True):
+    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=False):  # there may be none
         away = np.abs(displacement[start : end + 1] - displacement[start])
         reached = int(np.argmax(away >= gap))
         if away[reached] >= gap and reached > 0:

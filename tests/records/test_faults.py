@@ -188,6 +188,11 @@ def test_a_short_record_is_told_and_the_gravest_fault_comes_first():
     assert order.index("short record") < order.index("rate")
 
 
+def test_a_motion_without_a_turn_is_judged_too():
+    time, displacement, force = (values[:90] for values in signals())
+    assert "short record" in names(time, displacement, force)
+
+
 def test_real_records_raise_no_false_alarm(data_folder):
     for path in sorted(data_folder.glob("20*.csv")):
         assert find_faults(read_record(path).trace(), 0.2) == (), path.name

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.numbers import why_invalid
-from mfd_bayes.records.readers.table import Table, bare_unit, check_names, labels
+from mfd_bayes.records.readers.table import Column, Table, bare_unit, check_names, labels
 from mfd_bayes.records.readers.time_stamps import is_stamp
 
 SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
@@ -46,16 +46,13 @@ def read_json(path: Path) -> Table:
             columns = {k: v for k, v in whole.items() if isinstance(v, dict | list)}
         case _:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
-    apart: dict[str, str] = {}
-    like: dict[frozenset[str], str] = {}  # labels of rows, to the first column that has them
+    rows: dict[str, frozenset[str]] = {}  # labels of the rows of columns that have them
     for name, column in columns.items():
         if isinstance(column, dict):
             numbers = [str(i) for i in range(len(column))]
             order = numbers if set(numbers) == set(column) else list(column)
             columns[name] = [column[k] for k in order]
-            same, first = like.setdefault(frozenset(column), name), next(iter(like.values()))
-            words = f"columns {first!r} and {same!r} have different lengths or row labels"
-            apart[name] = "" if same == first else words
+            rows[name] = frozenset(column)
     named = next((key for key in ("units", "unit") if key in whole), "")
     given = whole.get(named)
     if isinstance(given, list):
@@ -68,11 +65,17 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
     stamped = [name for name, cells in columns.items() if cells and is_stamp(cells[0])]
     units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
+
+    def align(used: Mapping[str, Column]) -> Mapping[str, Column]:
+        if len({rows[name] for name in used if name in rows}) > 1:
+            raise RecordError(f"columns of {path} have different lengths or row labels")
+        return used
+
     return Table(
         path,
         columns,
         units=units | dict.fromkeys(stamped, "s"),
-        apart=apart,
+        align=align,
         headed=not bare,
         head=tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str)),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -98,8 +98,9 @@ class Table:
         Whether the file has names; without them, they are "column 1", …
     blocks : mapping of int to str
         Row to the place of a repeated heading above it.
-    apart : mapping of str to str
-        Why a column cannot be used with those that have another reason here, or none.
+    align : callable
+        What is done to columns that are used together: it gives them with the same rows, or
+        refuses them.
     notes, doubts : tuple of str
         Sentences on numbers of the file that are not in the table, and on those that probably
         belong to it.
@@ -116,7 +117,7 @@ class Table:
     numbers: tuple[int, ...] | None = None
     headed: bool = True
     blocks: Mapping[int, str] = field(default_factory=dict)
-    apart: Mapping[str, str] = field(default_factory=dict)
+    align: Callable[[Mapping[str, Column]], Mapping[str, Column]] = dict
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     decimals: tuple[str, ...] = (".",)
@@ -160,10 +161,7 @@ class Table:
         for name in names:
             if name not in self.cells:
                 raise self.no_column(name)
-        reasons = {self.apart[name] for name in names if name in self.apart}
-        if len(reasons) > 1:
-            raise RecordError(f"{self.path}: {max(reasons)}: they cannot be used together")
-        cells = {name: self.cells[name] for name in names}
+        cells = self.align({name: self.cells[name] for name in names})
         if self.places:  # other columns of a sheet may go on below these
             size = max((_filled(column) for column in cells.values()), default=0)
             cells = {name: column[:size] for name, column in cells.items()}
@@ -194,14 +192,15 @@ class Table:
 
     def _bad_cell(self, name: str, row: int, names: Sequence[str]) -> RecordError:
         """Error for a cell that holds no finite number: text, an empty cell, nan or infinity."""
-        cell = self.cells[name][row]
+        cells = self.align({each: self.cells[each] for each in names})
+        cell = cells[name][row]
         text = "" if cell is None else str(cell).strip()
         shown = repr(text[:60]) if text else "an empty cell"
         if any(np.isfinite(parse([cell], sign)[0]) for sign in self.decimals):
             seen = {
                 sign: f"{c!r} in {self.place(at)}, column {other!r}"
                 for other in reversed(names)
-                for at, c in reversed(list(enumerate(self.cells[other])))
+                for at, c in reversed(list(enumerate(cells[other])))
                 for sign in ".,"
                 if isinstance(c, str) and sign in c
             }
