@@ -739,6 +739,8 @@ def _declare(cls: type[Model], declared: Any) -> None:
         where = f"{where_of(cls)}, parameter {parameter.name!r}"
         if not (isinstance(parameter.name, str) and re.fullmatch(r"[A-Za-z]\w*", parameter.name)):
             raise FitError(f"{where}: the name must be a word of letters, digits and _")
+        if parameter.name in ("start", "offset") or parameter.name.startswith("noise_"):
+            raise FitError(f"{where}: the name is that of a quantity of every record")
         if parameter.prior not in LIMITS:
             raise FitError(
                 f"{where}: prior must be {' or '.join(LIMITS)}, got {parameter.prior!r:.60}"

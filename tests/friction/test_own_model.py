@@ -207,6 +207,7 @@ def test_a_link_out_of_the_folder_is_not_followed(folder):
         ('"kip"', '"kipp"', ("parameter 'c'", "'kipp' is unknown")),
         ('"kip"', "5", ("parameter 'c'", "unit 5")),
         ('"alpha"', '"c"', ("two parameters 'c'",)),
+        ('"alpha"', '"noise_sd"', ("parameter 'noise_sd'", "of every record")),
         ('"alpha"', '"my alpha"', ("parameter 'my alpha'", "word")),
         ("=True", '="quadratic"', ("parameter 'c'", "follows_actuation", "'quadratic'")),
         ('symbol=r"\\alpha"', 'prior="wide"', ("parameter 'alpha'", "fraction", "'wide'")),
