@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SHORT = 24
-"""Up to this many steps are taken one after the other."""
+SHORT = 24  # up to this many steps are taken one after the other
 
 
 def solve(decay: Array, drive: Array, first: Array) -> Array:

@@ -24,18 +24,10 @@ Rows = NDArray[np.intp]
 KINDS = ("new_test", "device")
 """With each damper's own scatter from test to test, or the mean property alone."""
 
-FEWEST = 10
-"""Fewest draws of a response."""
-
-BOUND = 0.95
-"""Probability between the lower and the upper design value of a device."""
-
-BOUND_DRAWS = 1000
-"""Draws of the bounds: few would leave them to chance."""
-
-RIGID = 0.001
-"""Travel, in, at which almost rigid friction slips."""
-
+FEWEST = 10  # fewest draws of a response
+BOUND = 0.95  # probability between the lower and the upper design value of a device
+BOUND_DRAWS = 1000  # draws of the bounds: few would leave them to chance
+RIGID = 0.001  # travel, in, at which almost rigid friction slips
 SETTLE = float(np.expm1(np.log1p(FINE) / (KNOTS - 1)) / FINE)
 """Share of the longest stroke after a turn, over which a discrepancy goes to its new side."""
 
