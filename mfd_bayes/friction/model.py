@@ -121,13 +121,14 @@ class Model:
         for key, default in (("motion", "in"), ("response", "kip")):
             if key in given:
                 setattr(cls, key, _axis(cls, key, given[key], default))
-        names = [name for name in ("force", "start", "step") if inspect.isfunction(given.get(name))]
-        if names and Model not in cls.__bases__:
+        names = [name for name in ("force", "start", "step") if name in given]
+        built_in = cls.__mro__[1].compute_force is not Model.compute_force
+        if names and (built_in or not all(callable(given[name]) for name in names)):
             raise FitError(
-                f"{where_of(cls)}: only a class directly on top of Model gives {names[0]}; one on "
-                f"top of {cls.__bases__[0].__name__} gives compute_force, begin, advance and total"
+                f"{where_of(cls)}: {names[0]} must be a function of a class on top of Model; one "
+                f"on top of {cls.__mro__[1].__name__} gives compute_force, begin, advance and total"
             )
-        cls.own = {name: given[name] for name in names} or cls.own
+        cls.own = {**cls.own, **{name: given[name] for name in names}}
         for name in names:
             delattr(cls, name)
 

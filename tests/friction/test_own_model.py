@@ -272,6 +272,25 @@ def test_a_step_that_cannot_be_used_is_named(folder, old, new, words):
     assert words in str(refused.value)
 
 
+def test_classes_of_ones_own_may_share_a_base():
+    class Base(mb.Model):
+        parameters = (mb.Parameter("k", "kip/in"),)
+
+        def force(self, theta, trace):
+            return theta * trace.displacement
+
+    class Stiff(Base):
+        name = "stiff"
+
+        def force(self, theta, trace):
+            return 2.0 * theta * trace.displacement
+
+    for cls, by in ((Base, 1.0), (Stiff, 2.0)):
+        np.testing.assert_allclose(cls().force([[3.0]], trace_of())[0], 3.0 * by * MOTION)
+    with pytest.raises(mb.MfdError, match="force must be a function"):
+        type("Wrong", (Base,), {"force": 5})
+
+
 def test_a_built_in_model_is_changed_by_what_it_computes():
     with pytest.raises(mb.MfdError, match="gives compute_force"):
 
