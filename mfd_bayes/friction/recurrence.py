@@ -43,5 +43,5 @@ def solve(decay: Array, drive: Array, first: Array) -> Array:
     before = np.concatenate([first[None], solve(a[-1, :-1], z[-1, :-1], first)])
     a *= before
     z += a
-    states: Array = z.swapaxes(0, 1).reshape(-1, n)[:steps]
-    return states
+    z = z.swapaxes(0, 1).reshape(-1, n)
+    return np.asarray(z[:steps])

@@ -92,7 +92,7 @@ def respond_of_run(
     dampers = draw_dampers(source.population, source.model, built, choice)
     bounds = (
         bound_dampers(source.population, source.model, built, dampers, choice)
-        if dampers.count and source.model.slip_forces
+        if dampers.count and (source.model.slip_forces or source.model.laws)
         else {}
     )
     accuracy = Accuracy(tolerance=tolerance)
