@@ -122,11 +122,12 @@ class Model:
             if key in given:
                 setattr(cls, key, _axis(cls, key, given[key], default))
         names = [name for name in ("force", "start", "step") if name in given]
-        built_in = cls.__mro__[1].compute_force is not Model.compute_force
+        parent: type[Any] = cls.__mro__[1]
+        built_in = parent.compute_force is not Model.compute_force
         if names and (built_in or not all(callable(given[name]) for name in names)):
             raise FitError(
                 f"{where_of(cls)}: {names[0]} must be a function of a class on top of Model; one "
-                f"on top of {cls.__mro__[1].__name__} gives compute_force, begin, advance and total"
+                f"on top of {parent.__name__} gives compute_force, begin, advance and total"
             )
         cls.own = {**cls.own, **{name: given[name] for name in names}}
         for name in names:
