@@ -23,27 +23,13 @@ Rows = NDArray[np.intp]
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")
 
-FLOOR = 1e-6
-"""Least share of F_y that is left at zero actuation, so that nothing divides by zero."""
-
-PIECE = 1 << 15
-"""Size of a piece's arrays, in numbers: small enough for the cache."""
-
-NEAR = 2e-9
-"""Distance from w = 1 at which z has reached F_y."""
-
-REACH = 4.0
-"""The curve is resolved down to w = −`REACH` times the ratio of the two F_y."""
-
-FAR = 1e7
-"""Factor by which w may go below that range after friction has fallen."""
-
-CELLS = 96
-"""Cells of each part of the curve, where it is evaluated."""
-
-QUADRATURE = 128
-"""Cells of each part of the curve, where it is integrated."""
-
+FLOOR = 1e-6  # least share of F_y that is left at zero actuation, so that nothing divides by zero
+PIECE = 1 << 15  # size of a piece's arrays, in numbers: small enough for the cache
+NEAR = 2e-9  # distance from w = 1 at which z has reached F_y
+REACH = 4.0  # the curve is resolved down to w = −`REACH` times the ratio of the two F_y
+FAR = 1e7  # factor by which w may go below that range after friction has fallen
+CELLS = 96  # cells of each part of the curve, where it is evaluated
+QUADRATURE = 128  # cells of each part of the curve, where it is integrated
 _NODES = np.array([-(0.6**0.5), 0.0, 0.6**0.5])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 9.0  # Gauss-Legendre on [-1, 1]
 

@@ -24,7 +24,8 @@ SATURATED = 26.0
 """Transition lengths after which a transition is taken as complete: exp(−26) is 5e-12."""
 
 FARTHEST = 150.0
-"""Exponents are limited to it, so that the product of three exponentials is a number."""
+"""Exponents are limited to it, so that the product of three exponentials is a number. Up to a gap
+of as many transition lengths one exponential serves all three transitions."""
 
 Constants = Mapping[str, Any]
 
@@ -39,7 +40,8 @@ def gap_of(columns: Mapping[str, Array]) -> dict[str, Any]:
     width, ell = d2 + columns["d3"], columns["gamma2"] / columns["gamma1"]
     early, late = d2 / ell, width / ell
     found = {"k2": k2, "k3": k3, "width": width, "ell": ell, "early": early, "late": late}
-    return found | {"build_up": expit(late) * expit(-early), "jump": (k2 - k3) * d2}
+    found |= {"build_up": expit(late) * expit(-early), "jump": (k2 - k3) * d2}
+    return found | {"after": np.exp(-np.stack([early, late])), "sharp": bool(late.max() > FARTHEST)}
 
 
 class Gap(NamedTuple):
@@ -83,19 +85,32 @@ def blend(c: Constants, side: Array, y: Array, carry: Array | float, slip: Array
     """
     u = side * y
     u /= c["ell"]
-    a = np.exp(np.minimum(u - c["early"], FARTHEST))
-    b = np.exp(np.minimum(u - c["late"], FARTHEST))
-    r = np.exp(np.minimum(np.abs(u), FARTHEST))
-    fading = 2.0 / (r + 1.0)
-    q = np.where(u > 0.0, 0.5 * (r + 1.0), 1.0)
-    stick = c["k2"] * y - slip
-    force = c["k3"] * y + side * c["jump"] - slip
+    if c["sharp"]:
+        a, b = (np.exp(np.minimum(u - c[at], FARTHEST)) for at in ("early", "late"))
+    r = np.maximum(np.minimum(u, FARTHEST, out=u), -SATURATED, out=u)
+    np.exp(r, out=r)
+    if not c["sharp"]:
+        a, b = r * c["after"][0], r * c["after"][1]
+    fading = np.maximum(r, 1.0 / r)
+    fading += 1.0
+    q = np.maximum(r, 1.0, out=r)
+    q += 1.0
+    q *= 0.5
+    stick = c["k2"] * y
+    stick -= slip
+    force = c["k3"] * y
+    force += side * c["jump"]
+    force -= slip
     force *= a
     force += stick
     force *= q
     force -= stick
-    force /= (1.0 + a) * (1.0 + b) * q
-    force += carry * fading
+    a += 1.0
+    b += 1.0
+    a *= b
+    a *= q
+    force /= a
+    force += 2.0 * carry / fading
     force += slip
     return np.asarray(force)
 

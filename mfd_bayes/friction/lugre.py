@@ -26,8 +26,7 @@ from mfd_bayes.records.trace import Trace
 FLOOR = 1e-9
 """Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
 
-PIECE = 1 << 15
-"""Size of a piece's arrays, in numbers: they stay in the cache."""
+PIECE = 1 << 15  # size of a piece's arrays, in numbers: they stay in the cache
 
 
 class Curve(NamedTuple):

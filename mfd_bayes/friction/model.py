@@ -121,13 +121,15 @@ class Model:
         for key, default in (("motion", "in"), ("response", "kip")):
             if key in given:
                 setattr(cls, key, _axis(cls, key, given[key], default))
-        names = [name for name in ("force", "start", "step") if inspect.isfunction(given.get(name))]
-        if names and Model not in cls.__bases__:
+        names = [name for name in ("force", "start", "step") if name in given]
+        parent: type[Any] = cls.__mro__[1]
+        built_in = parent.compute_force is not Model.compute_force
+        if names and (built_in or not all(callable(given[name]) for name in names)):
             raise FitError(
-                f"{where_of(cls)}: only a class directly on top of Model gives {names[0]}; one on "
-                f"top of {cls.__bases__[0].__name__} gives compute_force, begin, advance and total"
+                f"{where_of(cls)}: {names[0]} must be a function of a class on top of Model; one "
+                f"on top of {parent.__name__} gives compute_force, begin, advance and total"
             )
-        cls.own = {name: given[name] for name in names} or cls.own
+        cls.own = {**cls.own, **{name: given[name] for name in names}}
         for name in names:
             delattr(cls, name)
 
@@ -739,6 +741,8 @@ def _declare(cls: type[Model], declared: Any) -> None:
         where = f"{where_of(cls)}, parameter {parameter.name!r}"
         if not (isinstance(parameter.name, str) and re.fullmatch(r"[A-Za-z]\w*", parameter.name)):
             raise FitError(f"{where}: the name must be a word of letters, digits and _")
+        if parameter.name in ("start", "offset") or parameter.name.startswith("noise_"):
+            raise FitError(f"{where}: the name is that of a quantity of every record")
         if parameter.prior not in LIMITS:
             raise FitError(
                 f"{where}: prior must be {' or '.join(LIMITS)}, got {parameter.prior!r:.60}"

@@ -24,8 +24,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
 )
 """The package's models by their names in campaign files."""
 
-GROUP = "mfd_bayes.models"
-"""Entry points by which an installed package offers models."""
+GROUP = "mfd_bayes.models"  # entry points by which an installed package offers models
 
 
 def find_model(name: str, folder: Path | None = None) -> Model:

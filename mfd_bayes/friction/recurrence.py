@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SHORT = 24
-"""Up to this many steps are taken one after the other."""
+SHORT = 24  # up to this many steps are taken one after the other
 
 
 def solve(decay: Array, drive: Array, first: Array) -> Array:
@@ -44,4 +43,5 @@ def solve(decay: Array, drive: Array, first: Array) -> Array:
     before = np.concatenate([first[None], solve(a[-1, :-1], z[-1, :-1], first)])
     a *= before
     z += a
-    return z.swapaxes(0, 1).reshape(-1, n)[:steps]
+    z = z.swapaxes(0, 1).reshape(-1, n)
+    return np.asarray(z[:steps])

@@ -10,14 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-INVERSIONS = 60
-"""Most steps of the inverse."""
-
-FEW = 4
-"""Most steps of a first guess."""
-
-LEAST = -690.0
-"""Exponent of e below which a number loses digits."""
+INVERSIONS = 60  # most steps of the inverse
+FEW = 4  # most steps of a first guess
+LEAST = -690.0  # exponent of e below which a number loses digits
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ from mfd_bayes.friction.parameters import PARAMETERS, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
-PIECE = 1 << 15
-"""Size of the arrays that are blended at a time, in numbers: they stay in the cache."""
+PIECE = 1 << 15  # size of the arrays that are blended at a time, in numbers: they stay in the cache
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from mfd_bayes.response.result import Response, combined
 from mfd_bayes.response.step_refinement import Accuracy, settle
 from mfd_bayes.store.files import write_bytes
 
-ROWS = 1500
-"""Dampers of a block of draws: enough for numpy to be quick, few enough for the cache."""
+ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
 
 
 @dataclass(frozen=True, eq=False)

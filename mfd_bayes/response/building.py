@@ -31,11 +31,8 @@ from mfd_bayes.units import actuation_factor, convert, factor, parse_actuation
 
 Array = NDArray[np.float64]
 
-LARGEST = 500
-"""Most degrees of freedom."""
-
-LARGEST_FILE = 64 * 2**20
-"""Largest text file of a matrix, bytes."""
+LARGEST = 500  # most degrees of freedom
+LARGEST_FILE = 64 * 2**20  # largest text file of a matrix, bytes
 
 
 @dataclass(frozen=True, eq=False)

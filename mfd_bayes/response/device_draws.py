@@ -24,18 +24,10 @@ Rows = NDArray[np.intp]
 KINDS = ("new_test", "device")
 """With each damper's own scatter from test to test, or the mean property alone."""
 
-FEWEST = 10
-"""Fewest draws of a response."""
-
-BOUND = 0.95
-"""Probability between the lower and the upper design value of a device."""
-
-BOUND_DRAWS = 1000
-"""Draws of the bounds: few would leave them to chance."""
-
-RIGID = 0.001
-"""Travel, in, at which almost rigid friction slips."""
-
+FEWEST = 10  # fewest draws of a response
+BOUND = 0.95  # probability between the lower and the upper design value of a device
+BOUND_DRAWS = 1000  # draws of the bounds: few would leave them to chance
+RIGID = 0.001  # travel, in, at which almost rigid friction slips
 SETTLE = float(np.expm1(np.log1p(FINE) / (KNOTS - 1)) / FINE)
 """Share of the longest stroke after a turn, over which a discrepancy goes to its new side."""
 
@@ -289,7 +281,8 @@ def bound_dampers(
 
     Each damper is the mean property (the median of each quantity) but for its slip forces: those
     are the quantiles of a new test at its actuation that leave out half of 1 − `BOUND` each, as
-    `predict --design` has them. Histories of actuation are those of `drawn`, in their median.
+    `predict --design` has them. Of a model that names none, these are the parameters that follow
+    the actuation. Histories of actuation are those of `drawn`, in their median.
     """
     constant = replace(
         building,
@@ -300,7 +293,7 @@ def bound_dampers(
         for kind in ("device", "new_test")
     )
     levels, residual = np.array([device.level for device in building.devices]), population.residual
-    slips = {name: model.parameters.index(name) for name in model.slip_forces}
+    slips = {name: model.parameters.index(name) for name in model.slip_forces or model.laws}
     tied = model.tied_laws
     found = {}
     for name, share in (("lower", 0.5 * (1.0 - BOUND)), ("upper", 0.5 * (1.0 + BOUND))):
@@ -312,7 +305,9 @@ def bound_dampers(
                 by = bound / theta[at, column]
                 for other in (slip, *(name for name, of in tied.items() if of == slip)):
                     theta[at, model.parameters.index(other)] *= by
-        slip_force = theta[:, list(slips.values())].mean(axis=1)[None]
+        slip_force = np.ones((1, len(theta)))
+        if model.slip_forces:
+            slip_force = theta[:, list(slips.values())].mean(axis=1)[None]
         found[name] = Dampers(
             model,
             theta[None],

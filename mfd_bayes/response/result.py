@@ -17,12 +17,8 @@ from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
 
-PROBABILITIES = (0.5, 0.9, 0.95)
-"""Of the equal-tailed bands."""
-
-OPEN = 0.005
-"""Share of the time in steps that should have been shorter, from which a draw is named."""
-
+PROBABILITIES = (0.5, 0.9, 0.95)  # of the equal-tailed bands
+OPEN = 0.005  # share of the time in steps that should have been shorter, from which a draw is named
 PER_DRAW = (
     *("drift", "acceleration", "base_shear", "force", "travel", "energy", "residual"),
     *("unstable", "open", "imbalance", "change", "steps"),

@@ -52,7 +52,7 @@ def respond(
     model = run.predictor.model
     bounds = (
         bound_dampers(run.population, model, built, dampers, choice)
-        if dampers.count and model.slip_forces
+        if dampers.count and (model.slip_forces or model.laws)
         else {}
     )
     accuracy = Accuracy(tolerance=tolerance)

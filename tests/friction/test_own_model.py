@@ -207,6 +207,7 @@ def test_a_link_out_of_the_folder_is_not_followed(folder):
         ('"kip"', '"kipp"', ("parameter 'c'", "'kipp' is unknown")),
         ('"kip"', "5", ("parameter 'c'", "unit 5")),
         ('"alpha"', '"c"', ("two parameters 'c'",)),
+        ('"alpha"', '"noise_sd"', ("parameter 'noise_sd'", "of every record")),
         ('"alpha"', '"my alpha"', ("parameter 'my alpha'", "word")),
         ("=True", '="quadratic"', ("parameter 'c'", "follows_actuation", "'quadratic'")),
         ('symbol=r"\\alpha"', 'prior="wide"', ("parameter 'alpha'", "fraction", "'wide'")),
@@ -269,6 +270,25 @@ def test_a_step_that_cannot_be_used_is_named(folder, old, new, words):
     with pytest.raises(mb.MfdError, match=r"class Viscous of my_damper.py") as refused:
         model.step(model.start([[0.4, 0.5], [0.4, 0.5]]), 0.0, 1.0, 0.1)
     assert words in str(refused.value)
+
+
+def test_classes_of_ones_own_may_share_a_base():
+    class Base(mb.Model):
+        parameters = (mb.Parameter("k", "kip/in"),)
+
+        def force(self, theta, trace):
+            return theta * trace.displacement
+
+    class Stiff(Base):
+        name = "stiff"
+
+        def force(self, theta, trace):
+            return 2.0 * theta * trace.displacement
+
+    for cls, by in ((Base, 1.0), (Stiff, 2.0)):
+        np.testing.assert_allclose(cls().force([[3.0]], trace_of())[0], 3.0 * by * MOTION)
+    with pytest.raises(mb.MfdError, match="force must be a function"):
+        type("Wrong", (Base,), {"force": 5})
 
 
 def test_a_built_in_model_is_changed_by_what_it_computes():
