@@ -26,8 +26,7 @@ from benchmarks.common.machine import platform_line
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
 from mfd_bayes.evaluation import assess
 from mfd_bayes.evaluation.views import CampaignView
-from mfd_bayes.runs.run import open_run
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 
 Array = NDArray[np.float64]
 

@@ -21,10 +21,11 @@ from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.evaluation import assess, verdicts
-from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
-from mfd_bayes.evaluation.verdict import put_together
+from mfd_bayes.evaluation.properties import peaks_of
+from mfd_bayes.evaluation.summary import build_summary
+from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign
 from mfd_bayes.population.design import design_of
@@ -35,7 +36,6 @@ from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.starts import Starts
 from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.runs.folder import Existing, hash_stored, prepare_folder
 from mfd_bayes.runs.manifest import read_manifest
@@ -204,7 +204,7 @@ def read_report(path: Path) -> object:
     run = open_run(out)
     view = assess(run)
     written = json_text(run.manifest.changed(verdicts=verdicts(view)).content)
-    tables = report_tables(view) | export_tables(view)
+    tables = report_tables(view)
     return [len(text.encode()) for text in (written, *tables.values())]
 
 
@@ -226,7 +226,7 @@ def _opened(out: Path) -> tuple[Run, CampaignView]:
 def read_posterior(path: Path) -> object:
     """A test's posterior, as a report shows it."""
     run, _ = _opened(path.parents[2])
-    return calibrated_view(run.manifest, load_result("a", path, run.priors))
+    return calibrated_view(run.manifest, peaks_of(run), load_result("a", path, run.priors))
 
 
 def read_held_out(path: Path) -> object:

@@ -27,10 +27,10 @@ from benchmarks.common.machine import processor, versions
 from benchmarks.heldout import records
 from benchmarks.heldout.run import DRAWS, finished
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.runs.scores import Score
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.scores import Score
 
 SESSIONS = ("36lb", "2022-07", "30lb")
 MODELS = ("three_stage", "backlash")
