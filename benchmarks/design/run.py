@@ -35,10 +35,9 @@ import numpy as np
 
 from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
-from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
-from mfd_bayes.evaluation.properties import measured_of, measured_properties
 from mfd_bayes.evaluation.design import DesignRow, design_rows
+from mfd_bayes.evaluation.properties import measured_of, measured_properties
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.inference import infer_population

@@ -20,11 +20,10 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
-from mfd_bayes.evaluation import assess, verdicts
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
 from mfd_bayes.evaluation.properties import peaks_of
-from mfd_bayes.evaluation.summary import build_summary
+from mfd_bayes.evaluation.summary import assess, build_summary, verdicts
 from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.runs.verdict import Use, Verdict
 from mfd_bayes.units import percent
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.scores import Comparison
+    from mfd_bayes.runs.unit_system import System
     from mfd_bayes.runs.verdict import Finding
 
 _ESCAPES = re.compile(
@@ -89,7 +89,7 @@ def _figures(values: Iterable[float], digits: int = 4) -> list[str]:
     return ["–" if math.isnan(value) else f"{value:.{digits}g}" for value in values]
 
 
-def print_warnings(warnings: Iterable[Finding], system: System = US) -> None:
+def print_warnings(warnings: Iterable[Finding], system: System) -> None:
     """Print what was found that a reader must know, a line each, in the units of a system."""
     for finding in warnings:
         say(f"warning: {finding.subject}: {finding.message.to_text(system.words)}")
@@ -221,6 +221,7 @@ def print_left_out(view: LeftOutView | None, force: str, *, quiet: bool = False)
 def print_checks(view: CampaignView, *, every: bool) -> None:
     """Print what misses, one line each; or a table of every check before."""
     if every:
+        heads = ("test", "check", "feature", "observed", "expected", "status")
         rows = [
             (
                 *(c.test, c.check, c.feature, _figure(view, c.observed, c.unit)),
@@ -228,7 +229,6 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
             )
             for c in view.checks
         ]
-        heads = ("test", "check", "feature", "observed", "expected", "status")
         print_rows("Checks", heads, rows, folded=len(heads))
     for line in missed_lines(view):
         say(line)

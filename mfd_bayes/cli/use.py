@@ -150,7 +150,7 @@ def crossvalidate(
       mfd-bayes crossvalidate campaign.toml -o out --by level --resume
     """
     with mistakes(resumption()):
-        from mfd_bayes import evaluation
+        from mfd_bayes.evaluation import summary
         from mfd_bayes.pipeline import crossvalidate as pipeline
         from mfd_bayes.pipeline.report import left_out_shown
 
@@ -159,7 +159,7 @@ def crossvalidate(
             view = pipeline.crossvalidate(campaign, out, run_options, observe)
         console.print_left_out(*left_out_shown(view), quiet=quiet)
         console.print_end(view, out, quiet=quiet)
-    if not evaluation.is_whole(view):
+    if not summary.is_whole(view):
         raise typer.Exit(1)
 
 

@@ -24,9 +24,9 @@ from scipy.special import psi
 from mfd_bayes.friction.columns import named_columns
 from mfd_bayes.friction.lugre import of_direction
 from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
-from mfd_bayes.friction.parameters import BACKLASH_QUANTITIES
+from mfd_bayes.friction.parameters import BACKLASH, quantities_in_order
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import scratch, solve
+from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.friction.spring import Spring
 from mfd_bayes.records.trace import Trace
 
@@ -314,98 +314,78 @@ def newton(
 
         12 (ζ₁ − ζ₀) = h [(6 − c₀) f₀ + (6 + c₁) f₁],
 
-    and its derivatives neglect the bend of the spring. They are valid until the next call.
+    and its derivatives neglect the bend of the spring.
 
     `turns` are those of `Steps`, and `ends`, (R + 1, n), in, the deflections before and after
     each step.
     """
     n, way, sign = damper.columns["n"], steps.way, steps.sign
-    z, held = ends[1:], ends[turns]
-    room = scratch(14, *z.shape)
-    force, slope = damper.spring.evaluate(z, room[:4])
+    z, begun, bend = ends[1:], ends[:-1], 1.0 - 1.0 / n
+    force, slope = damper.spring.evaluate(z)
     # ln Gⁿ and n G′/G where G pushes against the motion, after each step
-    log, share, log0, share0, b, before, p0, p1, t, gain, limit = room[2:13]
-    np.multiply(n, steps.level, out=limit)
-    _push(np.multiply(sign, force, out=log), slope, n, share)
+    log, share = _push(sign * force, slope, n)
     # before it the same, but for those that turn
+    log0, share0 = np.empty_like(log), np.empty_like(share)
     log0[1:], share0[1:] = log[:-1], share[:-1]
-    ahead, stiff = damper.spring.evaluate(held)
-    ahead, at_start = sign[turns] * ahead, np.empty(held.shape)
-    _push(ahead, stiff, n, at_start)
-    log0[turns], share0[turns] = ahead, at_start
-    before[...] = ends[:-1]
-    if steps.slip is not None:
-        row, column = np.nonzero(np.isfinite(steps.slip))
-        ways, signs = (np.broadcast_to(a, z.shape)[row, column] for a in (way, sign))
-        free, slip = signs * before[row, column] + ways, steps.slip[row, column]
-    before -= z
-    np.subtract(log0, limit, out=p0)
+    held, stiff = damper.spring.evaluate(ends[turns])
+    log0[turns], share0[turns] = _push(sign[turns] * held, stiff, n)
+    limit = n * steps.level
+    log0 -= limit
     over = None
-    if p0.max() > OVER:
-        over = (p0 > OVER) & (way > 0.0)  # at rest nothing is let go
-        _let_go(damper, steps, over, (share0, before), z)
-        np.minimum(p0, OVER, out=p0)
+    if log0.max() > OVER:
+        over = (log0 > OVER) & (way > 0.0)  # at rest nothing is let go
+        begun = begun.copy()
+        _let_go(damper, steps, over, share0, begun)
+        np.minimum(log0, OVER, out=log0)
     # the end of each step
-    np.subtract(log, limit, out=p1)
-    np.exp(np.minimum(p1, STIFF, out=p1), out=p1)
-    np.multiply(share, way, out=b)
-    c = np.multiply(b, p1, out=log)
-    f = np.subtract(1.0, p1, out=p1)
-    np.add(c, 6.0, out=t)
-    np.multiply(f, t, out=gain)
-    b *= f
-    b *= 1.0 - 1.0 / n
-    t -= b
-    t *= c
-    t += 12.0
+    log -= limit
+    p = np.exp(np.minimum(log, STIFF, out=log), out=log)
+    f, b = 1.0 - p, np.multiply(share, way, out=share)
+    c = b * p
+    gain = f * (6.0 + c)
+    t = c * (6.0 + c - bend * b * f) + 12.0
     # its beginning
-    np.exp(p0, out=p0)
-    np.multiply(share0, way, out=b)
-    c = np.multiply(b, p0, out=log)
-    f = np.subtract(1.0, p0, out=p0)
-    decay = np.subtract(6.0, c, out=share)
-    gain += np.multiply(f, decay, out=log0)
-    b *= f
-    b *= 1.0 - 1.0 / n
-    decay += b
-    decay *= c
-    np.subtract(12.0, decay, out=decay)
+    p = np.exp(log0, out=log0)
+    f, b = 1.0 - p, np.multiply(share0, way, out=share0)
+    c = b * p
+    gain += f * (6.0 - c)
+    decay = (12.0 - c * (6.0 - c + bend * b * f)) / t
     gain *= sign * way
-    before *= 12.0
-    gain += before
-    decay /= t
+    gain += 12.0 * (begun - z)
     gain /= t
     if over is not None:
         decay[over] = 0.0
     if steps.slip is not None:
+        row, column = np.nonzero(np.isfinite(steps.slip))
+        ways, signs = (np.broadcast_to(a, z.shape)[row, column] for a in (way, sign))
+        free, slip = signs * ends[row, column] + ways, steps.slip[row, column]
         decay[row, column] = free < slip
         gain[row, column] = signs * np.minimum(free, slip) - z[row, column]
     decay[0] = 0.0
     return force, slope, decay, gain
 
 
-def _push(ahead: Array, slope: Array, n: Array, share: Array) -> None:
-    """Overwrite s G by ln Gⁿ and `share` by n G′/G, where G pushes against the motion."""
-    np.multiply(slope, n, out=share)
+def _push(ahead: Array, slope: Array, n: Array) -> tuple[Array, Array]:
+    """Logarithm ln Gⁿ and n G′/G of s G, where it pushes against the motion."""
+    share = slope * n
     if n.min() < 2.0:  # else it vanishes with (G/g)ⁿ
         share *= ahead > 0
-    np.maximum(ahead, TINY, out=ahead)
+    ahead = np.maximum(ahead, TINY, out=ahead)
     share /= ahead
     np.log(ahead, out=ahead)
     ahead *= n
+    return ahead, share
 
 
 def _let_go(
-    damper: Damper, steps: Steps, over: NDArray[np.bool_], start: tuple[Array, Array], z: Array
+    damper: Damper, steps: Steps, over: NDArray[np.bool_], share: Array, begun: Array
 ) -> None:
-    """Let steps that begin beyond slip begin where n ln(G/g) is `OVER`; `start` is changed."""
-    (_, column), (share, moved) = np.nonzero(over), start
+    """Let steps that begin beyond slip begin where n ln(G/g) is `OVER`; the last two change."""
+    _, column = np.nonzero(over)
     spring, n = damper.spring.of(column), damper.columns["n"][column]
-    sign = np.broadcast_to(steps.sign, over.shape)[over]
     level = np.exp(steps.level[over] + OVER / n)
-    begun = spring.deflection(sign * level)
-    share[over] = n * spring.evaluate(begun)[1] / level
-    moved[over] = begun - z[over]
+    begun[over] = spring.deflection(np.broadcast_to(steps.sign, over.shape)[over] * level)
+    share[over] = n * spring.evaluate(begun[over])[1] / level
 
 
 def _at_once(damper: Damper, steps: Steps) -> Array | None:
@@ -477,7 +457,7 @@ class BacklashLuGre(Model):
     """
 
     name: ClassVar[str] = "backlash"
-    quantities: ClassVar[tuple[Quantity, ...]] = BACKLASH_QUANTITIES
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_in_order(BACKLASH)
     positive: ClassVar[frozenset[str]] = frozenset(
         {"k_fwd", "k_bwd", "ell", "Fc_fwd", "Fc_bwd", "v_s"}
     )

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.evaluation import assess, verdicts
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
 from mfd_bayes.evaluation.properties import stored_peaks
+from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready

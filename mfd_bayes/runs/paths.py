@@ -27,17 +27,8 @@ _TABLES = "parameters derived readings noises laws law_scores checks scores cros
 OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
-    *(
-        *_ON_REQUEST,
-        *DRAWS,
-        "datasheet.csv",
-        "datasheet.tex",
-        "datasheet.html",
-        "report.html",
-        POPULATION,
-        CAMPAIGN,
-        PRIORS,
-    ),
+    *("datasheet.csv", "datasheet.tex"),
+    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html", POPULATION, CAMPAIGN, PRIORS),
 )
 """Files that a run and its report write, but for the manifest and what lies in folders."""
 

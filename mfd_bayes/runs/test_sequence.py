@@ -103,8 +103,7 @@ class TestSequence:
             place = self._ended(name, replace(forecast, before=place))
             if place is None:
                 continue
-            done = (self.tests if name in self.tests else self.motions)[name]
-            last = done.trace if isinstance(done, TestResult) else done
+            last = self.tests[name].trace if name in self.tests else self.motions[name]
             first = self.motions[following] if following else trace
             way = self._between(name, following or test)
             way = last.displacement[-1], *way, first.displacement[0]

@@ -219,7 +219,7 @@ def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
         ('role = "calibrate"', 'fit = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
         ('role = "calibrate"', 'fit = "3 s to 1 s"', ("fit", "end after it starts")),
         ('role = "calibrate"', ENTRY, ("campaign.toml", "two tests", "'p500'")),
-        ("[laws]", '[laws]\nFs_fwd = "affine"', ("laws.Fs_fwd", "Fc_fwd", "'affine'")),
+        ("[laws]", '[laws]\nFs_fwd = "affine"', ("Fs_fwd", "Fc_fwd", "'affine'")),
         ("[laws]", '[laws]\nsigma0 = "cubic"', ("laws.sigma0", "'cubic'", "'affine'")),
         ("[laws]", '[dependence]\nFc_fwd = ["speed"]', ("dependence.Fc_fwd", "'speed'")),
         ("[laws]", '[dependence]\nd_2 = ["velocity"]', ("'d_2'", "'d2'", "[dependence]")),

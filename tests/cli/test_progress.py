@@ -89,9 +89,11 @@ import time
 from dataclasses import dataclass
 from types import ModuleType, SimpleNamespace
 
+import mfd_bayes.evaluation
 import mfd_bayes.pipeline
 from mfd_bayes.cli.commands import main
 from mfd_bayes.jobs.job import Progress, Step
+from mfd_bayes.messages import Message
 
 TESTS, PAUSE, LAST = {tests}, {pause}, {last}
 
@@ -106,7 +108,10 @@ def work(plan, out, observe):
         observe(Step(name, "sampling", Progress(100, 2400, 1.05, 50.0, 1.0, 0.3, "more ESS")))
         time.sleep(LAST if name == names[-1] else PAUSE)
         observe(Step(name, "done", Progress(300, 300, 1.0123, 432.1, 3.0)))
-    return SimpleNamespace(judgements=(), warnings=(), verdict="usable", sentence="It is so.")
+    return SimpleNamespace(
+        judgements=(), warnings=(), verdict="usable", sentences=(Message("It is so."),),
+        systems=(SimpleNamespace(words=None),), metric=False,
+    )
 
 
 @dataclass(frozen=True)
@@ -123,8 +128,8 @@ def stand_in(name, **content):
     setattr(sys.modules[home], short, module)
 
 
-empty = SimpleNamespace(manifest=SimpleNamespace(warnings=()), system=SimpleNamespace(reworded=str))
-stand_in("evaluation", is_whole=lambda view: True)
+empty = SimpleNamespace(manifest=SimpleNamespace(warnings=()), system=None)
+stand_in("evaluation.summary", is_whole=lambda view: True)
 stand_in("pipeline.plan", Options=Options, effort_of=lambda *_, **__: "quick")
 sys.modules["mfd_bayes.pipeline.plan"].plan_campaign = lambda *_: empty
 stand_in("pipeline.calibrate", calibrate_plan=work)

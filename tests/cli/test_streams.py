@@ -22,9 +22,11 @@ DRIVER = """\
 import sys
 from types import ModuleType, SimpleNamespace
 
+import mfd_bayes.evaluation
 import mfd_bayes.pipeline
 from mfd_bayes.cli.commands import main
 from mfd_bayes.errors import StoreError
+from mfd_bayes.messages import Message
 from mfd_bayes.runs.verdict import Verdict
 
 
@@ -32,16 +34,20 @@ def check(out, units):
     if not out.exists():
         raise StoreError(f"{out} is not a run folder")
     failed = SimpleNamespace(
-        subject="a", name="R-hat", target="k3", value=1.2, limit="1", tolerance=0.1,
-        verdict=Verdict.FAIL,
+        test="a", check="R-hat", feature="k3", observed=1.2, unit="1", limit="1", tolerance=0.1,
+        status=Verdict.FAIL,
     )
-    return SimpleNamespace(checks=(failed,) * 300, warnings=(), judgements=(), sentence="Bad.")
+    return SimpleNamespace(
+        checks=(failed,) * 300, warnings=(), judgements=(), sentences=(Message("Bad."),),
+        systems=(SimpleNamespace(words=None),), metric=False,
+    )
 
 
-report, evaluation = ModuleType("mfd_bayes.pipeline.report"), ModuleType("mfd_bayes.evaluation")
-report.check, evaluation.fails = check, lambda view: True
+report = ModuleType("mfd_bayes.pipeline.report")
+summary = ModuleType("mfd_bayes.evaluation.summary")
+report.check, summary.fails = check, lambda view: True
 sys.modules[report.__name__] = mfd_bayes.pipeline.report = report
-sys.modules[evaluation.__name__] = mfd_bayes.evaluation = evaluation
+sys.modules[summary.__name__] = mfd_bayes.evaluation.summary = summary
 main()
 """
 

@@ -351,6 +351,18 @@ def test_draws_that_are_too_few_for_a_probability_are_said(run):
     assert run.predict(trace, probability=0.98, draws=100).remarks == ()  # the control
 
 
+def test_a_run_ends_with_its_verdict_and_where_to_look(finished_run):
+    folder, outcome = finished_run.out, finished_run
+    verdicts = json.loads((folder / "manifest.json").read_text())["verdicts"]
+    *lines, look = outcome.stdout.splitlines()
+    assert look.startswith(f"look next at {folder}/report.html")
+    (whole,) = (
+        n for n, text in enumerate(lines) if text.startswith(f"{verdicts['campaign'].upper()}: ")
+    )
+    assert len(lines) - whole < 10
+    assert max(map(len, lines[whole:-1])) <= 100
+
+
 # --- the command predict
 
 
@@ -476,7 +488,8 @@ def test_check_exits_by_the_verdict(out, copied):
     outcome, everything = here("check", out), here("check", out, "--all")
     failed = verdicts["campaign"] == "not usable"
     assert outcome.exit_code == everything.exit_code == int(failed), outcome.output
-    assert "R-hat" in outcome.stdout
+    assert "R-hat" not in outcome.stdout  # only what misses is listed
+    assert "R-hat" in everything.stdout
     assert len(everything.stdout) > 5 * len(outcome.stdout)
     manifest = json.loads((copied / "manifest.json").read_text())
     manifest["effort"]["ess"] = 1e9

@@ -13,7 +13,7 @@ from mfd_bayes.calibration import result
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation import assess
+from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.run import open_run
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from mfd_bayes.calibration import result
 from mfd_bayes.campaign import campaign as campaigns
 from mfd_bayes.cli.commands import app
-from mfd_bayes.evaluation import assess
+from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.pipeline import commands, comparison, crossvalidation, report
 from mfd_bayes.pipeline.plan import Options
 from mfd_bayes.runs.run import open_run

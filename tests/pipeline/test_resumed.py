@@ -6,9 +6,8 @@ import pytest
 
 from mfd_bayes.pipeline import calibrate as calibration
 from mfd_bayes.pipeline.calibrate import calibrate
-from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.manifest import read_manifest, with_keys
 from mfd_bayes.runs.run import open_run
-from mfd_bayes.runs.manifest import with_keys
 
 RESULTS = ("law_scores", "population_sampler", "crossvalidation", "comparison", "verdicts")
 OPTIONAL = (

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mfd_bayes.campaign.file import load_campaign
 
 from mfd_bayes.calibration.identifiability import Pair, Sensitivity
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError

@@ -10,12 +10,11 @@ import pytest
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.pipeline.plan import Options, effort_of, plan_campaign
-from mfd_bayes.pipeline.report import report
-from mfd_bayes.runs.folder import check_links, check_stored, discard, hash_stored
-from mfd_bayes.runs.manifest import read_begun, read_manifest
+from mfd_bayes.runs.folder import check_stored
+from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import open_run
-from mfd_bayes.runs.folder import Existing, prepare_folder
-from mfd_bayes.store.files import write_text
+
+STORED = ("tests/a/posterior.nc", "tests/c/record.nc", "priors.toml", "population.nc")
 
 
 def read_all(folder):

@@ -209,7 +209,7 @@ def _draft_test(file: TestFile, unit: ActuationUnit | None, taken: Sequence[str]
         roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
         record = _read_record(file.path, roles, actuation)
     known = {role for role, guess in roles.items() if guess.unit is not None}
-    doubts += tuple(str(fault.message) for fault in contradictions(record, known=known))
+    doubts += tuple(str(fault.message) for fault in contradictions(record, roles=known))
     if "displacement" not in known and (length := length_in_name(record)):
         lacking = f'write unit = "{length[0]}": {length[1]}'
         roles["displacement"] = replace(roles["displacement"], lacking=lacking)

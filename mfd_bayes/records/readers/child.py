@@ -140,4 +140,5 @@ def serve(read: Callable[[Path], Content], path: Path, number: int) -> None:
             facts = {"error": "memory"}
         except BaseException:  # the libraries raise dozens of kinds
             facts = {"error": ""}
-        np.savez(stream, facts=np.array(json.dumps(facts)), **dict(arrays))
+        contents: dict[str, Any] = {"facts": np.array(json.dumps(facts)), **arrays}
+        np.savez(stream, **contents)

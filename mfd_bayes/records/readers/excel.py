@@ -52,7 +52,7 @@ def read_excel(path: Path) -> Table:
     names = names_of(best)
     alike = [k for k in layouts if k != best and names is not None and names_of(k) == names]
     title, rows = facts["sheets"][best]
-    doubts = ()
+    doubts: tuple[str, ...] = ()
     if alike:
         others = ", ".join(repr(facts["sheets"][k][0]) for k in alike[:4])
         have, are = ("has", "is") if len(alike) == 1 else ("have", "are")

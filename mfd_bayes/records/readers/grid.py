@@ -134,8 +134,7 @@ def table_of(
     numbers : sequence of columns, optional
         All columns, where nothing stands between the numbers.
     blank : cell
-        In place of a cell that a short row lacks. Columns end at the last row in which one of
-        those that are read is not None.
+        In place of a cell that a short row lacks.
     decimals, doubts, head
         As in `Table`.
     """
@@ -170,26 +169,19 @@ def table_of(
         )
     if footer:
         notes.append(f"{places[footer[0]]} and below: numbers below the table, not used")
-    position = dict(zip(names, at, strict=True))
-
-    def load(wanted: Sequence[str]) -> dict[str, Column]:
-        if numbers is not None:
-            return {name: numbers[position[name]] for name in wanted}
-        columns = {
-            name: [rows[i][k] if k < len(rows[i]) else blank for i in body]
-            for name in wanted
-            for k in (position[name],)
-        }
-        while columns and len(body) and all(c and c[-1] is None for c in columns.values()):
-            for column in columns.values():
-                column.pop()
-        return dict(columns)
-
+    cells: dict[str, Column] = {}
+    for name, k in zip(names, at, strict=True):
+        if numbers is None:
+            cells[name] = [rows[i][k] if k < len(rows[i]) else blank for i in body]
+        else:
+            cells[name] = numbers[k]
     first = rows[body[0]] if len(body) else ()
-    stamped = frozenset(n for n, k in position.items() if k < len(first) and is_stamp(first[k]))
+    stamped = [
+        name for name, k in zip(names, at, strict=True) if k < len(first) and is_stamp(first[k])
+    ]
     stated = {
         name: unit
-        for name, k in position.items()
+        for name, k in zip(names, at, strict=True)
         if k < len(units) and (unit := bare_unit(str(units[k] or "")))
     }
     above = (
@@ -198,9 +190,8 @@ def table_of(
     )
     table = Table(
         path,
-        tuple(names),
-        load,
-        lambda row: f"{places[body[row]]} of {sheet}" if sheet else places[body[row]],
+        cells,
+        [f"{places[row]} of {sheet}" if sheet else places[row] for row in body],
         units=stated | dict.fromkeys(stamped, "s"),
         numbers=tuple(k + 1 for k in at),
         headed=headed,
@@ -209,7 +200,6 @@ def table_of(
         doubts=doubts,
         decimals=decimals,
         head=head or tuple(above),
-        stamped=stamped,
     )
     return table, body
 

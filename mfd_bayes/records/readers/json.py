@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.numbers import why_invalid
-from mfd_bayes.records.readers.table import Column, Table, bare_unit, check_names, labels
+from mfd_bayes.records.readers.table import Table, bare_unit, check_names, labels
 from mfd_bayes.records.readers.time_stamps import is_stamp
 
 SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
@@ -33,10 +33,11 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
+    bare = isinstance(content, list) and bool(content) and isinstance(content[0], list)
     whole: dict[str, Any] = content if isinstance(content, dict) else {}
     match content:
-        case [[*first], *_]:
-            columns = _of_rows(path, content, labels([""] * len(first)))
+        case [[*cells], *_]:
+            columns = _of_rows(path, content, labels([""] * len(cells)))
         case {"columns": [*names], "data": [*lines]}:
             columns = _of_rows(path, lines, [str(name) for name in names])
         case [*lines]:
@@ -45,14 +46,16 @@ def read_json(path: Path) -> Table:
             columns = {k: v for k, v in whole.items() if isinstance(v, dict | list)}
         case _:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
-    # The labels of the rows of columns that have them: numbers in their order.
-    rows = {name: sorted(column) for name, column in columns.items() if isinstance(column, dict)}
+    apart: dict[str, str] = {}
+    like: dict[frozenset[str], str] = {}  # labels of rows, to the first column that has them
     for name, column in columns.items():
         if isinstance(column, dict):
             numbers = [str(i) for i in range(len(column))]
-            columns[name] = [
-                column[k] for k in (numbers if set(numbers) == set(column) else column)
-            ]
+            order = numbers if set(numbers) == set(column) else list(column)
+            columns[name] = [column[k] for k in order]
+            same, first = like.setdefault(frozenset(column), name), next(iter(like.values()))
+            words = f"columns {first!r} and {same!r} have different lengths or row labels"
+            apart[name] = "" if same == first else words
     named = next((key for key in ("units", "unit") if key in whole), "")
     given = whole.get(named)
     if isinstance(given, list):
@@ -63,22 +66,15 @@ def read_json(path: Path) -> Table:
         given = {}
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
-    stamped = frozenset(name for name, cells in columns.items() if cells and is_stamp(cells[0]))
-
-    def load(wanted: Sequence[str]) -> Mapping[str, Column]:
-        if len({tuple(rows[name]) for name in wanted if name in rows}) > 1:
-            raise RecordError(f"columns of {path} have different lengths or row labels")
-        return {name: columns[name] for name in wanted}
-
+    stamped = [name for name, cells in columns.items() if cells and is_stamp(cells[0])]
+    units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
     return Table(
         path,
-        tuple(columns),
-        load,
-        units={name: bare_unit(unit) for name, unit in given.items() if bare_unit(unit)}
-        | dict.fromkeys(stamped, "s"),
-        headed=not (isinstance(content, list) and bool(content) and isinstance(content[0], list)),
+        columns,
+        units=units | dict.fromkeys(stamped, "s"),
+        apart=apart,
+        headed=not bare,
         head=tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str)),
-        stamped=stamped,
     )
 
 

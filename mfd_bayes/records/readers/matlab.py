@@ -32,13 +32,10 @@ def read_matlab(path: Path) -> Table:
     facts, arrays = read_in_child(_arrays, path, kind, library="h5py")
     if not arrays:
         raise RecordError(f"{path} holds no numeric column")
-    columns = {name: arrays[str(k)] for k, name in enumerate(facts["names"])}
-    return Table(
-        path,
-        tuple(columns),
-        lambda wanted: {name: np.array(columns[name], dtype=np.float64) for name in wanted},
-        head=tuple(facts["settings"]),
-    )
+    columns = {
+        name: arrays[str(k)].astype(np.float64, copy=False) for k, name in enumerate(facts["names"])
+    }
+    return Table(path, columns, head=tuple(facts["settings"]))
 
 
 def _arrays(path: Path) -> Content:

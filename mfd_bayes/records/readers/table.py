@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from unicodedata import normalize
 
@@ -85,12 +86,10 @@ class Table:
     Attributes
     ----------
     path : Path
-    names : tuple of str
-        In the file's order.
-    load : callable
-        Cells, or numbers, of the columns of names that exist.
-    place : callable
-        Name of a row, from 0: "line 17"; by default "sample 17".
+    cells : mapping of str to column
+        Cells, or numbers, by the column's name, in the file's order.
+    places : sequence of str
+        Names of the rows: "line 17"; by default "sample 17".
     units : mapping of str to str
         By column, where the file gives one.
     numbers : tuple of int, optional
@@ -99,6 +98,8 @@ class Table:
         Whether the file has names; without them, they are "column 1", …
     blocks : mapping of int to str
         Row to the place of a repeated heading above it.
+    apart : mapping of str to str
+        Why a column cannot be used with those that have another reason here, or none.
     notes, doubts : tuple of str
         Sentences on numbers of the file that are not in the table, and on those that probably
         belong to it.
@@ -106,26 +107,37 @@ class Table:
         Signs of decimals that its numbers may have.
     head : tuple of str
         Texts above the table, and settings with it: "Sample rate: 100 Hz".
-    stamped : frozenset of str
-        Columns of time stamps; they are read as seconds since the first row.
     """
 
     path: Path
-    names: tuple[str, ...]
-    load: Callable[[Sequence[str]], Mapping[str, Column]]
-    place: Callable[[int], str] = lambda row: f"sample {row + 1}"
+    cells: Mapping[str, Column]
+    places: Sequence[str] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     numbers: tuple[int, ...] | None = None
     headed: bool = True
     blocks: Mapping[int, str] = field(default_factory=dict)
+    apart: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     decimals: tuple[str, ...] = (".",)
     head: tuple[str, ...] = ()
-    stamped: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         check_names(self.path, self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns, in the file's order."""
+        return tuple(self.cells)
+
+    @cached_property
+    def stamped(self) -> frozenset[str]:
+        """Columns of time stamps; they are read as seconds since the first row."""
+        return frozenset(n for n, cells in self.cells.items() if len(cells) and is_stamp(cells[0]))
+
+    def place(self, row: int) -> str:
+        """Name of a row, from 0."""
+        return self.places[row] if self.places else f"sample {row + 1}"
 
     def columns(self, names: Sequence[str], dates: str = "") -> dict[str, Array]:
         """Columns by name, each (T,), in the file's units; `dates` is the order in time stamps.
@@ -133,7 +145,7 @@ class Table:
         Raises
         ------
         RecordError
-            When a column is missing, named twice, empty, of another length,
+            When a column is missing, named twice, empty, of another length or other times,
             or holds text or a value that is not finite.
         """
         values = self.values(names, dates)
@@ -146,23 +158,23 @@ class Table:
     def values(self, names: Sequence[str], dates: str = "") -> dict[str, Array]:
         """As `columns`, with NaN for a cell that holds no finite number."""
         for name in names:
-            if self.names.count(name) != 1:
+            if name not in self.cells:
                 raise self.no_column(name)
-        cells = self.load(names)
-        stamps = {
-            n: elapsed(self.path, n, list(cells[n]), dates) for n in names if n in self.stamped
-        }
-        plain = {name: cells[name] for name in names if name not in stamps}
-        read = [{n: parse(column, sign) for n, column in plain.items()} for sign in self.decimals]
-        values = max(read, key=lambda one: sum(np.isfinite(v).sum() for v in one.values()))
+        reasons = {self.apart[name] for name in names if name in self.apart}
+        if len(reasons) > 1:
+            raise RecordError(f"{self.path}: {max(reasons)}: they cannot be used together")
+        cells = {name: self.cells[name] for name in names}
+        if self.places:  # other columns of a sheet may go on below these
+            size = max((_filled(column) for column in cells.values()), default=0)
+            cells = {name: column[:size] for name, column in cells.items()}
+        plain = [name for name in names if name not in self.stamped]
+        read = [{n: parse(cells[n], sign) for n in plain} for sign in self.decimals]
+        values = max(read, key=lambda each: sum(np.isfinite(v).sum() for v in each.values()))
         if values is not read[0]:
-            columns = self.load(self.names).values()
-            self.check_comma(
-                "\n".join(c for column in columns for c in column if isinstance(c, str))
-            )
-        values = {name: (stamps | values)[name] for name in names}
-        for name, column in values.items():
-            values[name] = np.where(np.isinf(column), np.nan, column)
+            self._check_comma()
+        for name in self.stamped.intersection(names):
+            values[name] = elapsed(self.path, name, list(cells[name]), dates)
+        values = {name: np.where(np.isinf(values[name]), np.nan, values[name]) for name in names}
         sizes = {name: column.size for name, column in values.items()}
         if len(set(sizes.values())) > 1:
             lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
@@ -171,8 +183,9 @@ class Table:
             raise RecordError(f"{self.path} has columns but no data")
         return values
 
-    def check_comma(self, text: str) -> None:
+    def _check_comma(self) -> None:
         """Refuse numbers whose comma may stand for decimals or for thousands."""
+        text = "\n".join(c for cells in self.cells.values() for c in cells if isinstance(c, str))
         if not SURELY_DECIMAL.search(text) and (number := _COMMA_NUMBER.search(text)):
             raise RecordError(
                 f"numbers of {self.path} such as {number[0]!r} may have a decimal comma or a "
@@ -181,15 +194,14 @@ class Table:
 
     def _bad_cell(self, name: str, row: int, names: Sequence[str]) -> RecordError:
         """Error for a cell that holds no finite number: text, an empty cell, nan or infinity."""
-        cells = self.load(names)
-        cell = cells[name][row]
+        cell = self.cells[name][row]
         text = "" if cell is None else str(cell).strip()
         shown = repr(text[:60]) if text else "an empty cell"
         if any(np.isfinite(parse([cell], sign)[0]) for sign in self.decimals):
             seen = {
                 sign: f"{c!r} in {self.place(at)}, column {other!r}"
                 for other in reversed(names)
-                for at, c in reversed(list(enumerate(cells[other])))
+                for at, c in reversed(list(enumerate(self.cells[other])))
                 for sign in ".,"
                 if isinstance(c, str) and sign in c
             }
@@ -210,8 +222,8 @@ class Table:
         """Table of rows `first` to before `last`; `doubt` says what is left out."""
         return replace(
             self,
-            load=lambda names: {n: column[first:last] for n, column in self.load(names).items()},
-            place=lambda row: self.place(row + first),
+            cells={name: column[first:last] for name, column in self.cells.items()},
+            places=[self.place(row) for row in range(first, last)],
             blocks={row - first: at for row, at in self.blocks.items() if row > first},
             doubts=(*self.doubts, doubt),
         )
@@ -259,6 +271,14 @@ def check_names(path: Path, names: Sequence[str]) -> None:
                 f"the name of column {number} of {path}, {name[:40] + '…'!r}, is longer than "
                 f"{NAME} characters, the most that is read"
             )
+
+
+def _filled(column: Column) -> int:
+    """Number of rows of a column, without those at its end that have no cell."""
+    size = len(column)
+    while size and column[size - 1] is None:
+        size -= 1
+    return size
 
 
 def _listed(names: Sequence[str]) -> str:

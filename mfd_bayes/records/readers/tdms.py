@@ -20,7 +20,6 @@ from mfd_bayes.units import factor, measure
 SAMPLES = 50_000_000  # most samples of all channels: an hour and a half of ten at 1024 Hz
 EVEN = 1e-6  # steps of time that differ by a smaller share are equal
 SHARE = 0.02  # of a step: channels that are out of step by less are in step
-_NUMBERS = "fiub"  # kinds of NumPy's types that are numbers
 _KINDS = {"O": "text", "U": "text", "c": "complex numbers"}
 _LABVIEW = np.datetime64("1904-01-01", "us")  # a start time that a writer left at its zero
 
@@ -41,12 +40,21 @@ class _Clock(NamedTuple):
         """Whether the steps are the same."""
         return math.isclose(self.step, other.step, rel_tol=EVEN)
 
+    def fits(self, other: _Clock, *, timed: bool) -> bool:
+        """Whether both ran together with one step; where the file has one time, from one begin."""
+        late = abs(self.begin - other.begin)
+        together = self.begin < other.end and other.begin < self.end
+        if timed:
+            together = late <= SHARE * self.step
+        return self.even(other) and together and (self.dated == other.dated or not late)
+
 
 def read_tdms(path: Path) -> Table:
     """Table of a .tdms file: its channels, called ``group/channel`` where two share a name.
 
     Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
-    ``group/time`` where groups were sampled at different times.
+    ``group/time`` where groups were sampled at different times. Channels that ran together with
+    one step are cut to what they share, at the samples of the one that began last.
     """
     facts, arrays = read_in_child(_channels, path, "a TDMS file", library="npTDMS", extra="tdms")
     count = Counter(channel["name"] for channel in facts["channels"])
@@ -56,55 +64,91 @@ def read_tdms(path: Path) -> Table:
     }
     if not channels:
         raise RecordError(f"{path} holds no channel with data")
-    columns = {name: arrays[str(k)] for k, name in enumerate(channels)}
     starts = [c["properties"].get("wf_start_time") for c in channels.values()]
     first = min((start for start in starts if isinstance(start, float)), default=0.0)
+    columns: dict[str, Column] = {}
     clocks: dict[str, _Clock] = {}
-    units = {}
-    timed = set()  # channels that are a time by their kind, their name or their unit
-    for name, channel in channels.items():
-        own = channel["properties"]
-        unit = bare_unit(str(own.get("unit_string") or own.get("NI_UnitDescription") or ""))
-        units[name] = "s" if channel["kind"] == "M" else unit
-        if channel["kind"] in _NUMBERS and (clock := _clock(channel, first)) is not None:
+    units: dict[str, str] = {}
+    timed = False  # whether a channel is a time by its kind, its name or its unit
+    for k, (name, channel) in enumerate(channels.items()):
+        own, kind = channel["properties"], channel["kind"]
+        units[name] = bare_unit(str(own.get("unit_string") or own.get("NI_UnitDescription") or ""))
+        if kind not in "fiubM":
+            columns[name] = [_KINDS.get(kind, "no numbers")] * channel["samples"]
+            continue
+        columns[name] = arrays[str(k)]
+        units[name] = "s" if kind == "M" else units[name]
+        if "time" in channel["name"].lower() or measure(units[name]) == "time":
+            timed = True
+        elif kind != "M" and (clock := _clock(channel, first)) is not None:
             clocks[name] = clock
-        is_time = "time" in channel["name"].lower() or measure(units[name]) == "time"
-        if channel["kind"] in _NUMBERS + "M" and is_time:
-            timed.add(name)
-    times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
-    for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
-        own = [clock for name, clock in clocks.items() if channels[name]["group"] == group]
-        earliest = min(own, key=lambda clock: clock.begin)
-        if all(clock.even(earliest) for clock in own):
-            ends = [round((c.begin - earliest.begin) / c.step) + c.samples for c in own]
-            times[f"{group}/time"] = earliest._replace(samples=max(ends))
-    if len(set(times.values())) == 1:  # one for all
-        times = {"time": next(iter(times.values()))}
-    times = {name: clock for name, clock in times.items() if name not in columns}
-
-    def load(wanted: Sequence[str]) -> dict[str, Column]:
-        values: dict[str, NDArray[np.float64]] = {}
-        for name in wanted:
-            kind = "f" if name in times else channels[name]["kind"]
-            if kind not in _NUMBERS + "M":
-                held = _KINDS.get(kind, "no numbers")
-                raise RecordError(f"channel {name!r} of {path} holds {held}; expected numbers")
-            if name in times:
-                clock = times[name]
-                values[name] = clock.begin + clock.step * np.arange(clock.samples)
+    together: list[list[str]] = []  # names of channels that were sampled together
+    for name in sorted(clocks, key=lambda name: clocks[name].begin):
+        for names in together:
+            if clocks[name].fits(clocks[names[0]], timed=timed):
+                names.append(name)
+                break
+        else:
+            together.append([name])
+    times: dict[str, Column] = {}
+    apart: dict[str, str] = {}
+    notes = []
+    for number, names in enumerate(together):
+        own, group = [clocks[name] for name in names], channels[names[0]]["group"]
+        title = "time" if len(together) == 1 else f"{group}/time"
+        words = "" if number == 0 else _why_apart(together[0][0], names[0], clocks, timed=timed)
+        apart |= dict.fromkeys([*names, title], words)
+        if number and not own[0].even(clocks[together[0][0]]):
+            notes.append(f"{words}: they cannot be used together")
+        if timed:
+            continue
+        if any(clock[1:3] != own[0][1:3] for clock in own):
+            notes.append(_difference(names, own))
+        start, step = max(clock.begin for clock in own), own[0].step
+        size = math.floor((min(clock.end for clock in own) - start) / step + SHARE)
+        for name, clock in zip(names, own, strict=True):
+            values, late = np.asarray(columns[name], dtype=np.float64), (start - clock.begin) / step
+            if abs(late - round(late)) < SHARE:
+                columns[name] = values[round(late) : round(late) + size]
             else:
-                values[name] = np.array(columns[name], dtype=np.float64)
-        own = {n: (times | clocks)[n] for n in wanted if n in times | clocks and n not in timed}
-        return {**values, **_align(path, own, values, timed=bool(timed))}
-
+                at = np.arange(values.size)
+                columns[name] = np.interp(late + np.arange(size), at, values)
+        others = {channels[n]["group"] for other in together if other is not names for n in other}
+        if title not in columns and group not in others:
+            times[title] = start + step * np.arange(size)
+            units[title] = "s"
     return Table(
         path,
-        (*times, *channels),
-        load,
-        units={name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
-        notes=_differences(clocks),
+        times | columns,
+        units={name: unit for name, unit in units.items() if unit},
+        apart=apart,
+        notes=tuple(notes),
         head=tuple(facts["settings"]),
     )
+
+
+def _why_apart(first: str, name: str, clocks: Mapping[str, _Clock], *, timed: bool) -> str:
+    """Why a channel cannot be used together with the one that begins first."""
+    one, other = clocks[first], clocks[name]
+    late = other.begin - one.begin
+    if not one.even(other):
+        return f"{first} has a step of {one.step:g} s and {name} one of {other.step:g} s"
+    if one.dated != other.dated:
+        return f"of {first} and {name} only one has a start time, wf_start_time"
+    then = "the file has one time" if timed else "they are never measured at the same time"
+    return f"{name} begins {late:.6g} s after {first}, and {then}"
+
+
+def _difference(names: Sequence[str], clocks: Sequence[_Clock]) -> str:
+    """Sentence on channels that do not begin or end as the first of them does."""
+    said = []
+    for name, clock in zip(names, clocks, strict=True):
+        if clock.begin > clocks[0].begin:
+            said.append(f"{name} begins {clock.begin - clocks[0].begin:.6g} s after {names[0]}")
+        elif clock.samples != clocks[0].samples:
+            said.append(f"{name} has {clock.samples} samples, {names[0]} {clocks[0].samples}")
+    more = f", and {len(said) - 3} more" if len(said) > 3 else ""
+    return f"{', '.join(said[:3])}{more}: only what channels share is used"
 
 
 def _channels(path: Path) -> Content:
@@ -133,7 +177,7 @@ def _channels(path: Path) -> Content:
             if kind == "M":
                 stamps = channel[:].astype("M8[us]")
                 values = (stamps - stamps[0]) / np.timedelta64(1, "s")
-            elif kind in _NUMBERS:
+            elif kind in "fiub":
                 values = np.asarray(channel[:], dtype=np.float64)
             arrays[str(len(channels))] = values
             channels.append(
@@ -177,73 +221,3 @@ def _clock(channel: dict[str, Any], first: float) -> _Clock | None:
     scale, dated = factor(unit, "time"), isinstance(began, float)
     begin = offset * scale + (began - first if isinstance(began, float) else 0.0)
     return _Clock(step * scale, begin, channel["samples"], dated)
-
-
-def _differences(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
-    """Sentence on channels that do not begin, end or step as the first of them does."""
-    said = []
-    first = min(clocks, key=lambda name: clocks[name].begin, default="")
-    for name, clock in clocks.items():
-        earliest = clocks[first]
-        if clock.begin >= earliest.end:
-            continue  # of another test
-        if not clock.even(earliest):
-            steps = f"{first} has a step of {earliest.step:g}, {name} of {clock.step:g}"
-            return (f"{steps}: they cannot be used together",)
-        if clock.begin > earliest.begin:
-            said.append(f"{name} begins {clock.begin - earliest.begin:.6g} s after {first}")
-        elif clock.samples != earliest.samples:
-            said.append(f"{name} has {clock.samples} samples, {first} {earliest.samples}")
-    more = f", and {len(said) - 3} more" if len(said) > 3 else ""
-    return (f"{', '.join(said[:3])}{more}: only what channels share is used",) if said else ()
-
-
-def _align(
-    path: Path,
-    clocks: Mapping[str, _Clock],
-    columns: Mapping[str, NDArray[np.float64]],
-    *,
-    timed: bool,
-) -> dict[str, NDArray[np.float64]]:
-    """Columns while all of them were measured, at the samples of the one that began last.
-
-    Refused where they have other steps, are never measured together, or differ though the file
-    has one time for all of them, which is `timed`.
-    """
-    if len(set(clocks.values())) < 2:
-        return {}
-    first, reference = next(iter(clocks.items()))
-    for name, clock in clocks.items():
-        late = clock.begin - reference.begin
-        if not clock.even(reference):
-            raise RecordError(
-                f"{path}: {first} has a step of {reference.step:g} s and {name} one of "
-                f"{clock.step:g} s"
-                + (", and the file has one time" if timed else ": resample them first")
-            )
-        if timed and abs(late) > SHARE * reference.step:
-            way = "after" if late > 0 else "before"
-            raise RecordError(
-                f"{path}: {name} begins {abs(late):.6g} s {way} {first}, and the file has one time"
-            )
-        if clock.dated != reference.dated and late:
-            raise RecordError(
-                f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
-                "is not that of the file's first channel: they cannot be aligned"
-            )
-    if timed:
-        return {}
-    start = max(clock.begin for clock in clocks.values())
-    end = min(clock.end for clock in clocks.values())
-    size = math.floor((end - start) / reference.step + SHARE)
-    if size < 1:
-        raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
-    aligned = {}
-    for name, clock in clocks.items():
-        begin, values = (start - clock.begin) / reference.step, columns[name]
-        if abs(begin - round(begin)) < SHARE:
-            aligned[name] = values[round(begin) : round(begin) + size]
-        else:
-            aligned[name] = np.interp(begin + np.arange(size), np.arange(values.size), values)
-    size = min(column.size for column in aligned.values())
-    return {name: column[:size] for name, column in aligned.items()}

@@ -12,27 +12,9 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
 
-_MONTHS = {
-    name: number
-    for number, names in enumerate(
-        [
-            "jan",
-            "feb",
-            "mar|mär|mrz",
-            "apr",
-            "may|mai",
-            "jun",
-            "jul",
-            "aug",
-            "sep",
-            "oct|okt",
-            "nov",
-            "dec|dez",
-        ],
-        start=1,
-    )
-    for name in names.split("|")
-}
+_NAMES = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTHS = {name: number for number, name in enumerate(_NAMES, start=1)}
+_MONTHS |= {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
 _CLOCK = re.compile(
     r"(?<![\d:.,])(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d):(?P<s>[0-5]\d)(?:[.,:](?P<f>\d{1,9}))?"
     r"|(?P<m2>\d{1,3}):(?P<s2>[0-5]\d)[.,](?P<f2>\d{1,9}))"
@@ -130,24 +112,17 @@ def _seconds(
 
 def _day(text: str, month_first: bool) -> int | None:
     """Number of a day, 0 where there is no date; None of a date that does not exist."""
-    numbers = (
-        [text[:4], text[4:6], text[6:]]
-        if len(text) == 8 and text.isdigit()
-        else re.findall(r"\d+", text)
-    )
-    months = [_MONTHS.get(word[:3]) for word in re.findall(r"[^\W\d_]{3,}", text.lower())]
+    if text.isdigit():  # 20240305
+        text = f"{text[:4]}-{text[4:6]}-{text[6:]}"
+    numbers = re.findall(r"\d+", text)
     if len(numbers) < 2:  # none, or a number of days
         return int(numbers[0]) if numbers else 0
-    if months and months[-1]:
-        day, year, month = *numbers, str(months[-1])
-    elif len(numbers[0]) == 4:
-        year, month, day = numbers
-    elif len(numbers) == 3:
-        day, month, year = numbers
-        if month_first:
-            day, month = month, day
-    else:
-        return None
+    if len(numbers) == 2:  # 5-Mar-24
+        words = re.findall(r"[^\W\d_]{3,}", text.lower())
+        numbers.insert(1, str(_MONTHS.get(words[-1][:3], 0)))
+    elif month_first and len(numbers[0]) < 4:
+        numbers = [numbers[1], numbers[0], numbers[2]]
+    day, month, year = numbers if len(numbers[0]) < 4 else numbers[::-1]
     try:
         return date(int(year) + 2000 * (len(year) == 2), int(month), int(day)).toordinal()
     except ValueError:
