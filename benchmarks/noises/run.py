@@ -28,6 +28,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.common.brfd_campaign import HEADER, TEST
 from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import platform_line
