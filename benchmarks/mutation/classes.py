@@ -39,7 +39,7 @@ GUARDS = {
         ("tests/runs/test_lock.py", "tests/pipeline/test_edges.py"),
     ),
     "streams": Guards(
-        ("cli/streams.py", "cli/exits.py", "cli/environment.py", "reporting/figures/backend.py"),
+        ("cli/streams.py", "cli/exits.py", "cli/environment.py", "reporting/figures/agg.py"),
         (
             *("tests/test_small_print.py", "tests/reporting/test_backend.py"),
             *("tests/cli/test_streams.py", "tests/cli/test_commands.py"),

@@ -63,7 +63,7 @@ WORDS = (
     "This device tested again (band of kind new_test)",
     "A measurement of it (band of kind observation)",
     "This very test (band of kind this_test)",
-    *("Bounding properties, λ", "Contraction"),
+    "Bounding properties, λ",
 )
 """Words of the glossary that the page explains."""
 

@@ -13,7 +13,7 @@ from mfd_bayes.calibration.quantities import known_quantities
 
 # Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {
-    "crossing": (r"D_\mathrm{slip}", "D<sub>slip</sub>", "travel from slip to slip"),
+    "gap_width": (r"D_\mathrm{slip}", "D<sub>slip</sub>", "travel from slip to slip"),
     "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
     "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
     "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),
@@ -21,11 +21,12 @@ _SYMBOLS = {
     "alpha_sigma0": (r"\alpha_{\sigma_0}", "α<sub>σ0</sub>", "bristle stiffness per actuation"),
     "energy_per_cycle": ("E", "E", "energy dissipated in a cycle at full stroke, their mean"),
     "energy_of_ramps": (r"E_\mathrm{ramp}", "E<sub>ramp</sub>", "the same of smaller full cycles"),
-    "energy_in_all": (
-        r"E_\mathrm{all}",
-        "E<sub>all</sub>",
-        "energy of the whole record",
-    ),
+    "energy_in_all": (r"E_\mathrm{all}", "E<sub>all</sub>", "energy of the whole record"),
+    "slip_fwd": (r"F_{0,\mathrm{fwd}}", "F<sub>0,fwd</sub>", "slip force at zero displacement"),
+    "slip_bwd": (r"F_{0,\mathrm{bwd}}", "F<sub>0,bwd</sub>", "slip force at zero displacement"),
+    "effective_stiffness": (r"K_\mathrm{eff}", "K<sub>eff</sub>", "effective stiffness"),
+    "effective_damping": (r"\beta_\mathrm{eff}", "β<sub>eff</sub>", "effective damping ratio"),
+    "build_up_slope": (r"k_\mathrm{up}", "k<sub>up</sub>", "slope of the build-up"),
     "c_eq": (r"c_\mathrm{eq}", "c<sub>eq</sub>", "equivalent viscous damping coefficient"),
     "peak_fwd": (r"F_{\max,\mathrm{fwd}}", "F<sub>max,fwd</sub>", "peak force, forward"),
     "peak_bwd": (r"F_{\max,\mathrm{bwd}}", "F<sub>max,bwd</sub>", "peak force, backward"),

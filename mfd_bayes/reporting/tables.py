@@ -279,6 +279,13 @@ class SheetRow:
     detail: str = ""
 
     @property
+    def used(self) -> list[int]:
+        """Numbers of the lines that a cell has."""
+        cells = [cell for cell in self.cells if cell]
+        size = max((len(cell.lines) for cell in cells), default=0)
+        return [at for at in range(size) if any(cell.lines[at].known for cell in cells)]
+
+    @property
     def meaning(self) -> str:
         """What the quantity is, with its detail."""
         return ", ".join(filter(None, (meaning(self.name), self.detail)))
@@ -358,6 +365,9 @@ def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: No
         cells = {}
         for row in _records(group):
             lines = [Line("{}", (row["q50"],)), Line("[{}, {}]", (row["q2.5"], row["q97.5"]))]
+            if row.get("disagrees", False):
+                joint = (row["joint_q50"], row["joint_q2.5"], row["joint_q97.5"])
+                lines.append(Line("with the others: {} [{}, {}]", joint, marked=True))
             lines += [_other_line(other) for other in noises.get((row["test"], name), ())]
             cells[row["test"]] = Cell(tuple(lines), row["note"])
         rows.append(SheetRow(name, unit, tuple(cells.get(test) for test in heads)))

@@ -15,6 +15,7 @@ from mfd_bayes.calibration.identifiability import (
 )
 from mfd_bayes.evaluation.datasheet import Datasheet
 from mfd_bayes.evaluation.views import (
+    PREDICTIVE,
     CampaignView,
     Check,
     DerivedRow,
@@ -80,15 +81,8 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
         chains={name: rng.normal(size=(4, 40)) for name in ("Fc_fwd", "k3")},
         corner=("Fc_fwd", "k3"),
         checks=(
-            Check(identity, "R-hat", "Fc_fwd", 1.002, "<= 1.01", Verdict.PASS),
-            Check(
-                identity,
-                "posterior predictive p-value",
-                "energy",
-                0.4,
-                "0.01 to 0.99",
-                Verdict.PASS,
-            ),
+            Check(identity, "R-hat", "Fc_fwd", 1.002, 1.01, Verdict.PASS),
+            Check(identity, PREDICTIVE, "energy", 3.3, 3.2, Verdict.PASS, "kip*in", p_value=0.4),
         ),
         score=score,
         derived=make_derived(identity, role),
@@ -150,7 +144,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     return CampaignView(
         title="Drum brake",
         verdict=Use.USABLE,
-        sentence="All checks passed.",
+        sentences=(Message("All checks passed."),),
         actuation_unit="ksi",
         tests=tests,
         failures={},
@@ -164,10 +158,10 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
             TruthRow("a", "offset", "kip", 0.0, -1.0, 0.0, 1.0, inside=True, informed=True),
         ),
         provenance={"seed": "1"},
-        remarks=("The data are synthetic.",),
+        remarks=(Message("The data are synthetic."),),
         law_choices=(make_choice(),),
         left_out=make_left_out(),
-        judgements=tuple(Judgement(test.id, Use.USABLE, "", 0.5) for test in tests if test.rows),
+        judgements=tuple(Judgement(test.id, Use.USABLE, (), 0.5) for test in tests if test.rows),
     )
 
 

@@ -21,7 +21,14 @@ from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.evaluation.views import FREE_EXPONENT, Check, Judgement, NoiseRow, ReadingRow
+from mfd_bayes.evaluation.views import (
+    FREE_EXPONENT,
+    PREDICTIVE,
+    Check,
+    Judgement,
+    LoopEstimate,
+    NoiseRow,
+)
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures, page, tables
@@ -170,9 +177,9 @@ def test_only_what_misses_is_listed(campaign, text):
         ),
         Finding("b", "lag", Message("late")),
     )
-    judged = (Judgement("c", Use.NOT_USABLE, "sign <swapped>", 9.0),)
+    judged = (Judgement("c", Use.NOT_USABLE, (Message("sign <swapped>"),), 9.0),)
     bad = replace(campaign, warnings=warned, judgements=judged, failures={"d": "no draws"})
-    bad = replace(bad, verdict=Use.NOT_USABLE, sentence="R̂ is 1.2.")
+    bad = replace(bad, verdict=Use.NOT_USABLE, sentences=(Message("R̂ is 1.2."),))
     shown = first(bad)
     head = seen(shown[: shown.index('<nav aria-label="Contents">')])
     for words in ("a: 0.8 in too far", "b: late", "c: sign <swapped>", "d: no result. no draws"):
@@ -183,22 +190,24 @@ def test_only_what_misses_is_listed(campaign, text):
 
 def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign):
     test = campaign.tests[0]
-    bad = Check(test.id, "posterior predictive p-value", "energy", 0.0, "0.01", Verdict.FAIL)
+    bad = Check(test.id, PREDICTIVE, "energy", 3.3, 4.1, Verdict.FAIL, "kip*in")
     other = NoiseRow(
         *(test.id, "k3", "kip/in", "ou", 0.8, 1.0, 1.2, "staged", 39.0, 42.2, 45.6), decides=True
     )
-    rows = tuple(replace(r, others=(other,)) if r.name == "k3" else r for r in test.rows)
+    rows = tuple(replace(r, other_noises=(other,)) if r.name == "k3" else r for r in test.rows)
     test = replace(
         test,
         rows=rows,
         checks=(*test.checks, bad),
-        readings=(ReadingRow(test.id, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True),),
+        loop_estimates=(
+            LoopEstimate(test.id, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True),
+        ),
         modes=({"k3": 20.5, "share": 0.6}, {"k3": 41.5, "share": 0.4}),
     )
     view = replace(campaign, tests=(test, campaign.tests[1]))
     shown = seen(render(view, {})[f"tests/{test.id}/page.html"])
     for words in (
-        *("2 of 3 checks pass", "✗ fail", "with staged 42.2 [39.0, 45.6]", "14.2 yes"),
+        *("2 of 3 checks pass", "3.30 4.10 ✗ fail", "with staged 42.2 [39.0, 45.6]", "14.2 yes"),
         *("2 sets of parameters", "60.0 %", "20.5 41.5", "1 of 2 directions", "r = −0.84"),
         *("possible prior–data conflict", "mfd-bayes report OUT --tests", "over 2 full cycles"),
     ):
@@ -224,7 +233,7 @@ def test_sections_say_so_where_there_is_nothing(campaign, draw):
 def test_laws_and_models_are_compared_in_words(campaign, text):
     assert "F<sub>c,fwd</sub>: the power law predicts best, but only just." in text
     assert "Every level held out in turn" in text
-    exponent = Check("laws", FREE_EXPONENT, "Fc_fwd (0.9 to 1.4)", 1.1, "", Verdict.NOTE)
+    exponent = Check("laws", FREE_EXPONENT, "Fc_fwd", 1.1, 1.0, Verdict.NOTE, note="0.9 to 1.4")
     row = ComparisonRow("all", "three_stage", 40, -10.0, 2.0, 9.0, 0.6, 0.1, 0.0, 0.0, 0.0, 0.05)
     view = replace(campaign, checks=(exponent,), comparison=(row,))
     shown = first(replace(view, comparison_sentence="Three stages win."))
@@ -255,15 +264,15 @@ def hostile(tmp_path, campaign):
         sensitivities=(Sensitivity(name, 0.1, 0.1),),
     )
     checks = (
-        *(replace(c, target=name) for c in one.checks),
-        Check(name, name, name, 0.0, name, Verdict.NOTE),
+        *(replace(c, feature=name) for c in one.checks),
+        Check(name, name, name, 0.0, 1.0, Verdict.NOTE, note=name),
     )
     rows = tuple(replace(row, note=name) for row in one.rows)
     one = replace(one, rows=rows, identifiability=study, checks=checks, actuation=name)
     return replace(
         campaign,
         title=name,
-        sentence=name,
+        sentences=(Message("{text}", {"text": name}),),
         verdict=Use.WITH_CARE,
         tests=(one, replace(campaign.tests[1], id=f"h{name.split('/')[0]}")),
         failures={"a": name},

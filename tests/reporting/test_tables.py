@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mfd_bayes.evaluation.views import Check, NoiseRow, ReadingRow
+from mfd_bayes.evaluation.views import Check, LoopEstimate, NoiseRow
 from mfd_bayes.reporting import tables
 from mfd_bayes.reporting.symbols import parts_of
 from mfd_bayes.reporting.tables import (
@@ -63,11 +63,12 @@ def of_two(view, **changes):
             "parameters",
             "test parameter unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat contraction note",
         ),
+        ("checks", "test check feature observed expected unit difference tolerance p_value status"),
         ("laws", "group constant unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat"),
         ("law_scores", "quantity law chosen elpd elpd_se elpd_difference"),
         ("scores", "test role coverage_50 coverage_90 coverage_95 width_95_kip"),
         ("tested_range", "condition unit smallest largest"),
-        ("readings", "test quantity unit read_off q2.5 q50 q97.5 tolerance missed largest"),
+        ("readings", "test quantity unit read_off q2.5 q50 q97.5 tolerance missed"),
         ("noises", "test quantity unit noise q2.5 q50 q97.5 other_noise other_q2.5 other_q50"),
         ("derived", "test role quantity unit mean sd q2.5 q50 q97.5 measured note"),
         ("crossvalidation", "part test coverage_50 coverage_90 coverage_95 width_95_kip"),
@@ -117,19 +118,19 @@ def test_a_new_run_in_a_folder_removes_every_table_of_the_old_one(campaign, tmp_
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
 def test_no_text_is_a_formula(text, campaign):
     rows = (replace(campaign.law_rows[0], subject=text, note=text, mean=-1.25e-7, r_hat=math.nan),)
-    check = Check(text, "a, b", 'say "x"', -1.0, "<= 1", Verdict.PASS)
+    check = Check(text, "a, b", 'say "x"', -1.0, 1.0, Verdict.PASS)
     texts = report_tables(replace(campaign, law_rows=rows, checks=(check,)))
     line = read(texts["laws.csv"])[0]
     assert line["group"] == line["note"] == f"'{text}".replace("\r", " ").replace("\t", " ")
     assert (line["mean"], line["r_hat"]) == ("-1.25e-07", "")
     found = read(texts["checks.csv"])[0]
-    assert (found["check"], found["target"], found["value"]) == ("a, b", 'say "x"', "-1")
+    assert (found["check"], found["feature"], found["observed"]) == ("a, b", 'say "x"', "-1")
 
 
 def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign):
     name = campaign.tests[0].id
-    reading = ReadingRow(name, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True)
-    texts = report_tables(replace(of_two(campaign, readings=(reading,)), metric=True))
+    reading = LoopEstimate(name, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True)
+    texts = report_tables(replace(of_two(campaign, loop_estimates=(reading,)), metric=True))
     row = next(r for r in read(texts["parameters.csv"]) if r["parameter"] == "k3")
     assert row["unit"] == "kN/mm"
     assert float(row["q50"]) == pytest.approx(STIFFNESS, rel=1e-5)
@@ -181,6 +182,20 @@ def test_a_parameter_that_the_noise_decides_has_both_values_in_every_form(campai
     metric = read(report_tables(replace(view, metric=True))["noises.csv"])[0]
     assert float(metric["other_q50"]) == pytest.approx(42.2 * STIFFNESS, rel=1e-5)
     assert metric["decides"] == "yes"
+
+
+def test_where_a_test_alone_and_all_together_disagree_one_mark_says_so(campaign):
+    def with_joint(disagrees):
+        joint = {"joint_lower": 2.0, "joint_median": 2.5, "joint_upper": 3.0}
+        row = replace(campaign.tests[0].rows[1], **joint, disagrees=disagrees)
+        return of_two(campaign, rows=(row,))
+
+    line = read(report_tables(with_joint(True))["parameters.csv"])[0]
+    assert (line["joint_q50"], line["disagrees"]) == ("2.5", "yes")
+    for disagrees in (True, False):
+        (row,) = paper_sheets(with_joint(disagrees), US)[0].rows
+        marked = [line.text for line in row.cells[0].lines if line.marked]
+        assert marked == ["with the others: 2.50 [2.00, 3.00]"] * disagrees
 
 
 def noted(view, note="mostly the prior"):

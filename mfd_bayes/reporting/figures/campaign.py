@@ -87,49 +87,32 @@ def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
 to_png = look.to_png
 
 
-def _title(test: TestView) -> str:
-    return f"{test.id}, {test.actuation}"
+def _title(test: TestView, what: str = "") -> str:
+    return f"{test.id}, {test.actuation}{what}"
 
 
 def _fans(test: TestView) -> list[Fan]:
     return [fan for fan in (test.observation, test.device) if fan is not None]
 
 
-def _loops(test: TestView, system: System) -> Figure:
-    return draw_loops(_title(test), test.trace, _fans(test), system)
-
-
-def _history(test: TestView, system: System) -> Figure:
-    return draw_history(_title(test), test.trace, _fans(test), system, Marks(test.first))
-
-
-def _residuals(test: TestView, system: System) -> Figure | None:
-    if test.role == "validate":
-        return None
-    return posteriors.draw_residuals(f"{_title(test)}: residuals of the fit", test, system)
-
-
-def _corner(test: TestView, _: System) -> Figure | None:
-    return posteriors.draw_corner(f"{_title(test)}: joint posterior", test.marginals, test.corner)
-
-
-def _ranks(test: TestView, _: System) -> Figure | None:
-    chains = max((len(values) for values in test.chains.values()), default=0)
-    return posteriors.draw_ranks(f"{_title(test)}: ranks of each chain", test.marginals, chains)
-
-
-def _marginals(test: TestView, _: System) -> Figure | None:
-    return posteriors.draw_marginals(f"{_title(test)}: priors and posteriors", test.marginals)
+def _chains(test: TestView) -> int:
+    return max((len(values) for values in test.chains.values()), default=0)
 
 
 OF_TEST: Mapping[str, Callable[[TestView, System], Figure | None]] = MappingProxyType(
     {
-        "loops": _loops,
-        "history": _history,
-        "residuals": _residuals,
-        "marginals": _marginals,
-        "corner": _corner,
-        "ranks": _ranks,
+        "loops": lambda t, s: draw_loops(_title(t), t.trace, _fans(t), s),
+        "history": lambda t, s: draw_history(_title(t), t.trace, _fans(t), s, Marks(t.first)),
+        "residuals": lambda t, s: posteriors.draw_residuals(_title(t, ": residuals"), t, s),
+        "marginals": lambda t, _: posteriors.draw_marginals(
+            _title(t, ": priors and posteriors"), t.marginals
+        ),
+        "corner": lambda t, _: posteriors.draw_corner(
+            _title(t, ": joint posterior"), t.marginals, t.corner
+        ),
+        "ranks": lambda t, _: posteriors.draw_ranks(
+            _title(t, ": ranks of each chain"), t.marginals, _chains(t)
+        ),
     }
 )
 """Figures of a test by the names of their files; one with nothing to show is None."""

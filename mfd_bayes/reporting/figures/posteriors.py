@@ -216,8 +216,13 @@ def _hist2d() -> Callable[..., None]:
 
 
 @look.style()
-def draw_residuals(title: str, test: TestView, system: System = US) -> Figure:
-    """Residuals of a test, in the units of `system`: by stage, along the gap, autocorrelation."""
+def draw_residuals(title: str, test: TestView, system: System = US) -> Figure | None:
+    """Residuals of a test, in the units of `system`: by stage, along the gap, autocorrelation.
+
+    None of a test that was not fitted.
+    """
+    if test.role == "validate":
+        return None
     kept = slice(test.first, None)
     residual = (np.asarray(test.trace.force) - test.observation.median)[kept]
     widest = max(test.observation.intervals, key=lambda interval: interval.probability)
