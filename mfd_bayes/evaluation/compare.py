@@ -103,7 +103,9 @@ def _chosen(option: str, names: Sequence[str], known: Sequence[str], least: int)
     if not set(names) <= set(known) or len(set(names)) < max(len(names), least):
         got = ", ".join(map(repr, names)) or "nothing"
         many = "two or more" if least > 1 else option.lstrip("-")
-        raise CampaignError(f"{option} must name {many} of {', '.join(known)}, each once, got {got}")
+        raise CampaignError(
+            f"{option} must name {many} of {', '.join(known)}, each once, got {got}"
+        )
     return tuple(name for name in known if name in names)
 
 
