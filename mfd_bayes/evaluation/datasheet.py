@@ -275,18 +275,15 @@ def _measured(
 
 def _tested(run: Run) -> dict[str, Message]:
     """Ranges and numbers of what was tested."""
-    found = {
-        span.name: Message(
-            "{range}",
-            {"range": span.words(run.system)},
-        )
+    more = {"stroke": " from end to end"}
+    ranges = {
+        span.name: Message(f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)})
         for span in run.tested
     }
-    sessions = sessions_of(run)
-    declared = len(sessions) if any(sessions) else 1
-    return found | {
+    sessions = [session for session in sessions_of(run) if session]
+    return ranges | {
         "devices": Message("1"),
-        "sessions": Message(f"{declared}" if any(sessions) else "1 (none declared)"),
+        "sessions": Message(f"{len(sessions)}" if sessions else "1 (none declared)"),
         "tests": Message(f"{len(run.tests)} calibrated, {len(run.held_out)} held out"),
     }
 
@@ -303,7 +300,8 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     most = ""
     if outside:
         worst = tested.sort_values("n_outside").to_dict("records")[-1]
-        most = f", most of them {worst['quantity'].replace('_', ' ')} at {worst['condition']}"
+        quantity = worst["quantity"].replace("_", " ")
+        most = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
     second = Message(
         f"{outside} of {cycles} measured values ({100 * share:.1f} %) lie outside their 95 % "
         "bounds{most}.",
@@ -320,14 +318,11 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
 
 def _not_known(run: Run) -> tuple[Message, ...]:
     """What ASCE/SEI 7 and EN 15129 ask of property factors and these tests cannot tell."""
-    several = any(sessions_of(run))
-    devices = (
-        "Other devices of the same make: no sessions of several devices are declared."
-        if not several
-        else "Other devices of the same make, unless the declared sessions are devices."
+    unless = (
+        "unless the declared sessions are devices" if any(sessions_of(run)) else "none is known"
     )
     return (
-        Message(devices),
+        Message(f"Other devices of the same make: {unless}."),
         Message("Ageing, wear and contamination: all tests are of a few cycles of a new device."),
         Message("Temperature: no record has one."),
     )

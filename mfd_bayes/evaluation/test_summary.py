@@ -298,7 +298,8 @@ def with_joint(run: Run, view: TestView) -> TestView:
             rows.append(row)
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
-        apart = row.contraction >= checks.INFORMED and (low > row.upper or high < row.lower)
+        of_device = row.name in (*model.parameters, "ell") and row.contraction >= checks.INFORMED
+        apart = of_device and (low > row.upper or high < row.lower)
         apart = apart and abs(middle - row.median) > FAR_APART * abs(row.median)
         joint_row = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
         rows.append(replace(row, **joint_row, disagrees=apart))
