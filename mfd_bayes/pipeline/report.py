@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation import assess, verdicts
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
 from mfd_bayes.evaluation.properties import stored_peaks
@@ -76,6 +77,10 @@ def write_report(
     from mfd_bayes.reporting.publish import publish
 
     system = named_system(units, run.system)
+    try:
+        at = [parse_condition(text, run.actuation_unit) for text in forms.at]
+    except MfdError as error:
+        raise ReportError(f"--at: {error}") from error
     observe(Step("report", "checks and bands"))
     processes = Workplace(jobs).processes
     view = replace(assess(run, processes), metric=system.name == SI.name)
@@ -88,7 +93,6 @@ def write_report(
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
-    at = [parse_condition(text, run.actuation_unit) for text in forms.at]
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
     publish(view, run.folder, processes, observe, forms, sheet)
     return view

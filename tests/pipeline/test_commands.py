@@ -475,6 +475,24 @@ def test_report_remakes_the_report_without_sampling_and_quietly_says_the_verdict
     assert after == before
 
 
+@pytest.mark.usefixtures("no_figures_of_tests")
+def test_conditions_are_added_to_the_data_sheet(copied):
+    for text in ("700 psi", "700 lbf, 1 in, 0.5 Hz", "700 psi, one inch, 0.5 Hz"):
+        refused(here("report", copied, "--at", text), "--at", text.split(",")[0])
+    asked = ("--at", "700 psi, 1 in, 0.5 Hz", "--at", "1 ksi, 20 mm, 0.2 Hz")
+    outcome = here("report", copied, *asked, "--quiet")
+    assert outcome.exit_code == 0, outcome.output
+    table = pd.read_csv(copied / "datasheet.csv")
+    added = table[table["tested"] == "no"].drop_duplicates("condition")
+    assert added["actuation"].tolist() == [700.0, 1000.0]
+    assert added["stroke_in"].to_numpy() == pytest.approx([1.0, 20 / 25.4], rel=1e-5)
+    assert added["measured"].isna().all()
+    assert (table["lower"] <= table["upper"]).all()
+    for name in ("datasheet.html", "report.html"):
+        assert 'data-value="0.7" data-unit="actuation in ksi"' in (copied / name).read_text()
+    assert "700 psi" in (copied / "datasheet.tex").read_text()
+
+
 @pytest.fixture
 def motion(tmp_path):
     path = tmp_path / "quake.csv"
