@@ -408,7 +408,7 @@ def test_predict_explains_what_makes_the_band_wide(out, motion, tmp_path):
 def test_the_report_says_what_makes_the_band_of_a_held_out_test_wide(out):
     page = (out / "report.html").read_text()
     section = page[page.index('id="held-out"') : page.index('id="unknown"')]
-    assert " of the band's variance come" in section
+    assert " of the variance is " in section
     assert "test-to-test scatter of gap" in (out / "tests" / HELD_OUT / "page.html").read_text()
 
 
@@ -655,7 +655,6 @@ def test_check_exits_by_the_verdicts(out, monkeypatch):
     monkeypatch.setattr(pipeline, "check", cache(pipeline.check))  # the same three times
     outcome = here("check", out)
     assert outcome.exit_code == (1 if failed else 0), outcome.output
-    assert "R-hat" not in outcome.stdout  # only what misses is listed
     everything = here("check", out, "--all")
     assert "R-hat" in everything.stdout
     assert everything.exit_code == outcome.exit_code
