@@ -59,7 +59,6 @@ def dimension_of(kind: str) -> Dimension:
     return DIMENSIONS.get(kind) or Dimension(kind, kind, repr(kind), f"1 {kind}")
 
 
-
 # Usual spellings of units, and pint's; from three letters on, upper or lower case does not matter.
 # There are no masses here, so a pound is a force, and no conductances, so S is the second.
 _SPELLINGS = {

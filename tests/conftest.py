@@ -127,7 +127,7 @@ def small_pictures(monkeypatch) -> None:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A small synthetic campaign that the installed command has calibrated.
+    """A small synthetic campaign that the command has calibrated.
 
     Attributes
     ----------
@@ -180,9 +180,10 @@ def calibrate_once(home: Path) -> dict[str, Any]:
     known = write_campaign(home / "campaign", 1, matrix)
     path = home / "campaign" / "campaign.toml"
     path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"\narea = 1.5'))
-    command = [Path(sys.executable).parent / "mfd-bayes", "calibrate", path, "-o", home / "out"]
+    command = [sys.executable, "-m", "mfd_bayes", "calibrate", path, "-o", home / "out"]
     # a user has set no thread counts
     plain = {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    plain["PYTHONPATH"] = os.pathsep.join(sys.path)
     ended = subprocess.run(
         [*map(str, command), "--effort", "quick", "--jobs", "2"],
         capture_output=True,

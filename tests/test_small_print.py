@@ -126,7 +126,9 @@ def test_a_covariate_is_there_once(home):
     head = '[dependence]\nFc_fwd = ["velocity", "velocity"]\n'
     assert "'velocity' is there twice" in refusal(home, head + TEST)
     (home / "campaign.toml").write_text(head.replace(', "velocity"', ', "amplitude"') + TEST)
-    assert load_campaign(home / "campaign.toml").dependence == {"Fc_fwd": ("velocity", "amplitude")}
+    assert load_campaign(home / "campaign.toml").settings.dependence == {
+        "Fc_fwd": ("velocity", "amplitude")
+    }
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ import mfd_bayes as mb
 from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import print_bars, processor, versions
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Band, Forecast
 from mfd_bayes.population.starts import Ending

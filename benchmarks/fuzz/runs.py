@@ -20,13 +20,13 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.quantities import units
 from mfd_bayes.calibration.result import load_result
-from mfd_bayes.evaluation import assess, verdicts
-from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
-from mfd_bayes.evaluation.summary import build_summary
-from mfd_bayes.pipeline.commands import effort_of
-from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.evaluation.properties import peaks_of
+from mfd_bayes.evaluation.summary import assess, build_summary, verdicts
+from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
+from mfd_bayes.evaluation.views import CampaignView
+from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES
@@ -225,7 +225,7 @@ def _opened(out: Path) -> tuple[Run, CampaignView]:
 def read_posterior(path: Path) -> object:
     """A test's posterior, as a report shows it."""
     run, _ = _opened(path.parents[2])
-    return calibrated_view(run.manifest, load_result("a", path, run.priors))
+    return calibrated_view(run.manifest, peaks_of(run), load_result("a", path, run.priors))
 
 
 def read_held_out(path: Path) -> object:

@@ -16,11 +16,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from mfd_bayes.evaluation.views import Fan, Interval
 
 import mfd_bayes as mb
 from benchmarks.common.machine import processor, versions
 from mfd_bayes.evaluation.scores import crps, rrse
+from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.population.bands import Band
 from mfd_bayes.reporting.figures import Marks, draw_history, to_png
 

@@ -37,7 +37,7 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
 from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population

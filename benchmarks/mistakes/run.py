@@ -33,8 +33,8 @@ from benchmarks.mistakes.plants import MISTAKES, Mistake
 from benchmarks.mistakes.sessions import HEADER, TEST, Planned, load_session, write_session
 from mfd_bayes.campaign.draft import draft_campaign
 from mfd_bayes.errors import MfdError
+from mfd_bayes.pipeline.inspect import inspect_campaign
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.pipeline.preparation import inspect_campaign
 
 COMMANDS = ("init", "inspect", "--dry-run", "calibrate", "check")
 NAMED, ALARMS = 27, 0

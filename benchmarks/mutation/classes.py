@@ -35,7 +35,7 @@ GUARDS = {
         ),
     ),
     "lock": Guards(
-        ("runs/lock.py", "runs/reading.py"),
+        ("runs/lock.py", "runs/manifest.py"),
         ("tests/runs/test_lock.py", "tests/pipeline/test_edges.py"),
     ),
     "streams": Guards(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence, autocorrelation_time, measure
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.modes import Mode, around_modes
-from mfd_bayes.calibration.proposal import Density, Either, Proposal, learn
+from mfd_bayes.calibration.proposal import Density, Mixture, Proposal, learn
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
 
@@ -170,7 +170,7 @@ class _Walk:
         def powered(q: Array) -> Array:
             return self._power * density(q, self._least)
 
-        self._anchors: Proposal = around_modes(modes, self._power)
+        self._anchors: Mixture | Proposal = around_modes(modes, self._power)
         self._independent = Independent(self._anchors)
         self._sampler = emcee.EnsembleSampler(
             effort.ensembles * self._walkers,
@@ -198,8 +198,7 @@ class _Walk:
             self.run(ROUND)
             self._learn(0.75)
             if power == BROAD:
-                both = (self._anchors, self._independent.source)
-                self._anchors = Either(np.array([0.3, 0.7]), both)
+                self._anchors = Proposal((0.3, 0.7), (self._anchors, self._independent.source))
         self._raise(1.0)
         worth = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0)
         best = 0.0
@@ -380,7 +379,7 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
     as long as the proposal is unchanged; draws from which it was learned must be discarded.
     """
 
-    def __init__(self, proposal: Proposal) -> None:
+    def __init__(self, proposal: Mixture | Proposal) -> None:
         self.source = proposal
         self.forget()
 
@@ -425,7 +424,7 @@ def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves
 
 
 def disperse(
-    density: Density, anchors: Proposal, walkers: int, random: np.random.RandomState
+    density: Density, anchors: Mixture | Proposal, walkers: int, random: np.random.RandomState
 ) -> Array:
     """Starting points (walkers, dim): draws around the modes, chosen by importance weights.
 

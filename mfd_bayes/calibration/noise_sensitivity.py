@@ -18,7 +18,7 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.modes import Mode, around_modes, climb, find_modes, prior_scale
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.proposal import Adaptive, fit_mixture, joined
+from mfd_bayes.calibration.proposal import Adaptive, Proposal, fit_mixture
 from mfd_bayes.calibration.sampling import Draws
 from mfd_bayes.errors import FitError, MfdError
 
@@ -209,7 +209,7 @@ def fit_again(
     near = _modes_near(posterior, draws, rng)
     anchors = around_modes(near)
     begin = _completed(posterior, _some(draws, DRAWS, rng), anchors.draw(rng, DRAWS))
-    first = joined([fit_mixture(begin, rng), anchors], [0.75, 0.25])
+    first = Proposal((0.75, 0.25), (fit_mixture(begin, rng), anchors))
     found = Adaptive(posterior.log_prob, first, rng, DRAWS)
     for rounds in range(1, ROUNDS + 1):
         found.run()

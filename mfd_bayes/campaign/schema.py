@@ -187,21 +187,20 @@ Covariates = Annotated[tuple[Literal["velocity", "amplitude"], ...], AfterValida
 class Table(BaseModel):
     """A table of a campaign file; unknown keys, NaN and infinity are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class Column(Table):
     """A column of a test file."""
 
-    name: Annotated[str, Field(min_length=1, max_length=NAME)] | None = Field(
-        None, description="its name"
-    )
-    column: Annotated[int, Field(ge=1, le=COLUMNS, strict=True)] | None = Field(
-        None, description="in place of `name`: its number, from 1"
-    )
-    unit: Annotated[str, Field(max_length=60)] | None = Field(
-        None, description="its unit; may be left out where the name ends in it, as `force_kip`"
-    )
+    name: Annotated[str, Field(min_length=1, max_length=NAME)] | None = None
+    """its name"""
+    column: Annotated[int, Field(ge=1, le=COLUMNS, strict=True)] | None = None
+    """in place of `name`: its number, from 1"""
+    unit: Annotated[str, Field(max_length=60)] | None = None
+    """its unit; may be left out where the name ends in it, as `force_kip`"""
 
     @model_validator(mode="after")
     def _named_once(self) -> Self:
@@ -228,14 +227,11 @@ class Column(Table):
 class TimeColumn(Column):
     """A column of times, or in its place the rate at which samples were taken."""
 
-    rate: SampleRate | None = Field(
-        None, description='in place of a column: `"100 Hz"`, or the step, `"10 ms"`'
-    )
-    dates: Literal["day first", "month first"] | None = Field(
-        None,
-        description="order in time stamps such as `05/03/2024 23:59:59`, where both orders are "
-        "possible and the date changes",
-    )
+    rate: SampleRate | None = None
+    """in place of a column: `"100 Hz"`, or the step, `"10 ms"`"""
+    dates: Literal["day first", "month first"] | None = None
+    """order in time stamps such as `05/03/2024 23:59:59`, where both orders are possible and
+    the date changes"""
 
     @model_validator(mode="after")
     def _named_once(self) -> Self:
@@ -249,83 +245,58 @@ class TimeColumn(Column):
 class SignedColumn(Column):
     """A column whose sign may be turned."""
 
-    sign: Annotated[int, Field(strict=True)] = Field(
-        1,
-        description="`-1` turns the sign; `mfd-bayes init` writes it for the force where loops "
-        "run backward",
-    )
-
-    @model_validator(mode="after")
-    def _plus_or_minus(self) -> Self:
-        if self.sign not in (1, -1):
-            raise ValueError(f"a sign is 1 or -1, got sign = {self.sign}")
-        return self
+    sign: Literal[1, -1] = 1
+    """`-1` turns the sign; `mfd-bayes init` writes it for the force where loops run backward"""
 
 
 class Minus(Column):
     """A column that is subtracted from another, times a quantity."""
 
-    times: QuantityText = Field("", description='the quantity, `"518.7 mm^2"`')
+    times: QuantityText = ""
+    """the quantity, `"518.7 mm^2"`"""
 
 
 class DisplacementColumn(SignedColumn):
     """A displacement, and what is corrected in it."""
 
-    minus: Minus | None = Field(
-        None,
-        description="a column that is subtracted, times a quantity: "
-        '`{ name = "pressure", times = "518.7 mm^2" }`',
-    )
-    tare: QuantityText = Field(
-        "",
-        description='the reading at zero, `"12 N"`, which is subtracted; or a window in which the '
-        'true value is zero on average, `"0 s to 2 s"`',
-    )
-    arm: QuantityText = Field(
-        "",
-        description='`"4 in"`: of an angle, the travel is the angle times the arm; of a torque, '
-        "the force is the torque over it",
-    )
-    measured_at: QuantityText = Field(
-        "",
-        description="with `arm`: a travel or a force was measured at this radius, and is converted "
-        "to that at the arm",
-    )
+    minus: Minus | None = None
+    """a column that is subtracted, times a quantity: `{ name = "pressure", times = "518.7 mm^2"
+    }`"""
+    tare: QuantityText = ""
+    """the reading at zero, `"12 N"`, which is subtracted; or a window in which the true value
+    is zero on average, `"0 s to 2 s"`"""
+    arm: QuantityText = ""
+    """`"4 in"`: of an angle, the travel is the angle times the arm; of a torque, the force is
+    the torque over it"""
+    measured_at: QuantityText = ""
+    """with `arm`: a travel or a force was measured at this radius, and is converted to that at
+    the arm"""
 
 
 class ForceColumn(DisplacementColumn):
     """A force, and what is corrected in it."""
 
-    minus_mass: QuantityText = Field(
-        "",
-        description='`"3 kg"`: mass times acceleration is subtracted; the acceleration comes from '
-        "a cubic fitted to a tenth of a half-cycle (Savitzky–Golay)",
-    )
+    minus_mass: QuantityText = ""
+    """`"3 kg"`: mass times acceleration is subtracted; the acceleration comes from a cubic
+    fitted to a tenth of a half-cycle (Savitzky–Golay)"""
 
 
 class Columns(Table):
     """The column of each role in a test file."""
 
-    time: TimeColumn | None = Field(
-        None,
-        description="must increase; where time has a gap, the longest unbroken piece is used. Time "
-        "stamps are read too: `2024-03-05 10:00:00.050`, `03/05/2024 10:00:00 AM`, `10:00:00.050`; "
-        "the first row is 0 s",
-    )
-    rate: SampleRate | None = Field(
-        None,
-        description='in place of `time`, where a file has no column of times: `"100 Hz"`, or the '
-        'step, `"10 ms"`; also as `time = { rate = "100 Hz" }`',
-    )
-    displacement: DisplacementColumn | None = Field(
-        None, description="displacement of the damper's rod"
-    )
-    force: ForceColumn | None = Field(
-        None, description="may be absent only if the test is neither fitted nor scored"
-    )
-    velocity: SignedColumn | None = Field(
-        None, description="computed from the displacement if it is absent"
-    )
+    time: TimeColumn | None = None
+    """must increase; where time has a gap, the longest unbroken piece is used. Time stamps are
+    read too: `2024-03-05 10:00:00.050`, `03/05/2024 10:00:00 AM`, `10:00:00.050`; the first
+    row is 0 s"""
+    rate: SampleRate | None = None
+    """in place of `time`, where a file has no column of times: `"100 Hz"`, or the step, `"10
+    ms"`; also as `time = { rate = "100 Hz" }`"""
+    displacement: DisplacementColumn | None = None
+    """displacement of the damper's rod"""
+    force: ForceColumn | None = None
+    """may be absent only if the test is neither fitted nor scored"""
+    velocity: SignedColumn | None = None
+    """computed from the displacement if it is absent"""
 
     @model_validator(mode="after")
     def _time_or_rate(self) -> Self:
@@ -347,37 +318,27 @@ _MEASURED = ("displacement", "force", "velocity")
 class General(Table):
     """The table `[campaign]`."""
 
-    title: Annotated[str, Field(max_length=1000)] = Field(
-        "", description="title of the report; the file's name if it is empty"
-    )
-    priors: Path1000 = Field(
-        "mfd",
-        description='a family of the package (`"mfd"`, `"brfd"`), or the path of a prior file, '
-        "relative to the campaign file and inside its folder",
-    )
-    model: ModelName = Field("three_stage", description='or `"lugre"`, `"bouc_wen"`, `"backlash"`')
-    noise: NoiseName = Field("ou", description='or `"iid"`, `"student_t"`, `"staged"`')
-    noise_check: Annotated[bool, Field(strict=True)] | None = Field(
-        None,
-        description="whether each test is fitted under the other noises too, so that the report "
-        "can say what the choice decides; if it is not given, this is done at every effort but "
-        "`quick`",
-    )
-    rate: Annotated[float, Field(gt=0, strict=True), _quantity("rate")] | None = Field(
-        None,
-        description='sampling rate to which records are thinned, a number in Hz or `"64 Hz"`; by '
-        "default a rate that resolves the gap",
-    )
-    start: Literal["sample", "mask"] = Field(
-        "sample",
-        description='the position in the gap at the first sample is inferred; `"mask"` leaves out '
-        "the samples before the first slip instead",
-    )
-    area: Annotated[float, Field(ge=1e-10, le=1e10, strict=True), _quantity("area")] | None = Field(
-        None,
-        description='area of the actuator, a number in in² or `"1.5 in^2"` (1e-10 to 1e10 in²), '
-        "for the self-energizing factors; with pressures only",
-    )
+    title: Annotated[str, Field(max_length=1000)] = ""
+    """title of the report; the file's name if it is empty"""
+    priors: Path1000 = "mfd"
+    """a family of the package (`"mfd"`, `"brfd"`), or the path of a prior file, relative to the
+    campaign file and inside its folder"""
+    model: ModelName = "three_stage"
+    """or `"lugre"`, `"bouc_wen"`, `"backlash"`"""
+    noise: NoiseName = "ou"
+    """or `"iid"`, `"student_t"`, `"staged"`"""
+    noise_check: Annotated[bool, Field(strict=True)] | None = None
+    """whether each test is fitted under the other noises too, so that the report can say what
+    the choice decides; if it is not given, this is done at every effort but `quick`"""
+    rate: Annotated[float, Field(gt=0, strict=True), _quantity("rate")] | None = None
+    """sampling rate to which records are thinned, a number in Hz or `"64 Hz"`; by default a
+    rate that resolves the gap"""
+    start: Literal["sample", "mask"] = "sample"
+    """the position in the gap at the first sample is inferred; `"mask"` leaves out the samples
+    before the first slip instead"""
+    area: Annotated[float, Field(ge=1e-10, le=1e10, strict=True), _quantity("area")] | None = None
+    """area of the actuator, a number in in² or `"1.5 in^2"` (1e-10 to 1e10 in²), for the
+    self-energizing factors; with pressures only"""
 
 
 class TestTable(Table):
@@ -385,41 +346,33 @@ class TestTable(Table):
 
     __test__ = False
 
-    id: Id = Field(
-        description="name of its folder in the run: letters, digits and `. _ - +`, at most 100, "
-        "unique whatever the case"
-    )
-    file: Path1000 = Field(description="relative to the campaign file, and inside its folder")
+    id: Id
+    """name of its folder in the run: letters, digits and `. _ - +`, at most 100, unique
+    whatever the case"""
+    file: Path1000
+    """relative to the campaign file, and inside its folder"""
     actuation: Annotated[
         Annotated[str, _understood(parse_actuation), Tag(":quantity")]
         | Annotated[Column, Tag(":column")],
         Discriminator(lambda value: ":quantity" if isinstance(value, str) else ":column"),
-    ] = Field(
-        description='`"500 psi"`, `"30 lbf"`, `"0 psi"` (not for all tests), or '
-        '`{ name = "pressure", unit = "MPa" }` for a measured history; also in A, V, W, N*m, T, K, '
-        "%, turns, degrees, clicks, notches or steps: laws, tables and figures are in that unit"
-    )
-    rate: SampleRate | None = Field(
-        None, description='in place of a column of times: `"100 Hz"`, or the step, `"10 ms"`'
-    )
-    fit: Annotated[str, _understood(parse_window)] | None = Field(
-        None, description='the part of the record that is used, `"0 s to 60 s"`, in its own time'
-    )
-    role: Role = Field(
-        "calibrate",
-        description='or `"validate"`: predicted from the others and scored, never fitted',
-    )
-    columns: Columns = Field(Columns(), description="as `[columns]`, for this test only")
-    session: Text = Field(
-        "",
-        description="tests that were made together, with nothing changed on damper or rig in "
-        "between; they have one deviation from the laws in common",
-    )
-    after: Text = Field(
-        "",
-        description="id of the test that was made directly before this one, without a reset of the "
-        "device in between: this one begins where in the gap that one ended",
-    )
+    ]
+    """`"500 psi"`, `"30 lbf"`, `"0 psi"` (not for all tests), or `{ name = "pressure", unit =
+    "MPa" }` for a measured history; also in A, V, W, N*m, T, K, %, turns, degrees, clicks,
+    notches or steps: laws, tables and figures are in that unit"""
+    rate: SampleRate | None = None
+    """in place of a column of times: `"100 Hz"`, or the step, `"10 ms"`"""
+    fit: Annotated[str, _understood(parse_window)] | None = None
+    """the part of the record that is used, `"0 s to 60 s"`, in its own time"""
+    role: Role = "calibrate"
+    """or `"validate"`: predicted from the others and scored, never fitted"""
+    columns: Columns = Columns()
+    """as `[columns]`, for this test only"""
+    session: Text = ""
+    """tests that were made together, with nothing changed on damper or rig in between; they
+    have one deviation from the laws in common"""
+    after: Text = ""
+    """id of the test that was made directly before this one, without a reset of the device in
+    between: this one begins where in the gap that one ended"""
 
     @property
     def actuation_unit(self) -> str:
@@ -432,37 +385,24 @@ class TestTable(Table):
 class GoalTable(Table):
     """The table `[goal]`."""
 
-    quantity: Annotated[str, Field(min_length=1, max_length=100)] = Field(
-        "band",
-        description='or `"energy"`, `"peak"`, `"peak_fwd"`, `"peak_bwd"`, `"slip"`, `"gap"`, '
-        '`"slope"`, `"exponent"`',
-    )
-    of: Text = Field(
-        "", description='quantity whose law is meant, for slope and exponent: `"Fc_fwd"`'
-    )
-    kind: Literal["device", "new_test"] = Field(
-        "device",
-        description='of the band: `"device"` for the mean property, `"new_test"` with test-to-test '
-        "scatter",
-    )
-    at: Annotated[tuple[str, ...], Field(max_length=100)] = Field(
-        (),
-        description='motions and actuations, `["1000 psi, 0.5 Hz, 1 in"]`; none for the '
-        "campaign's range",
-    )
-    probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = Field(
-        0.95, description="of the band or interval"
-    )
-    session: Text = Field("", description="session that it is about, where there are several")
-    candidates: Annotated[tuple[str, ...], Field(max_length=2000)] = Field(
-        (),
-        description='tests to choose from, `["500|1350 psi, 0.5 Hz, 1 in"]`; none for a grid of '
-        "the campaign's range",
-    )
-    limits: Annotated[str, Field(min_length=1, max_length=200)] | None = Field(
-        None,
-        description='of the actuator: velocity, stroke and force, `"10 in/s, 6 in, 20 kip"`',
-    )
+    quantity: Annotated[str, Field(min_length=1, max_length=100)] = "band"
+    """or `"energy"`, `"peak"`, `"peak_fwd"`, `"peak_bwd"`, `"slip"`, `"gap"`, `"slope"`,
+    `"exponent"`"""
+    of: Text = ""
+    """quantity whose law is meant, for slope and exponent: `"Fc_fwd"`"""
+    kind: Literal["device", "new_test"] = "device"
+    """of the band: `"device"` for the mean property, `"new_test"` with test-to-test scatter"""
+    at: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+    """motions and actuations, `["1000 psi, 0.5 Hz, 1 in"]`; none for the campaign's range"""
+    probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.95
+    """of the band or interval"""
+    session: Text = ""
+    """session that it is about, where there are several"""
+    candidates: Annotated[tuple[str, ...], Field(max_length=2000)] = ()
+    """tests to choose from, `["500|1350 psi, 0.5 Hz, 1 in"]`; none for a grid of the campaign's
+    range"""
+    limits: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """of the actuator: velocity, stroke and force, `"10 in/s, 6 in, 20 kip"`"""
 
 
 class CampaignFile(Table):
@@ -583,17 +523,21 @@ def keys_of(table: str) -> dict[str, tuple[str, str]]:
         return {name: ("`[]`", meaning) for name, meaning in DEPENDENCE.items()}
     if table == "tolerances":
         return {name: (f"`{share:g}`", meaning) for name, (share, meaning) in TOLERANCES.items()}
+
+    def shown(default: object) -> str:
+        if default is None:
+            return "none"
+        if isinstance(default, str):
+            return f'`"{default}"`'
+        if isinstance(default, tuple):
+            return "`[]`"
+        return "`{}`" if isinstance(default, Table) else f"`{default}`"
+
     fields = TABLES[table].model_fields
     return {
-        name: ("required" if f.is_required() else _shown(f.default), f.description or "")
+        name: (
+            "required" if f.is_required() else shown(f.default),
+            " ".join(str(f.description).split()),
+        )
         for name, f in fields.items()
     }
-
-
-def _shown(default: object) -> str:
-    """A default as TOML in a table of the documentation."""
-    if default is None:
-        return "none"
-    if isinstance(default, str):
-        return f'`"{default}"`'
-    return "`[]`" if default == () else "`{}`" if isinstance(default, Table) else f"`{default}`"

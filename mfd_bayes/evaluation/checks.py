@@ -172,6 +172,17 @@ def feature_check(
     return Check(test, check, feature, observed, expected, status, *figures)
 
 
+def is_missed(values: Array, measured: float, name: str) -> bool:
+    """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
+    kind = _FEATURES[name][1] if name in _FEATURES else "energy"
+    known, tolerance = values[np.isfinite(values)], complete_tolerances(None)[kind]
+    if not known.size or not np.isfinite(measured):
+        return False
+    share = float(np.mean(known > measured) + 0.5 * np.mean(known == measured))
+    beyond = abs(float(np.median(known)) - measured) > tolerance * abs(measured)
+    return beyond and not EXTREME <= share <= 1.0 - EXTREME
+
+
 def coverage_checks(score: ScoreRow, tolerances: Mapping[str, float] | None = None) -> list[Check]:
     """Share of samples inside each band: too few are a fault, many only a wide band."""
     tolerance = complete_tolerances(tolerances)["coverage"]

@@ -30,30 +30,11 @@ from mfd_bayes.runs.scores import Comparison, ComparisonRow
 
 Array = NDArray[np.float64]
 
-Cycles = NDArray[np.intp]
-
 FEWEST_CYCLES = 3
 """Least number of cycles of a record from which one can be left out."""
 
-_LOG_2PI = float(np.log(2 * np.pi))
-_PIECE = 1 << 19  # size of the arrays of one piece, in numbers
-
 LARGEST_K = 0.7
 """Pareto k above which the importance weights of a cycle cannot be trusted."""
-
-_FIGURES = ("elpd", "lppd", "psis_k", "k")
-
-EVIDENCE_DRAWS = 4000
-"""Draws from each proposal."""
-
-MOST_ROUNDS = 16
-"""Largest number of proposals."""
-
-LEAST_ESS = 0.1
-"""Effective sample size, as a share of the draws, from which the next proposal is learned."""
-
-GOOD_K = 0.6
-"""Pareto k at which the proposal is good enough, with a margin below 0.7."""
 
 CLEAR = 2.0
 """Number of standard errors from which one model counts as better than another."""
@@ -61,28 +42,23 @@ CLEAR = 2.0
 FEW = 10
 """Number of tests, or of cycles of one test, below which a standard error is rough."""
 
-TARGET = "The comparison is about another cycle of the same tests, not about another test."
-
 ALL = "all"
+
+EVIDENCE_DRAWS, MOST_ROUNDS = 4000, 16
+"""Draws from each proposal of an evidence, and the largest number of proposals."""
+
+LEAST_ESS, GOOD_K = 0.1, 0.6
+"""Share of effective draws from which the next proposal is learned; Pareto k that is enough."""
+
+_FIGURES = ("elpd", "lppd", "psis_k", "k")
+_LOG_2PI = float(np.log(2 * np.pi))
+_PIECE = 1 << 19  # size of the arrays of one piece, in numbers
 _DRAWS = 400  # for the median of the force
-
-
-@dataclass(frozen=True, eq=False)
-class _Score:
-    """Scores of a model on one or several tests."""
-
-    validation: CrossValidation
-    squares: float  # sum of squares of the force minus its predicted median, kip²
-    spread: float  # sum of squares of the force about its mean, kip²
-    short: tuple[str, ...]  # tests whose sampling missed its targets
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """What is compared with others: a model and a noise; None is the campaign's own.
-
-    `name` is that of its run's folder.
-    """
+    """A model and a noise to compare, None for the campaign's own, in a run folder `name`."""
 
     name: str
     model: str | None = None
@@ -99,27 +75,16 @@ def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candid
     """
     if not noises:
         return tuple(Candidate(name, model=name) for name in check_models(names))
-    known = tuple(NOISES)
-    if [name for name in noises if name not in known] or len(set(noises)) < len(noises):
-        got = ", ".join(map(repr, noises))
+    if len(noises) < 2 and len(names) < 2 and noises[0] in NOISES:
         raise CampaignError(
-            f"--noises must name noises of {', '.join(known)}, each once, got {got}"
-        )
-    chosen = tuple(name for name in known if name in noises)
-    if len(noises) < 2 and len(names) < 2:
-        raise CampaignError(
-            f"there is nothing to compare: --noises must name two or more of {', '.join(known)}, "
+            f"there is nothing to compare: --noises must name two or more of {', '.join(NOISES)}, "
             f"got {noises[0]!r} alone, or --models two or more models"
         )
-    several = check_models(names) if len(names) > 1 else tuple(names)
-    if unknown := [name for name in several if name not in models.MODELS]:
-        raise CampaignError(
-            f"--models must be of {', '.join(models.MODELS)}, got {', '.join(map(repr, unknown))}"
-        )
-    if len(several) < 2:
-        own = next(iter(several), None)
-        return tuple(Candidate(noise, own, noise) for noise in chosen)
-    return tuple(Candidate(f"{m}_{noise}", m, noise) for m in several for noise in chosen)
+    chosen = _chosen("--noises", noises, tuple(NOISES), 1)
+    kinds = _chosen("--models", names, tuple(models.MODELS), 0)
+    if len(kinds) < 2:
+        return tuple(Candidate(noise, next(iter(kinds), None), noise) for noise in chosen)
+    return tuple(Candidate(f"{m}_{noise}", m, noise) for m in kinds for noise in chosen)
 
 
 def check_models(names: Sequence[str]) -> tuple[str, ...]:
@@ -130,13 +95,15 @@ def check_models(names: Sequence[str]) -> tuple[str, ...]:
     CampaignError
         When one is unknown or named twice, or there are fewer than two.
     """
-    known = models.MODELS
-    wrong = [name for name in names if name not in known]
-    if wrong or len(set(names)) < max(len(names), 2):
+    return _chosen("--models", names, tuple(models.MODELS), 2)
+
+
+def _chosen(option: str, names: Sequence[str], known: Sequence[str], least: int) -> tuple[str, ...]:
+    """Names of an option, each once, in the order of those that are known."""
+    if not set(names) <= set(known) or len(set(names)) < max(len(names), least):
         got = ", ".join(map(repr, names)) or "nothing"
-        raise CampaignError(
-            f"--models must name two or more of {', '.join(models.MODELS)}, got {got}"
-        )
+        many = "two or more" if least > 1 else option.lstrip("-")
+        raise CampaignError(f"{option} must name {many} of {', '.join(known)}, each once, got {got}")
     return tuple(name for name in known if name in names)
 
 
@@ -152,6 +119,16 @@ def check_cycles(task: Task) -> None:
         find_cycles(task.trace, task.posterior().first)
     except FitError as error:
         raise FitError(f"test {task.id!r} cannot be compared: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _Score:
+    """Scores of a model on one or several tests."""
+
+    validation: CrossValidation
+    squares: float  # sum of squares of the force minus its predicted median, kip²
+    spread: float  # sum of squares of the force about its mean, kip²
+    short: tuple[str, ...]  # tests whose sampling missed its targets
 
 
 def compare_runs(runs: Mapping[str, Run]) -> Comparison:
@@ -172,38 +149,49 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
         model: {name: _score(run.tests[name], run.manifest.effort) for name in shared}
         for model, run in runs.items()
     }
-    rows: list[ComparisonRow] = []
-    for name in shared:
-        rows += _rows(name, {model: found[name] for model, found in scores.items()})
+    rows = [
+        row
+        for name in shared
+        for row in _rows(name, {model: found[name] for model, found in scores.items()})
+    ]
     total = {model: _together(list(found.values())) for model, found in scores.items()}
     overall = _rows(ALL, total)
-    pair = overall[0].model, overall[1].model
-    parts = [_favour(total, pair, len(shared)), TARGET, _trust(total, pair)]
+    best, second = overall[0].model, overall[1].model
+    sentences = [
+        _favour(total[best].validation, total[second].validation, (best, second), len(shared)),
+        "The comparison is about another cycle of the same tests, not about another test.",
+        _trust({model: total[model] for model in (best, second)}),
+    ]
     lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
     if lost:
-        parts.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
-    return Comparison((*rows, *overall), " ".join(parts))
+        sentences.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
+    return Comparison((*rows, *overall), " ".join(sentences))
 
 
 def _score(test: TestResult, effort: Effort) -> _Score:
-    stored, trace = test.stored, test.trace
-    rng = np.random.default_rng(stored.facts["seed"])
-    values, sizes = stored.values(), stored.draws.sizes
-    validation = cross_validate(
-        test.posterior, values, sizes["chain"], stored.facts["walkers"], rng
-    )
+    stored, posterior, facts = test.stored, test.posterior, test.stored.facts
+    rng, values = np.random.default_rng(facts["seed"]), stored.values()
+    chains = stored.draws.sizes["chain"]
+    validation = cross_validate(posterior, values, chains, facts["walkers"], rng)
     pick = np.linspace(0, values["offset"].size - 1, _DRAWS).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}
-    force = test.posterior.force(taken) + taken["offset"][:, None]
-    kept = slice(test.posterior.first, None)
-    observed = np.asarray(trace.force)[kept]
-    missed = observed - np.median(force, axis=0)[kept]
-    short = () if _converged(test, stored.facts, effort) else (test.id,)
-    squares, spread = float(missed @ missed), float(observed.size * observed.var())
-    return _Score(validation, squares, spread, short)
+    force = posterior.force(taken) + taken["offset"][:, None]
+    observed = np.asarray(test.trace.force)[posterior.first :]
+    missed = observed - np.median(force, axis=0)[posterior.first :]
+    short = () if _converged(posterior, facts, effort) else (test.id,)
+    return _Score(validation, float(missed @ missed), float(observed.size * observed.var()), short)
 
 
-def _together(scores: list[_Score]) -> _Score:
+def _converged(posterior: Posterior, facts: Mapping[str, Any], effort: Effort) -> bool:
+    """Whether the sampling of a test reached the targets of an effort."""
+    figures = (facts["convergence"].get(name) or (None, 0, 0) for name in posterior.names)
+    return all(
+        r_hat is not None and r_hat <= effort.r_hat and min(bulk or 0, tail or 0) >= effort.ess
+        for r_hat, bulk, tail in figures
+    )
+
+
+def _together(scores: Sequence[_Score]) -> _Score:
     return _Score(
         join(score.validation for score in scores),
         sum(score.squares for score in scores),
@@ -215,11 +203,10 @@ def _together(scores: list[_Score]) -> _Score:
 def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
     """Row of every model, best first."""
     order = sorted(scores, key=lambda model: -scores[model].validation.total)
-    best = scores[order[0]].validation
-    rows = []
+    best, rows = scores[order[0]].validation, []
     for model in order:
-        found = scores[model].validation
-        apart, error = difference(found, best)
+        score, found = scores[model], scores[model].validation
+        less, error = difference(found, best)
         rows.append(
             ComparisonRow(
                 subject=subject,
@@ -231,81 +218,60 @@ def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
                 worst_k=float(found.psis_k.max()),
                 bad=float(found.redone.mean()),
                 unsettled=float(found.bad.mean()),
-                difference=apart,
+                difference=less,
                 difference_se=error,
-                rrse=float(np.sqrt(scores[model].squares / scores[model].spread)),
+                rrse=float(np.sqrt(score.squares / score.spread)),
             )
         )
     return rows
 
 
-def _favour(total: Mapping[str, _Score], pair: tuple[str, str], tests: int) -> str:
+def _favour(
+    best: CrossValidation, second: CrossValidation, names: tuple[str, str], tests: int
+) -> str:
     """Sentence on which of the best two models the records favour, if any."""
-    best, second = pair
-    one, other = total[best].validation, total[second].validation
-    apart, error = difference(one, other)
-    errors = apart / error if error > 0 else np.inf
-    cycles = f"{one.cycles} cycles"
+    more, error = difference(best, second)
+    errors = more / error if error > 0 else np.inf
+    cycles = f"{best.cycles} cycles"
     where = f"{tests} tests of {cycles} in all" if tests > 1 else f"{cycles} of 1 test"
-    by = f"elpd higher by {apart:.4g}, {errors:.1f} standard errors over {where}"
-    if errors >= CLEAR:
-        text = f"The records favour {best} over {second}: {by}"
-    else:
-        text = f"The records cannot decide between {best} and {second}: {by}"
-    few = (tests if tests > 1 else one.cycles) < FEW
-    return text + (" (a rough estimate of the error, from so few)." if few else ".")
+    verb = "favour {} over {}" if errors >= CLEAR else "cannot decide between {} and {}"
+    few = (tests if tests > 1 else best.cycles) < FEW
+    return (
+        f"The records {verb.format(*names)}: elpd higher by {more:.4g}, {errors:.1f} standard "
+        f"errors over {where}{' (a rough estimate of the error, from so few)' if few else ''}."
+    )
 
 
-def _trust(total: Mapping[str, _Score], pair: tuple[str, str]) -> str:
+def _trust(scores: Mapping[str, _Score]) -> str:
     """Sentence on whether the diagnostics of the best two models support their difference."""
-    redone = [_redone(model, total[model].validation) for model in pair]
-    doubts = [doubt for model in pair for doubt in _doubts(model, total[model])]
+    redone, doubts = [], []
+    for model, score in scores.items():
+        found = score.validation
+        if found.redone.any():
+            cycles = f"{found.redone.sum()} of {found.cycles} cycles"
+            redone.append(f"{cycles} of {model} (worst {found.psis_k.max():.2f})")
+        if found.bad.any():
+            doubts.append(f"k stays above {LARGEST_K:g} in {found.bad.sum()} cycles of {model}")
+        if score.short:
+            doubts.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
     text = ""
-    if any(redone):
+    if redone:
         text = (
-            f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(filter(None, redone))}; "
-            "for these cycles the score was computed in a second way too, from the evidence with "
-            "and without the cycle, and the one with the smaller k counts. "
+            f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(redone)}; for these cycles "
+            "the score was computed in a second way too, from the evidence with and without the "
+            "cycle, and the one with the smaller k counts. "
         )
     if not doubts:
-        return text + "The diagnostics of this comparison are good."
+        return f"{text}The diagnostics of this comparison are good."
     text += f"Do not rely on this result as it is: {'; '.join(doubts)}"
-    one, other = (total[model].validation for model in pair)
-    good = ~(one.bad | other.bad)
+    best, second = (score.validation for score in scores.values())
+    good = ~(best.bad | second.bad)
     if 1 < good.sum() < good.size:
-        apart, error = difference(one.part(good), other.part(good))
-        text += (
-            f"; over the other {good.sum()} cycles elpd differs by {apart:.4g}, "
-            f"{apart / error if error > 0 else np.inf:.1f} standard errors"
-        )
-    return text + "."
-
-
-def _redone(model: str, found: CrossValidation) -> str:
-    """Number of cycles for which PSIS failed, as text; "" where there is none."""
-    if not np.any(found.redone):
-        return ""
-    share = f"{found.redone.sum()} of {found.cycles} cycles of {model}"
-    return f"{share} (worst {found.psis_k.max():.2f})"
-
-
-def _doubts(model: str, score: _Score) -> list[str]:
-    """Reasons not to trust the figures of a model."""
-    doubts, bad = [], score.validation.bad
-    if np.any(bad):
-        doubts.append(f"k stays above {LARGEST_K:g} in {bad.sum()} cycles of {model}")
-    if score.short:
-        doubts.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
-    return doubts
-
-
-def _converged(test: TestResult, facts: Mapping[str, Any], effort: Effort) -> bool:
-    """Whether the sampling of a test reached the targets of an effort."""
-    for name in test.posterior.names:
-        r_hat, bulk, tail = facts["convergence"].get(name) or (None, None, None)
-        if r_hat is None or r_hat > effort.r_hat or min(bulk or 0, tail or 0) < effort.ess:
-            return False
-    return True
+        more, error = difference(best.part(good), second.part(good))
+        errors = more / error if error > 0 else np.inf
+        text += f"; over the other {good.sum()} cycles elpd differs by {more:.4g}, {errors:.1f} "
+        text += "standard errors"
+    return f"{text}."
 
 
 # --- leave-one-cycle-out
@@ -417,7 +383,9 @@ def cross_validate(
     return CrossValidation(elpd, lppd, psis_k, k)
 
 
-def without_cycle(posterior: Posterior, cycles: Cycles, cycle: int) -> Callable[[Array], Array]:
+def without_cycle(
+    posterior: Posterior, cycles: NDArray[np.intp], cycle: int
+) -> Callable[[Array], Array]:
     """Log posterior density of q without one cycle, p(θ) p(y_-c | θ), (n, dim) -> (n,)."""
 
     def density(q: Array) -> Array:
@@ -485,7 +453,7 @@ def difference(one: CrossValidation, other: CrossValidation) -> tuple[float, flo
 # --- the density of a cycle given all others
 
 
-def find_cycles(trace: Trace, first: int = 0) -> Cycles:
+def find_cycles(trace: Trace, first: int = 0) -> NDArray[np.intp]:
     """First sample of each cycle of a record, and the end of the record, (C + 1,).
 
     A cycle ends at every second turn of the whole motion, as in a harmonic record. In an irregular
@@ -522,7 +490,7 @@ def find_cycles(trace: Trace, first: int = 0) -> Cycles:
 
 
 def cycle_log_likelihood(
-    posterior: Posterior, values: Mapping[str, Array], cycles: Cycles
+    posterior: Posterior, values: Mapping[str, Array], cycles: NDArray[np.intp]
 ) -> tuple[Array, Array]:
     """Log density of every cycle given all others, and of all together.
 
@@ -547,7 +515,7 @@ def cycle_log_likelihood(
 
 
 def _log_likelihood(
-    posterior: Posterior, values: Mapping[str, Array], cycles: Cycles
+    posterior: Posterior, values: Mapping[str, Array], cycles: NDArray[np.intp]
 ) -> tuple[Array, Array]:
     kept = slice(cycles[0], None)
     residual = np.asarray(posterior.trace.force) - values["offset"][:, None]
@@ -563,7 +531,7 @@ def _log_likelihood(
 
 
 def conditional_density(
-    residual: Array, decay: Array, scale: Array, starts: Cycles, dof: Array | None = None
+    residual: Array, decay: Array, scale: Array, starts: NDArray[np.intp], dof: Array | None = None
 ) -> tuple[Array, Array]:
     """Log density of every block of a Markov chain given all others, (n, C), and of all, (n,).
 

@@ -50,6 +50,9 @@ MAX_PLOTTED_DRAWS, FEWER, MANY = 2000, 1000, 100
 
 HELD_OUT_DRAWS = 800
 
+FAR_APART = 0.25
+"""A median alone and one in the joint posterior that differ by less, a share, do not disagree."""
+
 _ALIKE: WeakValueDictionary[bytes, Array] = WeakValueDictionary()
 """Draws by their bytes, as long as a view holds them."""
 
@@ -233,6 +236,7 @@ def _rows(
             **spread_of(drawn[name], tail),
             measured=measured.get(name, float("nan")),
             note=basis.get(name, ""),
+            missed=checks.is_missed(drawn[name], measured.get(name, np.nan), name),
         )
         for name, unit in UNITS.items()
         if name in drawn and not (name == "energy_of_ramps" and full.all())
@@ -295,6 +299,7 @@ def with_joint(run: Run, view: TestView) -> TestView:
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
         apart = row.contraction >= checks.INFORMED and (low > row.upper or high < row.lower)
+        apart = apart and abs(middle - row.median) > FAR_APART * abs(row.median)
         joint_row = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
         rows.append(replace(row, **joint_row, disagrees=apart))
     return replace(view, rows=tuple(rows))

@@ -174,7 +174,7 @@ class Row:
     quantity under other noises, where the choice of the noise decides it. `joint_lower`,
     `joint_median` and `joint_upper` are the same three quantiles in the joint posterior of all
     tests, which predictions use; NaN where it has none. `disagrees` says that both
-    intervals do not overlap.
+    intervals do not overlap, and the medians are far apart.
     """
 
     subject: str
@@ -204,7 +204,8 @@ class DerivedRow:
     `role` is the test's, or the kind of a prediction. `lower` and `upper` bound an equal-tailed
     interval. `measured` is the value of the record as recorded, NaN where it has none. Of tests,
     and of predictions of kind "observation", both have offset and noise; peaks are always those
-    that a load cell would see. `note` gives the number of full cycles.
+    that a load cell would see. `missed` says that the measured value is outside, extreme, and
+    farther from the median than its tolerance. `note` gives the number of full cycles.
     """
 
     subject: str
@@ -218,6 +219,7 @@ class DerivedRow:
     upper: float
     measured: float
     note: str = ""
+    missed: bool = False
 
 
 @dataclass(frozen=True)

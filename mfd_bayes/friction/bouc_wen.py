@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
-from mfd_bayes.friction.parameters import BOUC_WEN_QUANTITIES
+from mfd_bayes.friction.parameters import BOUC_WEN, quantities_in_order
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
@@ -284,7 +284,7 @@ class BoucWen(Model):
     """
 
     name: ClassVar[str] = "bouc_wen"
-    quantities: ClassVar[tuple[Quantity, ...]] = BOUC_WEN_QUANTITIES
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_in_order(BOUC_WEN)
     positive: ClassVar[frozenset[str]] = frozenset({"k", "Fy_fwd", "Fy_bwd"})
     laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
     laws_from: ClassVar[Mapping[str, str]] = MappingProxyType(

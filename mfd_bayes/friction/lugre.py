@@ -19,14 +19,14 @@ from mfd_bayes.friction.columns import columns_in_order, named_vectors
 from mfd_bayes.friction.model import Array, Columns, Model, State
 from mfd_bayes.friction.parameters import PARAMETERS, STATIC, quantities_of
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import Blocks, scratch
+from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.records.motion import MotionPath
 from mfd_bayes.records.trace import Trace
 
 FLOOR = 1e-9
 """Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
 
-PIECE = 1 << 16
+PIECE = 1 << 15
 """Size of a piece's arrays, in numbers: they stay in the cache."""
 
 
@@ -54,49 +54,33 @@ def curve_of(c: Mapping[str, Array]) -> Curve:
     )
 
 
-def steady_of(
-    curve: Curve, rate: Array, out: Array | None = None, work: Array | None = None
-) -> Array:
+def steady_of(curve: Curve, rate: Array) -> Array:
     """Deflection sgn(v) g(v)/σ0, in, that the bristles tend to at a mean velocity, in/s."""
     backward = rate < 0.0
-    steady = np.multiply(np.square(rate), curve.rate, out=out)
+    steady: Array = np.square(rate) * curve.rate
     np.exp(steady, out=steady)
-    steady *= of_direction(backward, curve.excess, work)
-    steady += of_direction(backward, curve.kinetic, work)
-    return np.asarray(steady)
+    steady *= of_direction(backward, curve.excess)
+    steady += of_direction(backward, curve.kinetic)
+    return steady
 
 
-def of_direction(backward: NDArray[np.bool_], pair: Array, work: Array | None = None) -> Array:
+def of_direction(backward: NDArray[np.bool_], pair: Array) -> Array:
     """What belongs to the direction of each motion, of what is forward and backward."""
     if backward.ndim == pair.ndim and backward.shape[1] == 1:  # as np.where, in a fifth of the time
-        return np.asarray(pair.take(backward[:, 0], axis=0, out=work, mode="clip"))
+        return pair[backward[:, 0].astype(np.intp)]
     return np.asarray(np.where(backward, pair[1], pair[0]))
 
 
-def decay_of(way: Array, steady: Array, out: Array | None = None) -> Array:
-    """A = exp(−σ0 |Δx|/g): share of their distance to `steady` that the bristles keep."""
-    decay = np.divide(-way, steady, out=out)
-    return np.asarray(np.exp(decay, out=decay))
-
-
-def damping_of(velocity: Array, rate: Array, steady: Array, out: Array | None = None) -> Array:
-    """σ0 |v|/g, 1/s, with the direction of the mean velocity."""
-    return np.asarray(np.divide(np.copysign(velocity, rate), steady, out=out))
-
-
-def slip_force(
-    c: Mapping[str, Array], damping: Array, z: Array, velocity: Array, work: Array | None = None
-) -> Array:
+def slip_force(c: Mapping[str, Array], damping: Array, z: Array, velocity: Array) -> Array:
     """F1 = σ0 z + σ1 ż + σ2 v with ż = v − σ0 |v| z/g(v), kip (paper Eqs. 3 and 4).
 
-    `damping`, σ0 |v|/g, is overwritten.
+    `damping` is σ0 |v|/g, 1/s, with the direction of the mean velocity, and is overwritten.
     """
-    force = damping
-    force *= -c["sigma1"]
-    force += c["sigma0"]
-    force *= z
-    force += np.multiply(c["sigma1"] + c["sigma2"], velocity, out=work)
-    return force
+    damping *= -c["sigma1"]
+    damping += c["sigma0"]
+    damping *= z
+    damping += (c["sigma1"] + c["sigma2"]) * velocity
+    return damping
 
 
 def limit_of(c: Mapping[str, Array], z: Array, steady: Array) -> Array:
@@ -129,30 +113,23 @@ def force_along(c: Columns, factors: Columns, path: MotionPath) -> Array:
         Factors along the path of those that follow the actuation; empty where it is constant.
     """
     samples, n = path.step.size, c["v_s"].size
-    length, varying = max(PIECE // max(n, 1), 1), bool(factors)
-    force, z = np.empty((samples, n)), np.zeros(n)
-    now, curve = c, curve_of(c)
+    length = max(PIECE // max(n, 1), 1)
+    force, z, now, curve = np.empty((samples, n)), np.zeros(n), c, curve_of(c)
     for begin in range(0, samples, length):
-        end = min(begin + length, samples)
-        blocks = Blocks.of(end - begin)
-        rows = begin + blocks.order
-        if varying:
-            last = np.maximum(rows - 1, 0)
-            now = c | {k: f[rows] * c[k] for k, f in factors.items()}
-            curve = curve_of(c | {k: 0.5 * (f[last] + f[rows]) * c[k] for k, f in factors.items()})
+        rows = slice(begin, begin + length)
+        if factors:
+            at = np.arange(samples)[rows]
+            last = np.maximum(at - 1, 0)
+            now = c | {k: f[at] * c[k] for k, f in factors.items()}
+            curve = curve_of(c | {k: 0.5 * (f[last] + f[at]) * c[k] for k, f in factors.items()})
         way, rate, velocity = (a[rows, None] for a in (path.step, path.rate, path.velocity))
-        room = scratch(5, rows.size, n)
-        steady = steady_of(curve, rate, room[0], room[1])
-        decay = decay_of(way, steady, room[1])
-        damping = damping_of(velocity, rate, steady, room[2])
-        state, work = room[3:] if varying else (steady, room[3])
-        np.subtract(steady, np.multiply(decay, steady, out=work), out=state)
-        blocks.solve(decay, state, z)
-        z = state[blocks.place[-1]].copy()
-        if varying:
+        steady = steady_of(curve, rate)
+        decay = np.exp(-way / steady)
+        state = solve(decay, steady - decay * steady, z)
+        damping = np.copysign(velocity, rate) / steady
+        if factors:
             damping *= limit_of(now, state, steady)
-        part = slip_force(now, damping, state, velocity, work)
-        part.take(blocks.place, axis=0, out=force[begin:end], mode="clip")
+        force[rows], z = slip_force(now, damping, state, velocity), state[-1]
     return force
 
 
@@ -234,8 +211,8 @@ class PaperModel(Model):
             curve = Curve(c["kinetic"], c["excess"], c["rate"])
         rate = way / dt
         steady = steady_of(curve, rate)
-        z = steady + decay_of(way, steady) * (memory["z"] - steady)
-        damping = damping_of(velocity, rate, steady)
+        z = steady + np.exp(-way / steady) * (memory["z"] - steady)
+        damping = np.copysign(velocity, rate) / steady
         if varying:
             damping *= limit_of(now, z, steady)
         slip = slip_force(now, damping, z, velocity)

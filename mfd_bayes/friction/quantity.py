@@ -101,15 +101,15 @@ class Parameter:
             self.name,
             kinds.get(self.unit, self.unit),
             maths,
-            _html(self.symbol or self.name),
+            html_of(self.symbol or self.name),
             self.meaning or self.name,
             least,
             most,
         )
 
 
-def _html(symbol: str) -> str:
-    r"""HTML of a simple symbol in LaTeX: ``\alpha_{max}`` is ``α<sub>max</sub>``."""
+def html_of(symbol: str) -> str:
+    r"""HTML of a simple symbol in LaTeX: ``\alpha_\mathrm{max}`` is ``α<sub>max</sub>``."""
 
     def greek(match: re.Match[str]) -> str:
         case = "CAPITAL" if match[1][0].isupper() else "SMALL"
@@ -119,6 +119,10 @@ def _html(symbol: str) -> str:
         except KeyError:
             return match[1]
 
-    text = re.sub(r"\\(?:mathrm|text)\{([^{}]*)\}", r"\1", escape(symbol))
+    text = re.sub(r"\\(?:mathrm|text)\{([^{}]*)\}", r"{\1}", escape(symbol))
+    text = re.sub(r"\\dot\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", text).replace(r"\ell", "ℓ")
     text = re.sub(r"\\([A-Za-z]+)", greek, text)
-    return re.sub(r"_(?:\{([^{}]*)\}|(\w))", lambda m: f"<sub>{m[1] or m[2]}</sub>", text)
+    text = re.sub(
+        r"_(?:\{((?:[^{}]|\{[^{}]*\})*)\}|(\w))", lambda m: f"<sub>{m[1] or m[2]}</sub>", text
+    )
+    return unicodedata.normalize("NFC", re.sub(r"[{}]", "", text))

@@ -24,7 +24,6 @@ from mfd_bayes.friction.lugre import PaperModel
 from mfd_bayes.friction.model import Array, Columns, State
 from mfd_bayes.friction.parameters import PARAMETERS, quantities_of
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import scratch
 from mfd_bayes.records.trace import Trace
 
 PIECE = 1 << 15
@@ -55,13 +54,8 @@ class ThreeStage(PaperModel):
         length = max(PIECE // max(n, 1), 1)
         for begin in range(0, near.size, length):
             rows = near[begin : begin + length]
-            room = scratch(8, rows.size, n)
-            for table, out in zip((gap.side, gap.origin, gap.carry), room, strict=False):
-                table.take(stretch[rows], axis=0, out=out, mode="clip")
-            side, y, carry, slip = room[:4]
-            force.take(rows, axis=0, out=slip, mode="clip")
-            np.subtract(x[rows, None], y, out=y)
-            force[rows] = blend(c, side, y, carry, slip, room[4:])
+            side, origin, carry = (a[stretch[rows]] for a in (gap.side, gap.origin, gap.carry))
+            force[rows] = blend(c, side, x[rows, None] - origin, carry, force[rows])
         return force
 
     def compute_travel(self, c: Columns, trace: Trace, start: Array) -> Array:

@@ -63,7 +63,7 @@ class Workplace:
 
     @property
     def processes(self) -> int:
-        """Number of processes of this machine, by default as `taskset` or a cluster's job allows."""
+        """Number of processes of this machine, by default as many as `taskset` allows."""
         if self.jobs:
             return self.jobs
         affinity = getattr(os, "sched_getaffinity", None)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,8 +23,6 @@ from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.population.settings import setting_of
-from mfd_bayes.records.cross_checks import Tested
-from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
@@ -36,10 +33,11 @@ from mfd_bayes.runs.manifest import (
     Manifest,
     Status,
     check_readable,
+    read_begun,
     this_machine,
     with_keys,
 )
-from mfd_bayes.runs.paths import posterior_of
+from mfd_bayes.runs.paths import MANIFEST, posterior_of
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import System
 
@@ -78,6 +76,19 @@ class Options(Workplace):
     noises: tuple[str, ...] = ()
 
 
+def effort_of(out: Path, effort: str | None, *, resume: bool) -> str:
+    """The given effort, else that of the run which is resumed, else "standard".
+
+    `out` is a run folder, or one that holds a run folder for each model.
+    """
+    if effort is not None:
+        return effort
+    for path in [out / MANIFEST, *sorted(out.glob(f"*/{MANIFEST}"))] if resume else ():
+        if path.is_file():
+            return read_begun(path.parent).effort.name
+    return "standard"
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A campaign, read and checked, before anything is written.
@@ -108,11 +119,6 @@ class Plan:
 def plan_campaign(path: Path, options: Options) -> Plan:
     """Plan of a campaign, after all checks; nothing is written.
 
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
-
     Raises
     ------
     MfdError
@@ -120,58 +126,45 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     """
     campaign = load_campaign(path, options.model, options.noise)
     priors = load_priors(campaign.priors, campaign.folder)
-    effort = find_effort(options.effort)
     settings = campaign.settings
     inputs = {campaign.path.name: hash_file(campaign.path)}
     inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
-    traces, entries = {}, {}
-    faults: list[tuple[str, Fault]] = []
-    tested: list[Tested] = []
+    tasks, held_out, entries, faults, tested = [], {}, {}, [], []
     for test in campaign.tests:
         record = _read(campaign, test)
-        traces[test.id] = trace = record.trace(campaign.rate, gap=priors.gap)
+        trace, whole = record.trace(campaign.rate, gap=priors.gap), record.trace()
         entries[test.id] = _entry(campaign, test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
-        whole = record.trace()
         faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
-        tested += [found] if (found := tested_of(test, record, whole)) else []
-    checks_noise = settings.checks_noise(options.effort)
-    tasks = tuple(
-        _task(campaign, priors, test, traces[test.id], options, checks_noise=checks_noise)
-        for test in campaign.tests
-        if test.role == "calibrate"
-    )
+        compared = tested_of(test, record, whole)
+        tested += [compared] if compared else []
+        if test.role == "validate":
+            held_out[test.id] = trace
+        else:
+            tasks.append(_task(campaign, priors, test, trace, options))
     faults += findings_together(tested, priors, campaign.model)
     design = planned_design(tasks, settings)
-    held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     manifest = Manifest(
         title=campaign.title,
-        effort=effort,
+        status=Status.RUNNING,
+        format=FORMAT,
+        effort=find_effort(options.effort),
         priors=f"{priors.title} ({priors.path.name})",
         settings=settings,
         inputs=inputs,
         tests=entries,
         warnings=findings_of(faults, settings, design, {task.id: task.trace for task in tasks}),
-        **_session(options),
+        command=options.command.encode(errors="backslashreplace").decode(),  # any path's name
+        started=datetime.now(UTC).isoformat(timespec="seconds"),
+        seed=options.seed,
+        versions={"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
+        platform=platform.platform(),
+        machines=(this_machine(),),
+        files={},
     )
     manifest = with_keys(manifest, priors)
     check_readable(manifest)
-    return Plan(campaign, options, priors, tasks, held_out, manifest)
-
-
-def _session(options: Options) -> dict[str, Any]:
-    """Keys of the manifest about this session of the program."""
-    return {
-        "status": Status.RUNNING,
-        "format": FORMAT,
-        "command": options.command.encode(errors="backslashreplace").decode(),  # any path's name
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seed": options.seed,
-        "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
-        "platform": platform.platform(),
-        "machines": (this_machine(),),
-        "files": {},
-    }
+    return Plan(campaign, options, priors, tuple(tasks), held_out, manifest)
 
 
 def _inside(campaign: Campaign, test: Test) -> str:
@@ -232,9 +225,8 @@ def _task(
     test: Test,
     trace: Trace,
     options: Options,
-    *,
-    checks_noise: bool,
 ) -> Task:
+    """Job that calibrates a test, of whose prior some draws must give a usable force."""
     digest = hashlib.sha256(test.id.encode()).digest()
     task = Task(
         id=test.id,
@@ -246,7 +238,7 @@ def _task(
         start=campaign.settings.campaign.start,
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
-        checks_noise=checks_noise,
+        checks_noise=campaign.settings.checks_noise(options.effort),
     )
     posterior = task.posterior()
     drawn = posterior.draw_prior(np.random.default_rng(0), 64)

@@ -1,4 +1,4 @@
-"""The report of a run, and its checks."""
+"""The report of a run, its checks, and the table of its draws."""
 
 from __future__ import annotations
 
@@ -7,23 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.errors import MfdError, ReportError
-from mfd_bayes.evaluation import assess, verdicts
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
 from mfd_bayes.evaluation.properties import stored_peaks
-from mfd_bayes.evaluation.views import (
-    IDENTIFIABILITY,
-    CampaignView,
-    LeftOutView,
-)
+from mfd_bayes.evaluation.summary import assess, verdicts
+from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.jobs.local import Workplace
-from mfd_bayes.pipeline.ready import get_ready
+from mfd_bayes.jobs.local import Workplace, get_ready
 from mfd_bayes.reporting.conversion import convert_scores, system_of
+from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.paths import draws_as
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
@@ -64,7 +61,7 @@ def report(
     """
     forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
     if Workplace(jobs).processes > 1:
-        get_ready()
+        get_ready("mfd_bayes.pipeline.preload")
     with alone_in(out):
         check_places(out)
         return write_report(open_run(out), observe, jobs=jobs, forms=forms, units=units)
@@ -76,13 +73,13 @@ def write_report(
     """Write the tables, figures and report of an open run, whose folder must be locked."""
     from mfd_bayes.reporting.publish import publish
 
-    system = named_system(units, run.system)
     try:
         at = [parse_condition(text, run.actuation_unit) for text in forms.at]
     except MfdError as error:
         raise ReportError(f"--at: {error}") from error
-    observe(Step("report", "checks and bands"))
     processes = Workplace(jobs).processes
+    observe(Step("report", "checks and bands"))
+    system = named_system(units, run.system)
     view = replace(assess(run, processes), metric=system.name == SI.name)
     if forms.next_test:
         observe(Step("report", "which test next"))
@@ -110,8 +107,36 @@ def check(out: Path, units: str = "") -> CampaignView:
     Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
     """
     run = open_run(out)
-    system = named_system(units, run.system)
+    metric = named_system(units, run.system).name == SI.name
     with unchanged(run.folder, run.manifest):
         view = assess(run)
-    shown = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
-    return replace(view, metric=system.name == SI.name, checks=tuple(shown))
+    checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
+    return replace(view, metric=metric, checks=tuple(checks))
+
+
+def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:
+    """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    to : {"csv", "parquet"}
+    units : {"", "us", "si"}
+        By default those of the campaign.
+    most : int
+        Most draws of a test, evenly taken out of all of them; 0 for all.
+
+    Raises
+    ------
+    MfdError
+        When the folder is no finished run, or pyarrow is missing; nothing is written then.
+    """
+    if to == "parquet":
+        check_parquet()
+    read_manifest(out)  # a folder that is no finished run is refused before it is locked
+    with alone_in(out):
+        check_places(out)
+        run = open_run(out)
+        path, write = out / draws_as(to), write_parquet if to == "parquet" else write_csv
+        return path, write(path, frames_of(run, named_system(units, run.system), most))

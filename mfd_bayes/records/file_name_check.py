@@ -55,7 +55,7 @@ _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
 
 
 def contradictions(
-    record: Record, trace: Trace | None = None, *, known: Collection[str] = ROLES
+    record: Record, trace: Trace | None = None, *, roles: Collection[str] = ROLES
 ) -> tuple[Fault, ...]:
     """Gaps in time, and units in columns' names or figures in a file's that its record has not.
 
@@ -63,23 +63,23 @@ def contradictions(
     stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
     ``pp``); a rate may also be that of the samples. Where a name has several of one kind it is
     enough that one agrees. Names without such words, and motions without a full loop, are not
-    compared; nor are roles whose unit is not among those that are `known`.
+    compared; nor are roles whose unit is not among those that are `roles`.
     """
     trace = record.trace() if trace is None else trace
     faults = []
-    if record.gap and "time" in known:
+    if record.gap and "time" in roles:
         faults.append(Fault.of("gap in time", "{gap}", gap=record.gap))
     faults += [Fault.of("rows not used", "{rows}", rows=doubt) for doubt in record.doubts]
-    faults += _of_columns(record, known)
-    if "time" in known:
+    faults += _of_columns(record, roles)
+    if "time" in roles:
         faults += _of_time(record, trace)
-    return (*faults, *_of_motion(record, trace, known), *_of_actuation(record, trace))
+    return (*faults, *_of_motion(record, trace, roles), *_of_actuation(record, trace))
 
 
-def _of_columns(record: Record, known: Collection[str]) -> Iterator[Fault]:
+def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
     """Columns that are read in another unit than the file says, or whose own is not known."""
     for role, (name, unit) in record.columns.items():
-        if role in record.derived or (role not in known and role != "actuation"):
+        if role in record.derived or (role not in roles and role != "actuation"):
             continue
         row = record.stated_units.get(role, "")
         own, where = stated_unit(own_name(name), row), "the file" if row else "its name"
@@ -120,14 +120,14 @@ def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
         )
 
 
-def _of_motion(record: Record, trace: Trace, known: Collection[str]) -> Iterator[Fault]:
+def _of_motion(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
     """Amplitude and frequency of the loops at full stroke."""
     loops, name = find_loops(trace), record.path.stem
     if not loops.period.size:
         return
     amplitude = float(np.median(loops.amplitude[loops.strong]))
     rate = float(1.0 / np.median(loops.period[loops.strong]))
-    if "displacement" in known:
+    if "displacement" in roles:
         lengths = {
             m[0]: number_in(m[1]) * factor(m[2], "displacement") for m in _LENGTH.finditer(name)
         }
@@ -139,7 +139,7 @@ def _of_motion(record: Record, trace: Trace, known: Collection[str]) -> Iterator
             amplitude=(amplitude, "in"),
             stroke=(2 * amplitude, "in"),
         )
-    if "time" in known:
+    if "time" in roles:
         rates = {m[0]: number_in(m[1]) for m in _FREQUENCY.finditer(name)}
         shown = f"the record's motion has {rate:.3g} Hz"
         yield from _contradiction(record, rates, [rate, record.rate], shown)
@@ -160,19 +160,19 @@ def length_in_name(record: Record) -> tuple[str, str] | None:
     if not loops.period.size:
         return None
     amplitude = float(np.median(loops.amplitude[loops.strong]))
-    found = {
+    lengths = {
         unit: m[0]
         for unit in ("mm", "cm", "m", "in")
         for m in _LENGTH.finditer(name)
         for size in _sizes(name, amplitude * factor(unit, "displacement"))
         if _near(size, number_in(m[1]) * factor(m[2], "displacement"))
     }
-    if len(found) != 1:
+    if len(lengths) != 1:
         return None
-    unit, said = found.popitem()
+    unit, length = lengths.popitem()
     return (
         unit,
-        f"the file's name says {said}, and the numbers have an amplitude of {amplitude:.3g}",
+        f"the file's name says {length}, and the numbers have an amplitude of {amplitude:.3g}",
     )
 
 

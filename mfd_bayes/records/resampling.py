@@ -74,8 +74,8 @@ def default_rate(
     needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
     if turns.size > 1:
         needs.append(40 / float(np.median(np.diff(time[turns]))))
-    wanted = max(needs, default=record_rate)
-    divisor = max(1, int(record_rate / wanted * (1 + 1e-9)))
+    needed = max(needs, default=record_rate)
+    divisor = max(1, int(record_rate / needed * (1 + 1e-9)))
     return record_rate / max(divisor, math.ceil(time.size / MOST_SAMPLES))
 
 

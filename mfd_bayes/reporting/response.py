@@ -107,7 +107,10 @@ def peaks_csv(rows: Iterable[Row], system: System) -> str:
         line |= {"unit": unit, "median": by * row.median, "mean": by * row.mean}
         for p, (low, high) in zip(PROBABILITIES, row.bands, strict=True):
             line |= {f"lower_{percent(p)}": by * low, f"upper_{percent(p)}": by * high}
-        lines.append(line | {"without_dampers": by * row.bare, "plain_friction": by * row.plain})
+        line |= {"without_dampers": by * row.bare, "plain_friction": by * row.plain}
+        lines.append(
+            line | {"all_at_lower_bound": by * row.lower, "all_at_upper_bound": by * row.upper}
+        )
     return _csv(lines, ("quantity", "ground", "place", "unit", "median", "mean"))
 
 
@@ -191,7 +194,10 @@ def response_json(
             {
                 **{key: getattr(row, key) for key in ("quantity", "ground", "place")},
                 "unit": unit,
-                **{key: by * getattr(row, key) for key in ("median", "mean", "bare", "plain")},
+                **{
+                    key: by * getattr(row, key)
+                    for key in ("median", "mean", "bare", "plain", "lower", "upper")
+                },
                 "bands": {percent(p): [by * end for end in band] for p, band in pairs},
             }
         )

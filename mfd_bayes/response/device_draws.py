@@ -27,6 +27,12 @@ KINDS = ("new_test", "device")
 FEWEST = 10
 """Fewest draws of a response."""
 
+BOUND = 0.95
+"""Probability between the lower and the upper design value of a device."""
+
+BOUND_DRAWS = 1000
+"""Draws of the bounds: few would leave them to chance."""
+
 RIGID = 0.001
 """Travel, in, at which almost rigid friction slips."""
 
@@ -274,6 +280,49 @@ def draw_dampers(
         times,
         {name: np.stack([one[name] for one in about], axis=1) for name in about[0]},
     )
+
+
+def bound_dampers(
+    population: Population, model: Model, building: Building, drawn: Dampers, choice: Choice
+) -> dict[str, Dampers]:
+    """One building with all dampers at the "lower", and one at the "upper", design value.
+
+    Each damper is the mean property (the median of each quantity) but for its slip forces: those
+    are the quantiles of a new test at its actuation that leave out half of 1 − `BOUND` each, as
+    `predict --design` has them. Histories of actuation are those of `drawn`, in their median.
+    """
+    constant = replace(
+        building,
+        devices=tuple(replace(d, actuation=d.level, history=None) for d in building.devices),
+    )
+    mean, scattered = (
+        draw_dampers(population, model, constant, replace(choice, kind=kind, draws=BOUND_DRAWS))
+        for kind in ("device", "new_test")
+    )
+    levels, residual = np.array([device.level for device in building.devices]), population.residual
+    slips = {name: model.parameters.index(name) for name in model.slip_forces}
+    tied = model.tied_laws
+    found = {}
+    for name, share in (("lower", 0.5 * (1.0 - BOUND)), ("upper", 0.5 * (1.0 + BOUND))):
+        theta = np.median(mean.theta, axis=0)
+        for level in np.unique(levels):
+            at = levels == level
+            for slip, column in slips.items():
+                bound = np.quantile(scattered.theta[:, at, column], share)
+                by = bound / theta[at, column]
+                for other in (slip, *(name for name, of in tied.items() if of == slip)):
+                    theta[at, model.parameters.index(other)] *= by
+        slip_force = theta[:, list(slips.values())].mean(axis=1)[None]
+        found[name] = Dampers(
+            model,
+            theta[None],
+            np.median(mean.start, axis=0, keepdims=True),
+            slip_force,
+            Leftover.at_rest(residual.basis, residual.mean[None], slip_force / residual.slip_force),
+            {k: np.median(s, axis=0, keepdims=True) for k, s in drawn.scales.items()},
+            drawn.times,
+        )
+    return found
 
 
 def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:

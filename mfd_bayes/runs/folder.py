@@ -230,13 +230,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
-    """Refuse links that lead out of a run folder, where it is read or written.
-
-    Raises
-    ------
-    StoreError
-        When one of the named folders, or something in them, is a link to outside of the run folder.
-    """
+    """Refuse named folders that are, or hold, links to outside of a run folder."""
     try:
         home = out.resolve()
         for name in names:
@@ -254,13 +248,7 @@ def _check_inside(path: Path, home: Path) -> None:
 
 
 def check_places(out: Path) -> None:
-    """Refuse to write a run into a folder in which a file of it would replace a device or a link.
-
-    Raises
-    ------
-    StoreError
-        When the place of one of its files is a device, a pipe, or a link out of the folder.
-    """
+    """Refuse a folder in which a file of the run would replace a device, a pipe or a link."""
     for name in (MANIFEST, *OUTPUTS):
         check_place(out / name)
 
@@ -268,10 +256,7 @@ def check_places(out: Path) -> None:
 def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
     """Path of a stored file, checked: it is in the run folder and its hash, if known, is unchanged.
 
-    Raises
-    ------
-    StoreError
-        When the file is a link to elsewhere, is missing, or is not the one that was written.
+    Raises StoreError where it is missing, a link to elsewhere, or not what was written.
     """
     path = out / name
     try:
@@ -292,21 +277,9 @@ def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool = False) -> None:
-    """Refuse a run that would remove or replace one of its own inputs.
+    """Refuse a run that would remove or replace one of its inputs: campaign, priors, records.
 
-    Parameters
-    ----------
-    inputs : iterable of Path
-        Campaign file, priors and records.
-    force : bool
-        Whether what an earlier run wrote will be removed.
-    resume : bool
-        Whether what it wrote of a test may be removed.
-
-    Raises
-    ------
-    StoreError
-        When an input lies where the run writes.
+    With `force`, what an earlier run wrote will be removed; with `resume`, what it wrote of a test.
     """
     home = out.resolve()
     for path in inputs:
@@ -326,10 +299,7 @@ def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool 
 def discard(out: Path) -> None:
     """Remove what a run wrote, and nothing else; if it is interrupted, it can be repeated.
 
-    Raises
-    ------
-    StoreError
-        When the folder is not a run folder, or something in it cannot be removed.
+    Raises StoreError where the folder is not a run folder, or something cannot be removed.
     """
     check_links(out)
     begun = out / DISCARDED

@@ -230,13 +230,7 @@ def _digest(*parts: object) -> str:
 
 
 def check_readable(manifest: Manifest) -> None:
-    """Refuse a manifest that could not be read once it is written.
-
-    Raises
-    ------
-    CampaignError
-        When a key has a value that the run folder may not hold, or another one once it is read.
-    """
+    """Refuse a manifest that could not be read, or would be another one, once it is stored."""
     for name in manifest.inputs:
         if any("\ud800" <= c <= "\udfff" for c in name):  # Python's sign of other bytes
             raise CampaignError(f"the name of the file {name!r} is not UTF-8: rename it")
@@ -252,13 +246,7 @@ def check_readable(manifest: Manifest) -> None:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Manifest of a finished run, checked.
-
-    Raises
-    ------
-    StoreError
-        When there is none, the run is not finished, or a key is missing or of the wrong kind.
-    """
+    """Manifest of a finished run, checked; StoreError where it is none or of another version."""
     path = folder / MANIFEST
     if not path.exists():
         raise StoreError(f"{folder} is not a run folder: it has no {MANIFEST}")
@@ -291,13 +279,7 @@ def _checked(path: Path, content: dict[str, Any]) -> Manifest:
 
 @contextmanager
 def unchanged(folder: Path, manifest: Manifest) -> Iterator[None]:
-    """Say where a run was changed while it was read; what was read may be of two runs then.
-
-    Raises
-    ------
-    StoreError
-        When the manifest in the folder is no longer that of the same run.
-    """
+    """Raise StoreError where a run changes while it is read: it may be of two runs then."""
 
     def check_same(cause: StoreError | None = None) -> None:
         try:

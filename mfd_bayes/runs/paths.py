@@ -19,44 +19,16 @@ DRAWS = ("draws.csv", "draws.parquet")
 ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
 
-ON_REQUEST = (
-    "tables.docx",
-    "tables.xlsx",
-    "report.pdf",
-    "datasheet.pdf",
-    *ADVICE,
-    "figures/next.png",
-    "figures/next.csv",
-)
+_ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
+ON_REQUEST = (*_ON_REQUEST, *ADVICE, "figures/next.png", "figures/next.csv")
 """What is written only where it is asked for; all of it rests on the population."""
 
+_TABLES = "parameters derived readings noises laws law_scores checks scores crossvalidation"
 OUTPUTS = (
-    POPULATION,
-    "parameters.csv",
-    "derived.csv",
-    "readings.csv",
-    "noises.csv",
-    "laws.csv",
-    "law_scores.csv",
-    "checks.csv",
-    "scores.csv",
-    "parameters.json",
-    "laws.json",
-    "parameters.tex",
-    "laws.tex",
-    "crossvalidation.csv",
-    "tested_range.csv",
-    "tables.docx",
-    "tables.xlsx",
-    "datasheet.csv",
-    "datasheet.tex",
-    "datasheet.html",
-    "datasheet.pdf",
-    *DRAWS,
-    "report.html",
-    "report.pdf",
-    CAMPAIGN,
-    PRIORS,
+    *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
+    *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
+    *("datasheet.csv", "datasheet.tex"),
+    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html", POPULATION, CAMPAIGN, PRIORS),
 )
 """Files that a run and its report write, but for the manifest and what lies in folders."""
 

@@ -16,7 +16,7 @@ from mfd_bayes.records.numbers import real_number, whole_number
 from mfd_bayes.records.regular import path_of
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.device_draws import Choice, draw_dampers
+from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.step_refinement import Accuracy
@@ -49,9 +49,14 @@ def respond(
         where = f"the actuation of the damper at {device.name}"
         check_kind(where, device.unit, run.actuation_unit)
     dampers = draw_dampers(run.population, run.predictor.model, built, choice)
-    response = Analysis(built, motions, dampers, Accuracy(tolerance=tolerance)).respond(
-        jobs, observe
+    model = run.predictor.model
+    bounds = (
+        bound_dampers(run.population, model, built, dampers, choice)
+        if dampers.count and model.slip_forces
+        else {}
     )
+    accuracy = Accuracy(tolerance=tolerance)
+    response = Analysis(built, motions, dampers, accuracy, bounds).respond(jobs, observe)
     remarks = [*chain.from_iterable(beyond_tests(run, response))]
     remarks += [run.caution] if run.caution else []
     remarks += _short_histories(built, motions)

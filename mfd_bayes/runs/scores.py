@@ -20,50 +20,33 @@ PartKind = Literal["test", "level", "session"]
 
 @dataclass(frozen=True)
 class Score:
-    """How well the draws of a predicted force met the force of one record.
-
-    Attributes
-    ----------
-    coverage : tuple of three floats
-        Share of samples inside the equal-tailed bands of `COVERAGES`.
-    width : float, kip
-        Mean width of the 95 % band.
-    interval_score : float, kip
-        Mean interval score of the 95 % band (Gneiting and Raftery, 2007): its width, and 40
-        times how far the force lies outside.
-    crps : float, kip
-        Mean continuous ranked probability score.
-    rrse : float
-        Root relative squared error of the median.
-    """
+    """How well the draws of a predicted force met the force of one record."""
 
     coverage: Three
+    """Share of samples inside the equal-tailed bands of `COVERAGES`."""
     width: Figure
+    """Mean width of the 95 % band, kip."""
     interval_score: Figure
+    """Mean interval score of the 95 % band, kip (Gneiting and Raftery, 2007): its width, and 40
+    times how far the force lies outside."""
     crps: Figure
+    """Mean continuous ranked probability score, kip."""
     rrse: Figure
+    """Root relative squared error of the median."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """How a test was predicted from a campaign without its part.
-
-    Attributes
-    ----------
-    part, test : str
-    score : Score
-        Of bands of kind "observation".
-    fitted : Score
-        Of the test's own posterior.
-    whole : bool or None
-        Whether the whole force is inside the 95 % band of whole histories.
-    """
+    """How a test was predicted from a campaign without its part."""
 
     part: str
     test: str
     score: Score
+    """Of bands of kind "observation"."""
     fitted: Score
+    """Of the test's own posterior."""
     whole: bool | None = None
+    """Whether the whole force is inside the 95 % band of whole histories."""
 
 
 @dataclass(frozen=True)
@@ -129,13 +112,7 @@ class _StoredPredictions(Part):
 
 
 def read_predictions_of(path: Path, tests: Iterable[str]) -> tuple[Prediction, ...]:
-    """Predictions of the tests of a part that was left out, as they are stored.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, or does not hold these tests' predictions.
-    """
+    """Stored predictions of the tests of a part that was left out; StoreError where it is none."""
     predictions = check(_StoredPredictions, read_json(path), path).predictions
     stored = [prediction.test for prediction in predictions]
     if stored != list(tests):

@@ -67,13 +67,7 @@ class TestSequence:
         return self.ending(self.manifest.settings.tests[test].after, trace, forecast, test)
 
     def begun(self, forecast: Forecast, trace: Trace, after: str | Ending) -> Forecast:
-        """The forecast of a motion that follows a test, or begins where one ended.
-
-        Raises
-        ------
-        FitError
-            When nothing is known of such a test.
-        """
+        """The forecast of a motion that follows a test, or begins where one ended."""
         if isinstance(after, Ending):
             return replace(forecast, before=after)
         names = [*self.tests, *self.motions]
@@ -94,17 +88,10 @@ class TestSequence:
         ----------
         after : str
             Id of the test; "" for none.
-        trace : Trace
-            The motion.
-        forecast : Forecast
-            Its kind, number of draws and seed.
+        trace, forecast
+            The motion, and the kind, number of draws and seed of its forecast.
         test : str
             Id of the test whose motion it is; "" for a new one.
-
-        Raises
-        ------
-        StoreError
-            When the stored posterior cannot be read.
         """
         if not after or not self.predictor.model.has_gap:
             return None
@@ -116,8 +103,7 @@ class TestSequence:
             place = self._ended(name, replace(forecast, before=place))
             if place is None:
                 continue
-            done = (self.tests if name in self.tests else self.motions)[name]
-            last = done.trace if isinstance(done, TestResult) else done
+            last = self.tests[name].trace if name in self.tests else self.motions[name]
             first = self.motions[following] if following else trace
             way = self._between(name, following or test)
             way = last.displacement[-1], *way, first.displacement[0]
@@ -163,13 +149,7 @@ class StoredPooled:
     population: Population
 
     def __call__(self, name: str) -> Mapping[str, Array]:
-        """Quantities by name, (n,) each; empty where none are stored.
-
-        Raises
-        ------
-        StoreError
-            When the stored file is damaged.
-        """
+        """Quantities by name, (n,) each; empty where none are stored."""
         file, population = pooled_of(name), self.population
         if not (self.folder / file).is_file():
             return {}

@@ -91,49 +91,6 @@ class System:
         text = self.words([trace.reference_actuation], unit, actuation=True)
         return f"{text} (mean of a history)" if trace.varying else text
 
-    def reworded(self, text: str) -> str:
-        """Text with its quantities in internal units given in this system: "0.2 to 0.3 kip".
-
-        For sentences that are not yet a `Message`. What stands in quotation marks, or without a
-        blank between number and unit, stays.
-        """
-        if self == US:
-            return text
-        return _QUANTITY.sub(self._reworded, _OBSERVED.sub(self._observed, text))
-
-    def _observed(self, match: re.Match[str]) -> str:
-        """A figure that a check names with its unit before both values."""
-        unit = match["unit"].replace("·", "*")
-        seen, expected = (_times(match[name], self.factor(unit)) for name in ("seen", "expected"))
-        shown = self.unit(unit).replace("*", "·")
-        return f", {shown} (observed {seen}, expected {expected}"
-
-    def _reworded(self, match: re.Match[str]) -> str:
-        unit = match["unit"].replace("·", "*")
-        by = self.factor(unit)
-        values = _NUMBER.sub(lambda number: _times(number[0], by), match["values"])
-        return f"{values} {self.unit(unit).replace('*', (match['unit'].count('·') and '·') or '*')}"
-
-
-_NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_N = _NUMBER.pattern
-# The preposition in: "3 in the middle"; and what goes on: "3 in/s", "in²".
-_QUANTITY = re.compile(
-    rf"(?<![\w.'])(?P<values>{_N}(?: to {_N})?(?: \({_N} to {_N}\)| \[{_N}, {_N}\])?) "
-    r"(?P<unit>kip[·*]in|kip\*s/in|kip/in|in/s|kip|ksi|in(?! (?:an?|the|all|each|one|its|their|"
-    r"every|which|this|that|them|\d)\b))(?![\w/*·^²'])"
-)
-_OBSERVED = re.compile(
-    rf", (?P<unit>kip·in|kip|in) \(observed (?P<seen>{_N}), expected (?P<expected>{_N})"
-)
-
-
-def _times(number: str, by: float) -> str:
-    """A number times a factor, with as many digits as it has, at least three."""
-    digits = max(3, len(re.sub(r"e.*$|\D", "", number).lstrip("0")))
-    sign = "+" if number.startswith("+") else ""
-    return f"{sign}{in_digits(float(number) * by, digits)}"
-
 
 US = System("us", "kip and in", "in", "kip", "ksi")
 SI = System("si", "kN and mm", "mm", "kN", "MPa")

@@ -34,7 +34,8 @@ def exact(n, seed=20):
     return MEAN + np.random.default_rng(seed).normal(size=(n, DIM)) @ FACTOR.T
 
 
-LEARNED = learn(exact(4000), 3, np.random.default_rng(21))
+ANCHORS = Mixture(np.ones(1), MEAN[None], 1.5 * FACTOR[None], np.full(1, 6.0))
+LEARNED = learn(exact(4000), 3, np.random.default_rng(21), ANCHORS)
 NARROW = Mixture(
     np.array([0.3, 0.7]),
     np.array([MEAN + 0.5 * SD, MEAN - 0.3 * SD]),

@@ -122,7 +122,7 @@ def test_a_law_of_a_new_model_can_be_chosen_in_a_campaign(folder, monkeypatch):
     with pytest.raises(CampaignError, match=r"unknown key 'mu' in \[laws\]"):
         load_campaign(path)
     monkeypatch.setattr(models, "MODELS", {**models.MODELS, "coulomb": Coulomb()})
-    assert load_campaign(path).laws["mu"] == "affine"
+    assert load_campaign(path).settings.laws["mu"] == "affine"
 
 
 def test_a_new_noise_is_one_class_and_one_entry(folder, monkeypatch):

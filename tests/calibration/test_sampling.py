@@ -8,7 +8,7 @@ from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.ensembles import sample_density
 from mfd_bayes.calibration.least_squares import least_squares
 from mfd_bayes.calibration.modes import around_modes, climb, mode_shares
-from mfd_bayes.calibration.proposal import Adaptive, Mixture, fit_mixture, joined
+from mfd_bayes.calibration.proposal import Adaptive, Mixture, Proposal, fit_mixture
 
 DIM = 5
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])
@@ -192,7 +192,7 @@ def test_the_density_of_a_mixture_is_that_of_scipy():
     parts = zip(MIXTURE.weights, MIXTURE.means, MIXTURE.factors, MIXTURE.dof, strict=True)
     known = sum(w * stats.multivariate_t(m, f @ f.T, df=d).pdf(points) for w, m, f, d in parts)
     np.testing.assert_allclose(np.exp(MIXTURE.log_density(points)), known, rtol=1e-8)
-    both = joined([MIXTURE, MIXTURE], [0.25, 0.75])
+    both = Proposal((0.25, 0.75), (MIXTURE, MIXTURE))
     np.testing.assert_allclose(both.log_density(points), MIXTURE.log_density(points))
 
 

@@ -182,7 +182,7 @@ def test_unknown_keys_name_the_nearest(folder, text, expected):
         ("[dependence]\nFc_fwd = 3\n" + TEST, "dependence.Fc_fwd in"),
         ("[columns]\nforce = { column = 0 }\n" + TEST, "greater than or equal to 1"),
         ('[columns]\nforce = { name = "f", column = 3 }\n' + TEST, "either by its name or"),
-        ('[columns]\nforce = { name = "f", sign = 2 }\n' + TEST, "a sign is 1 or -1"),
+        ('[columns]\nforce = { name = "f", sign = 2 }\n' + TEST, "sign in"),
         (TEST + 'fit = "60 s"\n', "0 s to 60 s"),
         (TEST + "fit = [0, 60]\n", "test 'p500_f0.05'.fit"),
         (TEST.replace("500 psi", "500 mm"), "measures length"),

@@ -230,7 +230,7 @@ def test_candidates_are_every_model_with_every_noise(models, noises, expected):
         ([], ["ou", "ou"], "each once"),
         ([], ["ou"], "--noises must name two or more of ou, iid.* got 'ou' alone"),
         (["lugre"], ["ou"], "--noises must name two or more"),
-        (["lugree"], ["ou", "iid"], "--models must be of three_stage"),
+        (["lugree"], ["ou", "iid"], "--models must name models of three_stage"),
         (["lugre", "lugre+travel"], [], "--models must name two or more"),
         (["lugre"], [], "--models must name two or more"),
     ],

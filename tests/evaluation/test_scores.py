@@ -3,7 +3,8 @@ import pytest
 from pydantic import TypeAdapter
 from scipy import stats
 
-from mfd_bayes.evaluation.scores import COVERAGES, crps, rrse, score
+from mfd_bayes.calibration.predictive import COVERAGES
+from mfd_bayes.evaluation.scores import crps, rrse, score
 from mfd_bayes.runs.scores import Score
 
 

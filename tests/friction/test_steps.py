@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.errors import FitError
 from mfd_bayes.friction.elastoplastic import ElastoPlastic
-from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import MODELS
-from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
 PRIORS = load_priors("mfd").parameters
@@ -132,22 +129,6 @@ def test_given_factors_replace_the_proportion(model):
     close(np.array(forces).T, model.force(theta, trace, scales=scales))
 
 
-def test_a_batch_equals_its_vectors(model):
-    theta = dampers(model, 6)
-    for level in LEVELS.values():
-        trace = trace_of(MOTIONS["partial"], level)
-        alone = [model.force(row[None], trace)[0] for row in theta]
-        close(model.force(theta, trace), np.array(alone))
-
-
-def test_a_record_cut_short_has_the_same_force(model):
-    theta, whole = dampers(model, 3), trace_of(MOTIONS["turns between samples"])
-    part = Trace.from_arrays(
-        TIME[:150], whole.displacement[:150], velocity=whole.velocity[:150], hysteresis=0.0
-    )
-    close(model.force(theta, part), model.force(theta, whole)[:, :150])
-
-
 def test_a_state_can_be_stepped_again(model):
     state = model.start(dampers(model, 2))
     for i in range(30):
@@ -178,23 +159,3 @@ def test_a_plastic_spring_slips_at_its_strength():
         bank = bank.step(np.array([x]), np.zeros(1), 0.1)
         forces.append(float(bank.force[0]))
     np.testing.assert_allclose(forces, [1.0, 2.0, 1.0, -2.0])
-
-
-class Dashpot(Model):
-    """A user's own model: one class with a name, its quantities and a force."""
-
-    name = "dashpot"
-    quantities = (Quantity("c", "damping", "c", "c", "viscous damping"),)
-
-    def force(self, theta, trace, start=None, *, scales=None):
-        return self.columns(theta)["c"][:, None] * trace.velocity
-
-
-def test_a_model_of_ones_own_is_one_class():
-    trace = trace_of(MOTIONS["partial"])
-    np.testing.assert_allclose(Dashpot().force([[2.0]], trace)[0], 2.0 * trace.velocity)
-    assert Dashpot().force(np.ones((0, 1)), trace).shape == (0, trace.samples)
-    with pytest.raises(FitError, match="parameter c must be finite and not negative, got -1"):
-        Dashpot().force([[-1.0]], trace)
-    with pytest.raises(FitError, match="dashpot has no step in time"):
-        Dashpot().start([[2.0]])

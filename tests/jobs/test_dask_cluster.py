@@ -24,7 +24,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.jobs.job import Outcome, Progress
 from mfd_bayes.jobs.local import run_in_processes
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.paths import posterior_of
 

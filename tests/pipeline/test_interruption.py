@@ -23,7 +23,7 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs import workers
 from mfd_bayes.jobs.local import run_in_processes
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import discard
 

@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.calibration import result
-from mfd_bayes.campaign import file
+from mfd_bayes.campaign import campaign as campaigns
 from mfd_bayes.cli.commands import app
-from mfd_bayes.evaluation import assess
+from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.pipeline import commands, comparison, crossvalidation, report
 from mfd_bayes.pipeline.plan import Options
 from mfd_bayes.runs.run import open_run
@@ -46,13 +46,13 @@ def campaign(tmp_path):
 def reads(monkeypatch):
     """How often each record was read."""
     counts = Counter()
-    read_record = file.read_record
+    read_record = campaigns.read_record
 
     def count(path, *args, **kwargs):
         counts[path.stem] += 1
         return read_record(path, *args, **kwargs)
 
-    monkeypatch.setattr(file, "read_record", count)
+    monkeypatch.setattr(campaigns, "read_record", count)
     return counts
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.pipeline import response_files
-from mfd_bayes.pipeline.response import Query, view_of
-from mfd_bayes.pipeline.response_files import write_response
+from mfd_bayes.pipeline.respond import Query, view_of, write_response
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import no_dampers

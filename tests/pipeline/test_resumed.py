@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.pipeline import calibration
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline import calibrate as calibration
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.runs.manifest import read_manifest, with_keys
 from mfd_bayes.runs.run import open_run
 

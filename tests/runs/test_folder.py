@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline.commands import report
+from mfd_bayes.pipeline.report import report
 from mfd_bayes.runs.folder import Existing, check_links, discard, prepare_folder
 from mfd_bayes.runs.manifest import with_keys
 from mfd_bayes.runs.run import open_run

@@ -9,10 +9,7 @@ import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
-from mfd_bayes.pipeline.commands import effort_of, report
-from mfd_bayes.evaluation.folds import Fold, read_predictions
-from mfd_bayes.pipeline.commands import effort_of
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.plan import Options, effort_of, plan_campaign
 from mfd_bayes.runs.folder import check_stored
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import open_run

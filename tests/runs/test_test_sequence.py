@@ -80,14 +80,16 @@ def test_of_two_windows_in_one_file_what_lies_between_them_counts(run):
     motion = Trace.from_arrays(np.arange(9) / 10, 100.0 + np.arange(9), 0.7)
     after = chained.sequence.ending("b", motion, FORECAST)  # after all of the file
     np.testing.assert_allclose(after.place, 1.0)
-    settings = chained.manifest.settings.with_test("c", file="b.csv")
-    manifest = chained.manifest.with_test("c", before=())
+    settings = chained.manifest.settings.with_test(
+        "c", file=chained.manifest.settings.tests["b"].file
+    )
+    manifest = chained.manifest.with_test("b", after=(90.0,)).with_test("c", before=())
     places = []
     for given in (manifest, manifest.changed(settings=settings)):  # two files, then one
         found = replace(chained, manifest=given).sequence.before("c", run.held_out["c"], FORECAST)
         places.append(found.place)
-    assert np.all(places[0] == 1.0)
-    assert not np.all(places[1] == 1.0)
+    assert np.all(places[0] == 0.0)
+    assert not np.all(places[1] == 0.0)
 
 
 def test_a_prediction_says_which_test_it_follows(run):

@@ -6,20 +6,14 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.child import (
-    Content,
-    UnreadableError,
-    import_library,
-    read_in_child,
-)
+from mfd_bayes.records.readers.child import Content, UnreadableError, read_in_child
 from mfd_bayes.records.readers.table import Column, Table, bare_unit
 from mfd_bayes.units import factor, measure
 
@@ -30,9 +24,8 @@ _KINDS = {"O": "text", "U": "text", "c": "complex numbers"}
 _LABVIEW = np.datetime64("1904-01-01", "us")  # a start time that a writer left at its zero
 
 
-@dataclass(frozen=True)
-class _Clock:
-    """Sampling times of a waveform: its step, first time and end, s."""
+class _Clock(NamedTuple):
+    """Sampling times of a waveform: its step and first time, s."""
 
     step: float
     begin: float
@@ -47,70 +40,115 @@ class _Clock:
         """Whether the steps are the same."""
         return math.isclose(self.step, other.step, rel_tol=EVEN)
 
+    def fits(self, other: _Clock, *, timed: bool) -> bool:
+        """Whether both ran together with one step; where the file has one time, from one begin."""
+        late = abs(self.begin - other.begin)
+        together = self.begin < other.end and other.begin < self.end
+        if timed:
+            together = late <= SHARE * self.step
+        return self.even(other) and together and (self.dated == other.dated or not late)
+
 
 def read_tdms(path: Path) -> Table:
     """Table of a .tdms file: its channels, called ``group/channel`` where two share a name.
 
     Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
-    ``group/time`` where groups were sampled at different times.
+    ``group/time`` where groups were sampled at different times. Channels that ran together with
+    one step are cut to what they share, at the samples of the one that began last.
     """
-    import_library(path, "nptdms", "npTDMS", "tdms")
-    facts, arrays = read_in_child(_channels, path, "a TDMS file")
-    found = facts["channels"]
-    if not found:
-        raise RecordError(f"{path} holds no channel with data")
-    shared = Counter(one["name"] for one in found)
-    names = [c["name"] if shared[c["name"]] == 1 else f"{c['group']}/{c['name']}" for c in found]
-    columns = dict(zip(names, arrays, strict=True))
-    starts = (one["properties"].get("wf_start_time") for one in found)
-    first = min((start for start in starts if isinstance(start, float)), default=0.0)
-    kinds, units, groups, clocks = {}, {}, {}, {}
-    for name, one in zip(names, found, strict=True):
-        kind, own = one["kind"], one["properties"]
-        unit = own.get("unit_string") or own.get("NI_UnitDescription") or ""
-        kinds[name], groups[name] = kind, one["group"]
-        units[name] = "s" if kind == "M" else bare_unit(str(unit))
-        if kind in "fiub" and (clock := _clock(one, first)) is not None:
-            clocks[name] = clock
-    timed = {  # channels that are a time by their kind, their name or their unit
-        name
-        for name in names
-        if kinds[name] in "fiubM"
-        and ("time" in name.rpartition("/")[2].lower() or measure(units[name]) == "time")
+    facts, arrays = read_in_child(_channels, path, "a TDMS file", library="npTDMS", extra="tdms")
+    count = Counter(channel["name"] for channel in facts["channels"])
+    channels = {
+        c["name"] if count[c["name"]] == 1 else f"{c['group']}/{c['name']}": c
+        for c in facts["channels"]
     }
-    times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
-    for group in () if timed else dict.fromkeys(groups[name] for name in clocks):
-        own = [clock for name, clock in clocks.items() if groups[name] == group]
-        begin = min(own, key=lambda clock: clock.begin)
-        if all(clock.even(begin) for clock in own):
-            ends = [round((c.begin - begin.begin) / c.step) + c.samples for c in own]
-            times[f"{group}/time"] = replace(begin, samples=max(ends))
-    if len(set(times.values())) == 1:  # one for all
-        times = {"time": next(iter(times.values()))}
-    times = {name: clock for name, clock in times.items() if name not in columns}
-
-    def load(wanted: Sequence[str]) -> dict[str, Column]:
-        for name in wanted:
-            if name in kinds and kinds[name] not in "fiubM":
-                held = _KINDS.get(kinds[name], "no numbers")
-                raise RecordError(f"channel {name!r} of {path} holds {held}; expected numbers")
-        own = {n: clock for n in wanted if n not in timed and (clock := (times | clocks).get(n))}
-        read: dict[str, Column] = {
-            name: times[name].begin + times[name].step * np.arange(times[name].samples)
-            if name in times
-            else np.array(columns[name], dtype=np.float64)
-            for name in wanted
-        }
-        return read | _together(path, own, read, timed=bool(timed))
-
+    if not channels:
+        raise RecordError(f"{path} holds no channel with data")
+    starts = [c["properties"].get("wf_start_time") for c in channels.values()]
+    first = min((start for start in starts if isinstance(start, float)), default=0.0)
+    columns: dict[str, Column] = {}
+    clocks: dict[str, _Clock] = {}
+    units: dict[str, str] = {}
+    timed = False  # whether a channel is a time by its kind, its name or its unit
+    for k, (name, channel) in enumerate(channels.items()):
+        own, kind = channel["properties"], channel["kind"]
+        units[name] = bare_unit(str(own.get("unit_string") or own.get("NI_UnitDescription") or ""))
+        if kind not in "fiubM":
+            columns[name] = [_KINDS.get(kind, "no numbers")] * channel["samples"]
+            continue
+        columns[name] = arrays[str(k)]
+        units[name] = "s" if kind == "M" else units[name]
+        if "time" in channel["name"].lower() or measure(units[name]) == "time":
+            timed = True
+        elif kind != "M" and (clock := _clock(channel, first)) is not None:
+            clocks[name] = clock
+    together: list[list[str]] = []  # names of channels that were sampled together
+    for name in sorted(clocks, key=lambda name: clocks[name].begin):
+        for names in together:
+            if clocks[name].fits(clocks[names[0]], timed=timed):
+                names.append(name)
+                break
+        else:
+            together.append([name])
+    times: dict[str, Column] = {}
+    apart: dict[str, str] = {}
+    notes = []
+    for number, names in enumerate(together):
+        own, group = [clocks[name] for name in names], channels[names[0]]["group"]
+        title = "time" if len(together) == 1 else f"{group}/time"
+        words = "" if number == 0 else _why_apart(together[0][0], names[0], clocks, timed=timed)
+        apart |= dict.fromkeys([*names, title], words)
+        if number and not own[0].even(clocks[together[0][0]]):
+            notes.append(f"{words}: they cannot be used together")
+        if timed:
+            continue
+        if any(clock[1:3] != own[0][1:3] for clock in own):
+            notes.append(_difference(names, own))
+        start, step = max(clock.begin for clock in own), own[0].step
+        size = math.floor((min(clock.end for clock in own) - start) / step + SHARE)
+        for name, clock in zip(names, own, strict=True):
+            values, late = np.asarray(columns[name], dtype=np.float64), (start - clock.begin) / step
+            if abs(late - round(late)) < SHARE:
+                columns[name] = values[round(late) : round(late) + size]
+            else:
+                at = np.arange(values.size)
+                columns[name] = np.interp(late + np.arange(size), at, values)
+        others = {channels[n]["group"] for other in together if other is not names for n in other}
+        if title not in columns and group not in others:
+            times[title] = start + step * np.arange(size)
+            units[title] = "s"
     return Table(
         path,
-        (*times, *names),
-        load,
-        units={name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
-        notes=_apart(clocks),
+        times | columns,
+        units={name: unit for name, unit in units.items() if unit},
+        apart=apart,
+        notes=tuple(notes),
         head=tuple(facts["settings"]),
     )
+
+
+def _why_apart(first: str, name: str, clocks: Mapping[str, _Clock], *, timed: bool) -> str:
+    """Why a channel cannot be used together with the one that begins first."""
+    one, other = clocks[first], clocks[name]
+    late = other.begin - one.begin
+    if not one.even(other):
+        return f"{first} has a step of {one.step:g} s and {name} one of {other.step:g} s"
+    if one.dated != other.dated:
+        return f"of {first} and {name} only one has a start time, wf_start_time"
+    then = "the file has one time" if timed else "they are never measured at the same time"
+    return f"{name} begins {late:.6g} s after {first}, and {then}"
+
+
+def _difference(names: Sequence[str], clocks: Sequence[_Clock]) -> str:
+    """Sentence on channels that do not begin or end as the first of them does."""
+    said = []
+    for name, clock in zip(names, clocks, strict=True):
+        if clock.begin > clocks[0].begin:
+            said.append(f"{name} begins {clock.begin - clocks[0].begin:.6g} s after {names[0]}")
+        elif clock.samples != clocks[0].samples:
+            said.append(f"{name} has {clock.samples} samples, {names[0]} {clocks[0].samples}")
+    more = f", and {len(said) - 3} more" if len(said) > 3 else ""
+    return f"{', '.join(said[:3])}{more}: only what channels share is used"
 
 
 def _channels(path: Path) -> Content:
@@ -120,8 +158,8 @@ def _channels(path: Path) -> Content:
 
     log_manager.set_level(logging.ERROR)  # its warnings are errors here
     channels: list[dict[str, Any]] = []
-    arrays: list[NDArray[np.generic]] = []
-    # Given a path, nptdms would read an index file beside it, which may belong to another.
+    arrays: dict[str, NDArray[np.generic]] = {}
+    # Given a path, nptdms would read an index file next to it, which may belong to another.
     with path.open("rb") as stream, TdmsFile.open(stream) as file:
         for name, status in (file.file_status.channel_statuses or {}).items():
             if status.read_length < status.expected_length:
@@ -133,25 +171,28 @@ def _channels(path: Path) -> Content:
         if sum(map(len, every)) > SAMPLES:
             raise UnreadableError(f"holds more than {SAMPLES:,} samples, the most that are read")
         for channel in every:
-            kind = np.dtype(channel.dtype).kind
             if not len(channel):
                 continue
-            values = np.empty(0)
+            kind, values = np.dtype(channel.dtype).kind, np.empty(0)
             if kind == "M":
                 stamps = channel[:].astype("M8[us]")
                 values = (stamps - stamps[0]) / np.timedelta64(1, "s")
             elif kind in "fiub":
                 values = np.asarray(channel[:], dtype=np.float64)
-            own = {name: _plain(value) for name, value in channel.properties.items()}
+            arrays[str(len(channels))] = values
             channels.append(
-                {"group": channel.group_name, "name": channel.name, "kind": kind}
-                | {"samples": len(channel), "properties": own}
+                {
+                    "group": channel.group_name,
+                    "name": channel.name,
+                    "kind": kind,
+                    "samples": len(channel),
+                    "properties": {n: _plain(value) for n, value in channel.properties.items()},
+                }
             )
-            arrays.append(values)
         settings = [
             f"{name}: {value}"
-            for one in (file, *file.groups())
-            for name, value in one.properties.items()
+            for part in (file, *file.groups())
+            for name, value in part.properties.items()
         ]
     return {"channels": channels, "settings": settings}, arrays
 
@@ -167,80 +208,16 @@ def _plain(value: Any) -> float | str | None:
     return float(value)
 
 
-def _clock(one: dict[str, Any], first: float) -> _Clock | None:
+def _clock(channel: dict[str, Any], first: float) -> _Clock | None:
     """Clock of a waveform over time; start times count from that of the first channel."""
-    own = one["properties"]
-    step, start, began = (own.get(f"wf_{n}") for n in ("increment", "start_offset", "start_time"))
-    start = 0.0 if start is None else start
+    own = channel["properties"]
+    step, offset, began = (own.get(f"wf_{n}") for n in ("increment", "start_offset", "start_time"))
+    offset = 0.0 if offset is None else offset
     unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
-    if not (isinstance(step, float) and isinstance(start, float) and measure(unit) == "time"):
+    if not (isinstance(step, float) and isinstance(offset, float) and measure(unit) == "time"):
         return None
-    if not (0.0 < step < math.inf and math.isfinite(start)):
+    if not (0.0 < step < math.inf and math.isfinite(offset)):
         return None
     scale, dated = factor(unit, "time"), isinstance(began, float)
-    begin = start * scale + (began - first if isinstance(began, float) else 0.0)
-    return _Clock(step * scale, begin, one["samples"], dated)
-
-
-def _apart(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
-    """Sentence on channels that do not begin, end or step as the first of them does."""
-    said = []
-    first = min(clocks, key=lambda name: clocks[name].begin, default="")
-    for name, clock in clocks.items():
-        one = clocks[first]
-        if clock.begin >= one.end:
-            continue  # of another test
-        if not clock.even(one):
-            steps = f"{first} has a step of {one.step:g}, {name} of {clock.step:g}"
-            return (f"{steps}: they cannot be used together",)
-        if clock.begin > one.begin:
-            said.append(f"{name} begins {clock.begin - one.begin:.6g} s after {first}")
-        elif clock.samples != one.samples:
-            said.append(f"{name} has {clock.samples} samples, {first} {one.samples}")
-    more = f", and {len(said) - 3} more" if len(said) > 3 else ""
-    return (f"{', '.join(said[:3])}{more}: only what channels share is used",) if said else ()
-
-
-def _together(
-    path: Path, clocks: Mapping[str, _Clock], columns: Mapping[str, Column], *, timed: bool
-) -> dict[str, Column]:
-    """Columns while all of them were measured, at the samples of the one that began last.
-
-    Refused where they have other steps, are never measured together, or differ though the file
-    has one time for all of them, which is `timed`.
-    """
-    if len(set(clocks.values())) < 2:
-        return {}
-    first, one = next(iter(clocks.items()))
-    for name, clock in clocks.items():
-        late = clock.begin - one.begin
-        if not clock.even(one):
-            raise RecordError(
-                f"{path}: {first} has a step of {one.step:g} s and {name} one of {clock.step:g} s"
-                + (", and the file has one time" if timed else ": resample them first")
-            )
-        if timed and abs(late) > SHARE * one.step:
-            way = "after" if late > 0 else "before"
-            raise RecordError(
-                f"{path}: {name} begins {abs(late):.6g} s {way} {first}, and the file has one time"
-            )
-        if clock.dated != one.dated and late:
-            raise RecordError(
-                f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
-                "is not that of the file's first channel: they cannot be aligned"
-            )
-    if timed:
-        return {}
-    start = max(clock.begin for clock in clocks.values())
-    size = math.floor((min(c.end for c in clocks.values()) - start) / one.step + SHARE)
-    if size < 1:
-        raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
-    found: dict[str, Column] = {}
-    for name, clock in clocks.items():
-        begin, values = (start - clock.begin) / one.step, np.asarray(columns[name], np.float64)
-        if abs(begin - round(begin)) < SHARE:
-            found[name] = values[round(begin) : round(begin) + size]
-        else:
-            found[name] = np.interp(begin + np.arange(size), np.arange(values.size), values)
-    size = min(map(len, found.values()))
-    return {name: column[:size] for name, column in found.items()}
+    begin = offset * scale + (began - first if isinstance(began, float) else 0.0)
+    return _Clock(step * scale, begin, channel["samples"], dated)

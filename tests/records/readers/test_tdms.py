@@ -103,7 +103,9 @@ def test_no_time_is_offered_where_there_is_one_or_none_can_be_made(tmp_path, cha
 def test_channels_without_numbers_are_refused_when_used(tmp_path, refused, values, held):
     path = write(tmp_path, ("G", "x", TIME), ("G", "note", values))
     np.testing.assert_array_equal(read_table(path).columns(["x"])["x"], TIME)
-    assert refused(path, ["note"]) == f"channel 'note' of {path} holds {held}; expected numbers"
+    assert refused(path, ["note"]) == (
+        f"sample 1 of {path}, column 'note': expected a finite number, found {held!r}"
+    )
 
 
 def test_a_value_that_is_not_finite_is_named_by_its_sample(tmp_path, refused):
