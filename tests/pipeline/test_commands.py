@@ -504,7 +504,7 @@ def test_report_remakes_the_report_without_sampling(copied):
     outcome = here("report", copied, "--quiet")
     assert (outcome.exit_code, outcome.stderr) == (0, "")
     checked = here("check", copied, "--quiet").stdout
-    assert outcome.stdout.partition(": ")[2].split() == (checked  # the verdict alone).split()
+    assert outcome.stdout.partition(": ")[2].split() == checked.split()  # the verdict alone
     assert (copied / "report.html").stat().st_size > 10_000
     assert list((copied / "figures").glob("*.png"))
     for name, content in tables.items():
