@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
 from mfd_bayes.evaluation.properties import stored_peaks
 from mfd_bayes.evaluation.summary import assess, verdicts
@@ -72,6 +73,10 @@ def write_report(
     """Write the tables, figures and report of an open run, whose folder must be locked."""
     from mfd_bayes.reporting.publish import publish
 
+    try:
+        at = [parse_condition(text, run.actuation_unit) for text in forms.at]
+    except MfdError as error:
+        raise ReportError(f"--at: {error}") from error
     processes = Workplace(jobs).processes
     observe(Step("report", "checks and bands"))
     system = named_system(units, run.system)
@@ -85,7 +90,6 @@ def write_report(
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
-    at = [parse_condition(text, run.actuation_unit) for text in forms.at]
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
     publish(view, run.folder, processes, observe, forms, sheet)
     return view

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -131,18 +130,11 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
     )
 
 
-def convert_scores(found: LeftOutView, by: float) -> LeftOutView:
+def convert_scores(scores: LeftOutView, by: float) -> LeftOutView:
     """Scores of what was left out times a factor: those that are forces."""
 
     def converted(row: LeftOutRow) -> LeftOutRow:
         return replace(row, **{name: by * getattr(row, name) for name in _SCORES})
 
-    rows = tuple(converted(row) for row in found.rows)
-    return replace(found, rows=rows, mean=converted(found.mean))
-
-
-def shares_of(tests: tuple[TestView, ...]) -> Mapping[str, float]:
-    """What makes the bands of held-out tests wide: mean shares over the tests that have them."""
-    known = [test.shares for test in tests if test.shares]
-    names = dict.fromkeys(name for shares in known for name in shares)
-    return {name: sum(s.get(name, 0.0) for s in known) / len(known) for name in names}
+    rows = tuple(converted(row) for row in scores.rows)
+    return replace(scores, rows=rows, mean=converted(scores.mean))

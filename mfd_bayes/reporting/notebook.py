@@ -77,15 +77,15 @@ class Notebook:
 
 def _along(band: Band, displacement: Any) -> NDArray[np.float64]:
     """Displacement over which a band is drawn, (T,), in."""
-    found = real_numbers("displacement", displacement, ReportError)
-    if found.shape != band.time.shape:
+    values = real_numbers("displacement", displacement, ReportError)
+    if values.shape != band.time.shape:
         raise ReportError(
             f"displacement must have shape {band.time.shape}, a number for each sample of the "
-            f"band, got {found.shape}"
+            f"band, got {values.shape}"
         )
-    if not np.all(np.isfinite(found)):
+    if not np.all(np.isfinite(values)):
         raise ReportError("displacement must be finite")
-    return found
+    return values
 
 
 def _of_band(band: Band) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.evaluation.width import width_sentence
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.conversion import shares_of, system_of
+from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.explorer import explore, script_json
 from mfd_bayes.reporting.tables import (
     ACTUATION,
@@ -93,7 +93,7 @@ class Picture:
         return cls(uri, *_size(png), quote(path), quote(table_of(key)))
 
     @classmethod
-    def beside(cls, key: str, png: bytes) -> Picture:
+    def linked(cls, key: str, png: bytes) -> Picture:
         """Picture that stands beside its page."""
         name, table = (path.rpartition("/")[2] for path in (f"{key}.png", table_of(key)))
         return cls(quote(name), *_size(png), quote(name), quote(table))
@@ -220,7 +220,7 @@ def render(
             view=view,
             test=test,
             judged=held.get(test.id),
-            pictures={key: Picture.beside(key, png) for key, png in own.items()},
+            pictures={key: Picture.linked(key, png) for key, png in own.items()},
         )
     return pages
 
@@ -229,6 +229,9 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
     calibrated = [test for test in view.tests if test.role != "validate"]
     held_out = [test for test in view.tests if test.role == "validate"]
     names = {test.id for test in held_out}
+    explained = [test.shares for test in held_out if test.shares]
+    sources = dict.fromkeys(name for shares in explained for name in shares)
+    shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
     explorer = explore(view) if view.tests else None
     parameters, laws = paper_sheets(view, US)
     shown = tuple(row for row in parameters.rows if row.name not in ELSEWHERE)
@@ -254,7 +257,7 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
         laws=laws,
         scores=score_sheet([row for row in view.scores if row.subject in names]),
         left_out=score_sheet([*view.left_out.rows, view.left_out.mean]) if view.left_out else None,
-        width=width_sentence(shares_of(view.tests)),
+        width=width_sentence(shares),
         exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
         advice=None
         if advice is None
@@ -322,7 +325,7 @@ def environment() -> Environment:
         "symbol": symbols.in_html,
         "meaning": symbols.meaning,
     }
-    made.tests["known"] = math.isfinite
+    made.tests["finite"] = math.isfinite
     return made
 
 

@@ -98,11 +98,11 @@ class Forms:
                 raise ReportError(f"--tests: the run has no test {name!r}; {hint}")
         if self.pdf:
             find_browser()
-        for wanted, library, extra in (
+        for requested, library, extra in (
             (self.word, "docx", "word"),
             (self.excel, "openpyxl", "excel"),
         ):
-            if wanted and find_spec(library) is None:
+            if requested and find_spec(library) is None:
                 raise ReportError(
                     f"this form needs {library}, which is not installed: pip install "
                     f'"mfd_bayes[{extra}]"'
@@ -213,8 +213,8 @@ def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[s
         if drawing.id not in names:
             drawing.remove(out)
     if len(drawings) > ALONE and processes > 1:
-        with meanwhile(processes) as beside:  # the processes draw, this one meanwhile too
-            drawn = beside(partial(_draw_in_processes, drawings, out, processes))
+        with meanwhile(processes) as submit:  # the processes draw, this one meanwhile too
+            drawn = submit(partial(_draw_in_processes, drawings, out, processes))
             images = _draw_shared(view, out)
             drawn()
     else:

@@ -106,15 +106,15 @@ _PART = re.compile(r"<sub>(.*?)</sub>|<[^>]+>|([^<]+)")
 
 def parts_of(name: str) -> list[tuple[str, bool]]:
     """Symbol of a quantity as parts of text, each with whether it is a subscript."""
-    found = _PART.finditer(in_html(name))
-    parts = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in found)
+    matches = _PART.finditer(in_html(name))
+    parts = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in matches)
     return [part for part in parts if part[0]]
 
 
 def meaning(name: str) -> str:
     """What a quantity is, "" where that is not known."""
-    if known := _written(name)[2]:
-        return known
+    if words := _written(name)[2]:
+        return words
     prefix, of, more = _parts(name)
     if not prefix:
         return ""

@@ -114,7 +114,7 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
     }
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
-    return {name: frame_of(name, found) for name, found in rows.items()}
+    return {name: frame_of(name, lines) for name, lines in rows.items()}
 
 
 def report_tables(view: CampaignView) -> dict[str, str]:
@@ -234,7 +234,7 @@ class Line:
     marked: bool = False
 
     @property
-    def known(self) -> bool:
+    def finite(self) -> bool:
         """Whether it has a number."""
         return any(map(math.isfinite, self.numbers))
 
@@ -258,7 +258,7 @@ class Cell:
     @property
     def shown(self) -> list[Line]:
         """Lines that have a number; a dash where none has."""
-        return [line for line in self.lines if line.known] or [NONE]
+        return [line for line in self.lines if line.finite] or [NONE]
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,7 @@ class SheetRow:
         """Numbers of the lines that a cell has."""
         cells = [cell for cell in self.cells if cell]
         size = max((len(cell.lines) for cell in cells), default=0)
-        return [at for at in range(size) if any(cell.lines[at].known for cell in cells)]
+        return [at for at in range(size) if any(cell.lines[at].finite for cell in cells)]
 
     @property
     def meaning(self) -> str:
@@ -315,8 +315,9 @@ class Sheet:
     conditions: tuple[tuple[tuple[float, str], ...], ...] = ()
 
     def blocks(self, most: int) -> list[Sheet]:
-        """Parts of the sheet with so many columns each, which are numbered if there are several."""
+        """Parts of the sheet with at most so many columns, numbered if there are several."""
         parts = -(-len(self.heads) // most)
+        most = -(-len(self.heads) // max(parts, 1))
         return [
             replace(
                 self,
@@ -325,7 +326,7 @@ class Sheet:
                 conditions=self.conditions[at : at + most],
                 rows=tuple(replace(row, cells=row.cells[at : at + most]) for row in self.rows),
             )
-            for at in range(0, len(self.heads), most)
+            for at in range(0, len(self.heads), max(most, 1))
         ]
 
     def marks(self) -> dict[str, str]:

@@ -200,12 +200,12 @@ def figures_of(
     response: Response, sweep: Sweep | None, system: System
 ) -> Sequence[tuple[str, Figure]]:
     """Every figure of a response by its name."""
-    found = [("building", draw_building(response.building, system))]
-    found.append(("profile", draw_profile(response, system)))
+    drawn = [("building", draw_building(response.building, system))]
+    drawn.append(("profile", draw_profile(response, system)))
     for g in range(len(response.grounds)):
-        found.append((f"history_{g + 1}", draw_histories(response, g, system)))
+        drawn.append((f"history_{g + 1}", draw_histories(response, g, system)))
         if response.dampers.count:
-            found.append((f"loops_{g + 1}", draw_damper_loops(response, g, system)))
+            drawn.append((f"loops_{g + 1}", draw_damper_loops(response, g, system)))
     if sweep is not None:
-        found.append(("sweep", draw_sweep(sweep, system)))
-    return found
+        drawn.append(("sweep", draw_sweep(sweep, system)))
+    return drawn
