@@ -4,6 +4,7 @@ A line of a page that reads
 
     {{ commands }}                                      is replaced by every command's --help,
     {{ glossary }}                                      by every word of the glossary,
+    {{ keys of goal }}                                  by the keys of a table of a campaign file,
     {{ lines of benchmarks/sbc/sbc.txt with uniform }}  by the lines of a file that match a pattern,
     {{ file priors/mfd.toml }}                          by a whole file.
 
@@ -65,6 +66,8 @@ def _fill(wish: str, page: str) -> str:
         return "\n\n".join(_help(command) for command in _commands())
     if wish == "glossary":
         return _glossary()
+    if table := re.fullmatch(r"keys of (\w+)", wish):
+        return _keys(table[1], page)
     if lines := re.fullmatch(r"lines of (\S+) with (.+)", wish):
         text = (ROOT / lines[1]).read_text(encoding="utf-8")
         kept = [line for line in text.splitlines() if re.search(lines[2], line)]
@@ -78,12 +81,30 @@ def _fill(wish: str, page: str) -> str:
 
 def _glossary() -> str:
     """Sections with the words of the project, each with its meaning."""
-    from mfd_bayes.reporting.glossary import read_glossary
+    from mfd_bayes.reporting.page import read_glossary
 
     return "\n\n".join(
-        "\n\n".join([f"## {group.title}", *(f"**{t.name}**: {t.text}" for t in group.terms)])
-        for group in read_glossary()
+        "\n\n".join([f"## {title}", *(f"**{name}**: {text}" for name, text in terms.items())])
+        for title, terms in read_glossary().items()
     )
+
+
+def _keys(table: str, page: str) -> str:
+    """Table of the keys of a table of a campaign file, each with its default and meaning."""
+    from mfd_bayes.campaign.schema import keys_of
+
+    try:
+        keys = keys_of(table)
+    except KeyError:
+        raise PluginError(f"{page}: a campaign file has no table {table!r}") from None
+    rows = [(f"`{name}`", default, meaning) for name, (default, meaning) in keys.items()]
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+    lines = [
+        "| key | default | meaning |",
+        "|---|---|---|",
+        *(f"| {' | '.join(c)} |" for c in cells),
+    ]
+    return "\n".join(lines)
 
 
 def _fenced(text: str, title: str) -> str:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.backlash import BacklashLuGre
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.lugre import LuGre
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.friction.quantity import Parameter
     from mfd_bayes.friction.three_stage import ThreeStage
     from mfd_bayes.planning.candidate import Candidate, Limits
     from mfd_bayes.planning.goal import Goal
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
     from mfd_bayes.reporting.notebook import open_run
-    from mfd_bayes.runs.average import ModelAverage
+    from mfd_bayes.runs.model_average import ModelAverage
     from mfd_bayes.runs.run import Run
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
@@ -37,7 +39,9 @@ _HOMES = {
     "Forecaster": "mfd_bayes.population.given",
     "LuGre": "mfd_bayes.friction.lugre",
     "MfdError": "mfd_bayes.errors",
-    "ModelAverage": "mfd_bayes.runs.average",
+    "Model": "mfd_bayes.friction.model",
+    "Parameter": "mfd_bayes.friction.quantity",
+    "ModelAverage": "mfd_bayes.runs.model_average",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",
     "Run": "mfd_bayes.runs.run",
@@ -60,7 +64,9 @@ __all__ = [
     "Limits",
     "LuGre",
     "MfdError",
+    "Model",
     "ModelAverage",
+    "Parameter",
     "Posterior",
     "Record",
     "Run",

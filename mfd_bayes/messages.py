@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from string import Formatter
+from typing import Any
 
+from mfd_bayes.errors import StoreError
 from mfd_bayes.units import in_digits
 
 Writer = Callable[[Sequence[float], str, int], str]
@@ -54,7 +57,47 @@ class Message:
         """The sentence in internal units."""
         return self.to_text(_internal)
 
+    def to_json(self) -> dict[str, Any]:
+        """As it is stored: plain values, of which `from_json` makes the message again."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, content: Any) -> Message:
+        """Message that `to_json` has stored.
+
+        Raises
+        ------
+        StoreError
+            When it is not one: a key is missing or unknown, or the template does not fit.
+        """
+        try:
+            values: dict[str, Quantity | str] = {}
+            for name, value in content["values"].items():
+                if not isinstance(value, str):
+                    numbers, digits = value["values"], int(value["digits"])
+                    value = Quantity.of(*numbers, unit=str(value["unit"]), digits=digits)
+                values[name] = value
+            message = cls(str(content["template"]), values)
+            str(message)
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+            raise StoreError(f"{str(content)[:200]!r} is no message: {error}") from error
+        return message
+
 
 def _internal(values: Sequence[float], unit: str, digits: int) -> str:
     shown = dict.fromkeys(in_digits(value, digits) for value in values)
-    return f"{' to '.join(shown)} {unit}"
+    return f"{' to '.join(shown)} {unit.replace('*', '·')}"
+
+
+def join(messages: Iterable[Message], separator: str) -> Message:
+    """Several sentences as one, with a separator between them."""
+    templates, values = [], {}
+    for number, message in enumerate(messages):
+        parts = []
+        for text, name, _, _ in Formatter().parse(message.template):
+            parts.append(text.replace("{", "{{").replace("}", "}}"))
+            if name is not None:
+                parts.append(f"{{{name}_{number}}}")
+                values[f"{name}_{number}"] = message.values[name]
+        templates.append("".join(parts))
+    return Message(separator.join(templates), values)

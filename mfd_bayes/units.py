@@ -53,6 +53,12 @@ DIMENSIONS: Mapping[str, Dimension] = MappingProxyType(
 )
 """The dimensions that a unit can have, by name."""
 
+
+def dimension_of(kind: str) -> Dimension:
+    """The dimension of that name, or, for any other unit such as "MPa", that unit itself."""
+    return DIMENSIONS.get(kind) or Dimension(kind, kind, repr(kind), f"1 {kind}")
+
+
 # Usual spellings of units, and pint's; from three letters on, upper or lower case does not matter.
 # There are no masses here, so a pound is a force, and no conductances, so S is the second.
 _SPELLINGS = {
@@ -119,7 +125,7 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
     unit : str
         As people write it: ``"mm"``, ``"kN"``, ``"lb"`` (always a force), ``"kip*s/in"``.
     dimension : str
-        A key of `DIMENSIONS`.
+        A key of `DIMENSIONS`, or a unit of one's own, to which it is converted.
     of : str
         What has the unit, for the message: ``"column 'force_N'"``.
 
@@ -128,6 +134,8 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
     UnitError
         When the unit is unknown, has an offset, or is of another dimension.
     """
+    if dimension not in DIMENSIONS:
+        return convert(unit, dimension)
     target = DIMENSIONS[dimension]
     named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
     parsed = _parse(unit, named)
@@ -248,7 +256,7 @@ def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
     UnitError
         When it is not a number and a unit of that dimension.
     """
-    value, unit = split_quantity(text, of=of, example=DIMENSIONS[dimension].quantity)
+    value, unit = split_quantity(text, of=of, example=dimension_of(dimension).quantity)
     return value * factor(unit, dimension, of=of or f"{text!r}")
 
 

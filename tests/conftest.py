@@ -89,11 +89,11 @@ from mfd_bayes.cli.commands import main
 
 if __name__ == "__main__":
     if {"calibrate", "crossvalidate", "report"} & set(sys.argv):
-        from mfd_bayes.reporting import publication
+        from mfd_bayes.reporting import figures, publish
 
-        publication.draw_shared = lambda view: iter(())
-        publication.draw_test = lambda test, system, unit: iter(())
-        publication._ALONE = 10**9  # tests are drawn in this process
+        figures.draw_shared = lambda view: iter(())
+        figures.draw_test = lambda test, system, unit: iter(())
+        publish.ALONE = 10**9  # tests are drawn in this process
     main()
 """
 
@@ -110,7 +110,7 @@ def without_figures(tmp_path_factory) -> list[str]:
 def no_figures(monkeypatch) -> None:
     """Reports of up to three tests that are made in this process have no figures."""
     for name in ("draw_shared", "draw_test"):
-        monkeypatch.setattr(f"mfd_bayes.reporting.publication.{name}", lambda *_: iter(()))
+        monkeypatch.setattr(f"mfd_bayes.reporting.figures.{name}", lambda *_: iter(()))
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def small_pictures(monkeypatch) -> None:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A small synthetic campaign that the installed command has calibrated.
+    """A small synthetic campaign that the command has calibrated.
 
     Attributes
     ----------
@@ -180,9 +180,10 @@ def calibrate_once(home: Path) -> dict[str, Any]:
     known = write_campaign(home / "campaign", 1, matrix)
     path = home / "campaign" / "campaign.toml"
     path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"\narea = 1.5'))
-    command = [Path(sys.executable).parent / "mfd-bayes", "calibrate", path, "-o", home / "out"]
+    command = [sys.executable, "-m", "mfd_bayes", "calibrate", path, "-o", home / "out"]
     # a user has set no thread counts
     plain = {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    plain["PYTHONPATH"] = os.pathsep.join(sys.path)
     ended = subprocess.run(
         [*map(str, command), "--effort", "quick", "--jobs", "2"],
         capture_output=True,

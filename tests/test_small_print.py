@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, RecordError, StoreError, UnitError
 from mfd_bayes.records.file_name_check import contradictions
@@ -115,8 +115,8 @@ def test_one_column_for_two_roles_is_refused(home):
 def test_a_unit_that_contradicts_a_columns_name_is_a_warning(home):
     record = read_record(home / "a.csv", units={"force": "kN"})
     (fault,) = contradictions(record)
-    assert "'force_kip' is read in 'kN', and its name says 'kip'" in fault.sentence
-    assert fault.sentence in {f.sentence for f in inspect_record("a", record).faults}
+    assert "'force_kip' is read in 'kN', and its name says 'kip'" in str(fault.message)
+    assert str(fault.message) in {str(f.message) for f in inspect_record("a", record).faults}
     for unit in ("kip", "kips", None):
         units = {} if unit is None else {"force": unit}
         assert contradictions(read_record(home / "a.csv", units=units)) == ()
@@ -126,7 +126,9 @@ def test_a_covariate_is_there_once(home):
     head = '[dependence]\nFc_fwd = ["velocity", "velocity"]\n'
     assert "'velocity' is there twice" in refusal(home, head + TEST)
     (home / "campaign.toml").write_text(head.replace(', "velocity"', ', "amplitude"') + TEST)
-    assert load_campaign(home / "campaign.toml").dependence == {"Fc_fwd": ("velocity", "amplitude")}
+    assert load_campaign(home / "campaign.toml").settings.dependence == {
+        "Fc_fwd": ("velocity", "amplitude")
+    }
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ import time
 from pathlib import Path
 
 from benchmarks.anylab.devices import DEVICES, Device, write_device
-from mfd_bayes.evaluation import assess
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.evaluation.summary import assess
+from mfd_bayes.runs.run import open_run
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.anylab.devices import DEVICES, write_device
 from benchmarks.anylab.run import command
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 from mfd_bayes.units import factor
 
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")

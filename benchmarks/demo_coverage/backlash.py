@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from benchmarks.common.machine import platform_line
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.campaign.synthetic import AMPLITUDE, RATE, Matrix
-from mfd_bayes.evaluation import assess
+from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.friction.backlash import BacklashLuGre
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Truth

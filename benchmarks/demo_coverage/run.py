@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from benchmarks.common.machine import platform_line
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
-from mfd_bayes.evaluation import assess
+from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.evaluation.views import CampaignView
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 
 Array = NDArray[np.float64]
 

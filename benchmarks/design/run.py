@@ -35,11 +35,10 @@ import numpy as np
 
 from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
-from mfd_bayes.calibration.cycles import derive_from_force
-from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
 from mfd_bayes.evaluation.design import DesignRow, design_rows
-from mfd_bayes.evaluation.folds import Fold, folds_of
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.evaluation.properties import measured_of, measured_properties
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.run import Run
@@ -57,14 +56,10 @@ BASIS = {
 """What each property is compared with: measured peaks have noise, energies hardly any."""
 
 
-def own_values(test: TestResult) -> dict[str, float]:
-    """Properties of a test itself, by name."""
-    values, trace = test.stored.values(), test.trace
-    offset = float(np.median(values["offset"]))
-    measured = derive_from_force((np.asarray(trace.force) - offset)[None], trace)
-    found = {name: float(value[0]) for name, value in measured.items() if name in BASIS}
-    sides = zip(("slip_fwd", "slip_bwd"), test.posterior.model.slip_forces, strict=True)
-    return found | {name: float(np.median(values[force])) for name, force in sides}
+def own_values(run: Run, name: str) -> dict[str, float]:
+    """Measured properties of a test, by name."""
+    measured = measured_properties(measured_of(run.manifest, name, run.tests[name].trace))
+    return {key: value for key, value in measured.items() if key in BASIS}
 
 
 def without(run: Run, fold: Fold, effort: str) -> Run:
@@ -82,7 +77,7 @@ def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, DesignRo
     for fold in folds_of(run, "level", effort):
         others = without(run, fold, effort)
         for name in fold.left_out:
-            own = own_values(run.tests[name])
+            own = own_values(run, name)
             trace = replace(run.tests[name].trace, force=None)
             for probability in PROBABILITIES:
                 rows = {(r.name, r.basis): r for r in design_rows(others, trace, probability)}

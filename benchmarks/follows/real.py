@@ -24,7 +24,7 @@ import mfd_bayes as mb
 from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import print_bars, processor, versions
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Band, Forecast
 from mfd_bayes.population.starts import Ending
@@ -77,7 +77,7 @@ def lay_out(source: Path, folder: Path, model: str) -> Path:
 def bands_of(run: mb.Run, name: str) -> dict[str, Band]:
     """Bands of a second part: with an unknown start, with the end of the first, and mirrored."""
     trace = run.held_out[name]
-    before = run.order.before(name, trace, Forecast(draws=DRAWS))
+    before = run.sequence.before(name, trace, Forecast(draws=DRAWS))
     if before is None:
         raise SystemExit(f"{name} follows none")
     mirrored = replace(before, place=1.0 - before.place)

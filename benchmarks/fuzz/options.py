@@ -18,11 +18,10 @@ from benchmarks.fuzz.outputs import PNG
 from benchmarks.fuzz.seeds import priors, texts
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, MfdError
-from mfd_bayes.jobs.dispatch import Workplace, check_workers
-from mfd_bayes.pipeline import prediction
+from mfd_bayes.jobs.local import Workplace, check_workers
+from mfd_bayes.pipeline import predict as prediction
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 
 _PREDICT = ("predict", "out", "--motion", "a.csv", "--actuation", "500 psi", "-o", "b.csv")
 COMMANDS: tuple[tuple[str, ...], ...] = (
@@ -183,7 +182,7 @@ def read_command(path: Path) -> object:
         *(patch(f"mfd_bayes.pipeline.{m}.calibrate_locked", _stop) for m in _CALIBRATE),
         patch("mfd_bayes.pipeline.report.write_report", _stop),
         patch("mfd_bayes.pipeline.report.assess", _stop),
-        patch("mfd_bayes.pipeline.calibration.check_workers", _no_cluster),
+        patch("mfd_bayes.pipeline.calibrate.check_workers", _no_cluster),
         *(patch(f"mfd_bayes.reporting.figures.{name}", lambda *_, **__: PNG) for name in _FIGURES),
     )
     with chdir(path.parent):
@@ -203,7 +202,7 @@ def _no_cluster(options: Workplace) -> None:
     check_workers(options)
 
 
-_CALIBRATE = ("commands", "crossvalidation", "comparison")
+_CALIBRATE = ("calibrate", "crossvalidate", "compare")
 _FIGURES = ("to_png", "draw_loops", "draw_history", "draw_inspection")
 
 

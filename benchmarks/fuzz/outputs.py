@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks.fuzz.mutations import Rng
 from mfd_bayes.errors import MfdError
 from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.pipeline.question import Question, check_question
+from mfd_bayes.pipeline.predict import Question, check_question
 from mfd_bayes.store.files import write_bytes, write_text
 
 PNG = b"\x89PNG\r\n\x1a\n" + b"\0\0\0\rIHDR" + bytes(17) + b"\0\0\0\0IEND" + bytes(4)
@@ -77,7 +77,7 @@ def read_looked(path: Path) -> object:
 def _predict(home: Path, said: dict[str, Any]) -> None:
     bands, motion = home / str(said["bands"]), home / str(said["motion"])
     force = bool(said["force"])
-    question = Question(motion, "1 ksi", "new_test", 0.95, bands, design=True, force=force)
+    question = Question(bands, "1 ksi", motion, design=True, force=force)
     check_question(question)
     write_text(bands, BANDS)
     write_text(question.beside("derived.csv"), DERIVED)

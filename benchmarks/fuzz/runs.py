@@ -19,14 +19,13 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile, units
 from mfd_bayes.calibration.result import load_result
-from mfd_bayes.evaluation import assess, verdicts
-from mfd_bayes.evaluation.fits import calibrated_view, held_out_view
-from mfd_bayes.evaluation.folds import Fold, read_predictions
+from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views
-from mfd_bayes.evaluation.verdict import put_together
+from mfd_bayes.evaluation.properties import peaks_of
+from mfd_bayes.evaluation.summary import assess, build_summary, verdicts
+from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
 from mfd_bayes.evaluation.views import CampaignView
-from mfd_bayes.pipeline.commands import effort_of
-from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES
@@ -35,13 +34,10 @@ from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.population.starts import Starts
 from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.exports import export_tables
 from mfd_bayes.reporting.tables import report_tables
-from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.runs.folder import Existing, hash_stored, prepare_folder
 from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.resumption import Existing, prepare_folder
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.store.files import json_text, write_json
 from mfd_bayes.store.netcdf import CalibratedTest, load_trace, save_test, save_trace
 
@@ -169,7 +165,7 @@ def _about(plan: Plan, predictions: list[dict[str, Any]]) -> dict[str, Any]:
         "status": "finished",
         "finished": "2026-01-01T00:01:00+00:00",
         "tests": tests,
-        "verdicts": {"campaign": "fail", "sentence": "Not.", "a": "fail"},
+        "verdicts": {"campaign": "not usable", "sentence": "Not.", "a": "not usable"},
         "truth": {"population": {"scatter_offset": 0.02}, "tests": {"a": {"Fc_fwd": 1.0}}},
         "law_scores": [
             law | {"law": "power", "levels": [1.0, 1.0]},
@@ -206,7 +202,7 @@ def read_report(path: Path) -> object:
     run = open_run(out)
     view = assess(run)
     written = json_text(run.manifest.changed(verdicts=verdicts(view)).content)
-    tables = report_tables(view) | export_tables(view)
+    tables = report_tables(view)
     return [len(text.encode()) for text in (written, *tables.values())]
 
 
@@ -214,7 +210,7 @@ def read_shown(path: Path) -> object:
     """A manifest, and the report of the tests that there were before it was changed."""
     before, view = _opened(path.parent)
     run = replace(before, manifest=read_manifest(path.parent))
-    shown = put_together(run, list(view.tests), view.law_rows, view.laws)
+    shown = build_summary(run, list(view.tests), view.law_rows, view.laws)
     return json_text(run.manifest.content), verdicts(shown), report_tables(shown)
 
 
@@ -228,7 +224,7 @@ def _opened(out: Path) -> tuple[Run, CampaignView]:
 def read_posterior(path: Path) -> object:
     """A test's posterior, as a report shows it."""
     run, _ = _opened(path.parents[2])
-    return calibrated_view(run.manifest, load_result("a", path, run.priors))
+    return calibrated_view(run.manifest, peaks_of(run), load_result("a", path, run.priors))
 
 
 def read_held_out(path: Path) -> object:

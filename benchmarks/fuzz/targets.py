@@ -50,9 +50,9 @@ from benchmarks.fuzz.seeds import (
     workbook,
 )
 from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft.columns import guess_columns
 from mfd_bayes.campaign.draft.priors import Units, priors_text
-from mfd_bayes.campaign.file import load_campaign
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.channels import Source, Subtracted
 from mfd_bayes.records.loop_features import scales_of

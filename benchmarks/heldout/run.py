@@ -35,15 +35,15 @@ import numpy as np
 
 from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.heldout import records
-from mfd_bayes.evaluation.folds import folds_of, run_folds
+from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.results import Score
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.scores import Score
 
 DRAWS = 800
 PUBLISHED = {

@@ -26,10 +26,11 @@ from benchmarks.common.data import PROJECT, add_data_option
 from benchmarks.common.machine import processor, versions
 from benchmarks.heldout import records
 from benchmarks.heldout.run import DRAWS, finished
-from mfd_bayes.evaluation.scores import Score, score
+from mfd_bayes.evaluation.scores import score
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.given import predict_given
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.scores import Score
 
 SESSIONS = ("36lb", "2022-07", "30lb")
 MODELS = ("three_stage", "backlash")

@@ -12,7 +12,7 @@ from benchmarks.interruption.cluster import Cluster
 from benchmarks.interruption.harness import COMMAND, LIMIT, TIMED, differing, files
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.errors import MfdError
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
 UNFINISHED = (" is not finished; finish it with: ", " is not a run folder: it has no manifest.json")
 

@@ -33,8 +33,8 @@ from benchmarks.mistakes.plants import MISTAKES, Mistake
 from benchmarks.mistakes.sessions import HEADER, TEST, Planned, load_session, write_session
 from mfd_bayes.campaign.draft import draft_campaign
 from mfd_bayes.errors import MfdError
+from mfd_bayes.pipeline.inspect import inspect_campaign
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.pipeline.preparation import inspect_campaign
 
 COMMANDS = ("init", "inspect", "--dry-run", "calibrate", "check")
 NAMED, ALARMS = 27, 0
@@ -59,7 +59,7 @@ def say_inspect(campaign: Path) -> Said:
         found, _ = inspect_campaign(campaign)
     except MfdError as error:
         return [("", str(error))]
-    return [(one.name, fault.sentence) for one in found for fault in one.faults]
+    return [(one.name, str(fault.message)) for one in found for fault in one.faults]
 
 
 def say_plan(campaign: Path) -> Said:
@@ -68,7 +68,7 @@ def say_plan(campaign: Path) -> Said:
         plan = plan_campaign(campaign, Options(effort="quick"))
     except MfdError as error:
         return [("", str(error))]
-    return [(found.subject, found.sentence) for found in plan.manifest.warnings]
+    return [(found.subject, str(found.message)) for found in plan.manifest.warnings]
 
 
 def named(said: Said, test: str, cause: str) -> bool:

@@ -35,11 +35,11 @@ GUARDS = {
         ),
     ),
     "lock": Guards(
-        ("runs/lock.py", "runs/reading.py"),
+        ("runs/lock.py", "runs/manifest.py"),
         ("tests/runs/test_lock.py", "tests/pipeline/test_edges.py"),
     ),
     "streams": Guards(
-        ("cli/streams.py", "cli/exits.py", "cli/environment.py", "reporting/figures/backend.py"),
+        ("cli/errors.py", "cli/commands.py", "reporting/figures/agg.py"),
         (
             *("tests/test_small_print.py", "tests/reporting/test_backend.py"),
             *("tests/cli/test_streams.py", "tests/cli/test_commands.py"),

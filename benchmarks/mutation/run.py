@@ -57,7 +57,6 @@ LOADED = (
         "mfd_bayes.store.files",
         "mfd_bayes.records.trace",
         "mfd_bayes.units",
-        "mfd_bayes.store.hdf5",
     ),
 )
 

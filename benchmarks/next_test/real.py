@@ -29,8 +29,7 @@ from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.study import Effort, Situation, advise, goals_of
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, open_run
 
 KNOWN = ((25, 35), (22, 70))
 """Tensions that are known first, lbf, in each of two studies."""

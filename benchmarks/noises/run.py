@@ -28,14 +28,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.common.brfd_campaign import HEADER, TEST
 from benchmarks.common.data import add_data_option
 from benchmarks.common.machine import platform_line
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.noise_sensitivity import Bounds, moves, quantiles_of
+from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import calibrate_test, load_result
-from mfd_bayes.evaluation.read_off import reading_rows
+from mfd_bayes.evaluation.checks import is_missed
+from mfd_bayes.evaluation.properties import properties_of
 from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.records.measured import measured_cycles
 
 TENSIONS = (25, 35, 70, 80)
 EVERY = ",".join(sorted(NOISES, key=lambda name: (name != "ou", name != "staged", name)))
@@ -97,8 +102,13 @@ def calibrated(
             test = load_result(task.id, folder / file, plan.priors)
             stored, posterior = test.stored, test.posterior
             values, facts = stored.values(), stored.facts
-            rows = reading_rows(task.id, posterior, values)
-            readings = {r.name: (r.value, r.missed) for r in rows if not r.largest}
+            replicas = replicate(posterior, values, np.random.default_rng(0))
+            drawn = properties_of(posterior.trace, replicas.observed)
+            own_values = measured_cycles(posterior.trace).of_test()
+            readings = {
+                name: (own_values[name], is_missed(drawn[name], own_values[name], name))
+                for name in ("slip_fwd", "slip_bwd", "build_up_slope", "gap")
+            }
             own = quantiles_of(posterior, values)
             whole -= sum(fit["seconds"] for fit in facts["other_noises"])
             yield task.id, noise, Fit(own, facts["other_noises"], readings, whole)

@@ -33,9 +33,11 @@ from benchmarks.common.machine import platform_line
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import find_priors, load_priors
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
-from mfd_bayes.pipeline.commands import Options, Step, calibrate_campaign
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.pipeline.calibrate import calibrate_campaign
+from mfd_bayes.pipeline.plan import Options
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import MANIFEST
+from mfd_bayes.runs.paths import MANIFEST
 from mfd_bayes.store.files import read_json
 
 WORKERS = 2

@@ -115,7 +115,7 @@ class Posterior:
             raise FitError(f"model must be a name or a model such as LuGre(), got {chosen!r}")
         if start not in ("sample", "mask"):
             raise FitError(f"unknown start {start!r}: expected 'sample' or 'mask'")
-        file = priors if isinstance(priors, PriorFile) else load_priors(str(priors))
+        file = priors if isinstance(priors, PriorFile) else load_priors(str(priors), model=chosen)
         found = find_noise(noise)
         wanted = quantities_of_fit(chosen, found, sampled_start=start == "sample")
         known = priors_of(file, wanted)
@@ -133,6 +133,9 @@ class Posterior:
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
+        if chosen.own:  # a user's model that cannot be used is refused before it is sampled
+            typical = {name: np.array([prior.typical]) for name, prior in known.items()}
+            chosen.force(chosen.theta(typical), trace)
 
     def _repr_html_(self) -> str:
         trace = self.trace

@@ -64,9 +64,9 @@ OF_RECORDS = (
 """What a record has, whatever the model and the noise."""
 
 
-def known_quantities() -> dict[str, Quantity]:
-    """Quantities of all models, of records and of all noises, by name."""
-    parts = [model.quantities for model in models.MODELS.values()]
+def known_quantities(model: Model | None = None) -> dict[str, Quantity]:
+    """Quantities of all models, or of one, of records and of all noises, by name."""
+    parts = [m.quantities for m in ([model] if model else models.MODELS.values())]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
     return {quantity.name: quantity for part in parts for quantity in part}
 
@@ -78,9 +78,10 @@ def quantities_of_fit(model: Model, noise: Noise, *, sampled_start: bool) -> lis
     return [q for q in (*model.quantities, *record, *noise.quantities) if q.sampled]
 
 
-def sampled_quantities() -> dict[str, Quantity]:
-    """Those that may have a prior, by name."""
-    return {name: q for name, q in known_quantities().items() if q.sampled}
+def sampled_quantities(model: Model | None = None) -> dict[str, Quantity]:
+    """Those that may have a prior, by name; of a user's own model, its own come first."""
+    own = known_quantities(model) if model and model.own else {}
+    return {name: q for name, q in (known_quantities() | own).items() if q.sampled}
 
 
 def units() -> dict[str, str]:
@@ -156,8 +157,8 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     )
 
 
-def load_priors(name: str, folder: Path | None = None) -> PriorFile:
-    """Priors of a file, checked.
+def load_priors(name: str, folder: Path | None = None, model: Model | None = None) -> PriorFile:
+    """Priors of a file, checked; a user's own model makes its parameters known.
 
     Raises
     ------
@@ -173,14 +174,14 @@ def load_priors(name: str, folder: Path | None = None) -> PriorFile:
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
     try:
-        return _read(path, content)
+        return _read(path, content, sampled_quantities(model))
     except PriorError as error:
         if len(str(error)) <= _LONGEST:
             raise
         raise PriorError(f"{str(error)[:_LONGEST]}…") from None
 
 
-def _read(path: Path, content: dict[str, Any]) -> PriorFile:
+def _read(path: Path, content: dict[str, Any], known: Mapping[str, Quantity]) -> PriorFile:
     scales = _scales(path.name, content["scales"]) if "scales" in content else None
     unknown = set(content) - {"title", "scales", "parameters", "scatter"}
     if unknown:
@@ -202,8 +203,8 @@ def _read(path: Path, content: dict[str, Any]) -> PriorFile:
     return PriorFile(
         path=path,
         title=str(content.get("title", path.stem)),
-        parameters={key: _prior(path, key, table) for key, table in sections[0].items()},
-        scatter={key: _scatter(path, key, table) for key, table in sections[1].items()},
+        parameters={key: _prior(path, key, table, known) for key, table in sections[0].items()},
+        scatter={key: _scatter(path, key, table, known) for key, table in sections[1].items()},
     )
 
 
@@ -240,9 +241,8 @@ def _in_units(name: str, value: Any, scales: Mapping[str, float] | None) -> Any:
     return f"{float(match[1]) * scales[over] / scales.get(under, 1.0)!r} {unit}"
 
 
-def _prior(path: Path, name: str, table: dict[str, Any]) -> Prior:
+def _prior(path: Path, name: str, table: dict[str, Any], known: Mapping[str, Quantity]) -> Prior:
     where = f"prior of {name[:60]} in {path.name}"
-    known = sampled_quantities()
     if name not in known:
         raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(known)}")
     family = priors.FAMILIES.get(str(table.get("family")))
@@ -265,7 +265,9 @@ def _prior(path: Path, name: str, table: dict[str, Any]) -> Prior:
         raise PriorError(f"{where}: {error}") from error
 
 
-def _scatter(path: Path, name: str, table: dict[str, Any]) -> Scatter:
+def _scatter(
+    path: Path, name: str, table: dict[str, Any], known: Mapping[str, Quantity]
+) -> Scatter:
     where = f"scatter {name[:60]} in {path.name}"
     members, keys = table.get("parameters"), set(table) - {"parameters", "reason"}
     if keys not in ({"sd"}, {"above", "probability"}) or not isinstance(members, list):
@@ -273,7 +275,6 @@ def _scatter(path: Path, name: str, table: dict[str, Any]) -> Scatter:
             f"{where}: expected the keys parameters (a list), reason, and sd; or above and "
             "probability in place of sd, for a scatter that is likely none"
         )
-    known = sampled_quantities()
     if unknown := [member for member in members if member not in known]:
         raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
     key = "sd" if "sd" in keys else "above"

@@ -1,10 +1,14 @@
-"""The keys of a campaign file, and which values each may have."""
+"""What a campaign file may hold: each key with its type, unit, default and meaning, once.
+
+The reader, the manifest of a run and the reference page of the documentation are made of it.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
-from typing import Annotated, Literal, Self
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -14,59 +18,127 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
-    field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
 from mfd_bayes.calibration import noise as noises
-from mfd_bayes.campaign.tolerances import DEFAULTS
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
-from mfd_bayes.population.laws import complete_laws
-from mfd_bayes.records.channels import step_of
+from mfd_bayes.population.laws import complete_laws, default_laws
+from mfd_bayes.records.channels import Source, Subtracted, step_of
 from mfd_bayes.records.readers.table import COLUMNS, NAME
 from mfd_bayes.records.time_axis import parse_window
-from mfd_bayes.units import parse_actuation, parse_quantity
+from mfd_bayes.units import (
+    ActuationUnit,
+    actuation_factor,
+    parse_actuation,
+    parse_quantity,
+    split_quantity,
+)
+
+if TYPE_CHECKING:
+    from mfd_bayes.population.inference import InferenceSettings
 
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]
 Role = Literal["calibrate", "validate"]
-Covariate = Literal["velocity", "amplitude"]
 
+TOLERANCES: Mapping[str, tuple[float, str]] = MappingProxyType(
+    {
+        "energy": (0.05, "energy of a cycle at full stroke, and in all"),
+        "peak": (0.15, "peak forces"),
+        "residual": (0.3, "rms residual"),
+        "correlation": (0.2, "correlation of neighbouring residuals, as a difference (at most 1)"),
+        "mid_gap": (0.1, "force at mid-gap, of half the range of the force"),
+        "coverage": (0.1, "by how much fewer samples lie inside a band than its probability"),
+        "slip_force": (0.1, "slip force, against the one read off the loop"),
+        "build_up": (0.3, "stiffness where the force comes back, likewise"),
+        "gap": (0.15, "width of the gap, likewise"),
+    }
+)
+"""By how much a model may miss a figure of a test, as a share, and what the figure is."""
 
-def _one_of(known: Callable[[], Iterable[str]]) -> BeforeValidator:
-    """Validator of a name in a registry, which is read when a campaign is."""
+LAWS: Mapping[str, str] = MappingProxyType(
+    {
+        "Fc_fwd": "kinetic friction forward",
+        "Fc_bwd": "kinetic friction backward",
+        "Fs_fwd": "static friction forward; no other law is possible: F_s = F_c (1 + excess)",
+        "Fs_bwd": "static friction backward, likewise",
+        "sigma0": "stiffness of the bristles",
+        "Fy_fwd": "yield force forward, of `bouc_wen`",
+        "Fy_bwd": "yield force backward, of `bouc_wen`",
+    }
+)
 
-    def validate(value: object) -> object:
-        *others, last = map(repr, known())
-        if repr(value) not in (*others, last):
-            raise PydanticCustomError(
-                "literal_error", f"Input should be {', '.join(others)} or {last}"
-            )
-        return value
-
-    return BeforeValidator(validate)
-
-
-def _known_tolerance(name: str) -> str:
-    if name not in DEFAULTS:
-        raise PydanticCustomError("extra_forbidden", "Extra inputs are not permitted")
-    return name
-
-
-def _known_key(name: str) -> str:
-    if name not in complete_laws({}):
-        raise PydanticCustomError("extra_forbidden", "Extra inputs are not permitted")
-    return name
-
-
-ModelName = Annotated[str, _one_of(lambda: models.MODELS)]
-NoiseName = Annotated[str, _one_of(lambda: noises.NOISES)]
-
-_ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
+DEPENDENCE: Mapping[str, str] = MappingProxyType(
+    {
+        "Fc_fwd": "kinetic friction forward",
+        "Fc_bwd": "kinetic friction backward",
+        "sigma0": "stiffness of the bristles",
+        "d2": "width of the gap, d2 + d3, of the three stages",
+        "gap": "width of the gap, of `backlash`",
+    }
+)
 
 RESERVED = frozenset({"campaign", "sentence", "population"})
 """Names beside those of the tests in the verdicts and steps of a run, in small letters."""
+
+_ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
+_PERCENT = re.compile(r"(\d+(?:\.\d+)?)\s*%")
+
+
+def _one_of(names: Callable[[], Iterable[str]]) -> BeforeValidator:
+    """Validator of a name in a registry, which is read when a campaign is."""
+
+    def check(value: object) -> object:
+        *others, last = map(repr, names())
+        if repr(value) not in (*others, last):
+            expected = f"Input should be {', '.join(others)} or {last}"
+            raise PydanticCustomError("literal_error", expected)
+        return value
+
+    return BeforeValidator(check)
+
+
+def _key_of(names: Callable[[], Iterable[str]]) -> AfterValidator:
+    """Validator of a key of a table, which is reported as that of any other table."""
+
+    def check(name: str) -> str:
+        if name not in names():
+            raise PydanticCustomError("extra_forbidden", "Extra inputs are not permitted")
+        return name
+
+    return AfterValidator(check)
+
+
+def _understood(parse: Callable[[str], object]) -> AfterValidator:
+    """Validator of a text that `parse` must understand; it stays text."""
+
+    def check(text: str) -> str:
+        try:
+            parse(text)
+        except UnitError as error:
+            raise ValueError(str(error)) from error
+        return text
+
+    return AfterValidator(check)
+
+
+def _quantity(dimension: str) -> BeforeValidator:
+    """Validator of a number in the internal unit, or a text with a unit of the dimension."""
+
+    def read(value: object) -> object:
+        try:
+            return parse_quantity(value, dimension) if isinstance(value, str) else value
+        except UnitError as error:
+            raise ValueError(str(error)) from error
+
+    return BeforeValidator(read)
+
+
+def _share(value: object) -> object:
+    percent = _PERCENT.fullmatch(value.strip()) if isinstance(value, str) else None
+    return float(percent[1]) / 100.0 if percent else value
 
 
 def check_id(name: str) -> str:
@@ -76,66 +148,62 @@ def check_id(name: str) -> str:
             "a test's id names a folder: letters, digits and . _ - + only, at most 100 of them, "
             "and no dot first"
         )
+    if name.lower() in RESERVED:
+        raise ValueError(f"a test's id cannot be {name!r}: a run uses that name for itself")
     return name
 
 
-def _check_new_id(name: str) -> str:
-    """Id of a test in a campaign file: as `check_id`, and none that a run uses for itself."""
-    if name.lower() in RESERVED:
-        raise ValueError(f"a test's id cannot be {name!r}: a run uses that name for itself")
-    return check_id(name)
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ValueError(f"each of them may be there once, and {twice[0]!r} is there twice")
+    return names
 
 
-def _parsed(parse: Callable[[str], object]) -> Callable[[object], object]:
-    """Validator that parses a text, and returns any other value unchanged."""
-
-    def validate(value: object) -> object:
-        try:
-            return parse(value) if isinstance(value, str) else value
-        except UnitError as error:
-            raise ValueError(str(error)) from error
-
-    return validate
-
-
-def _checked(parse: Callable[[str], object]) -> Callable[[str], str]:
-    """Validator that checks that a text can be parsed, and returns the text."""
-
-    def validate(text: str) -> str:
-        _parsed(parse)(text)
-        return text
-
-    return validate
+def _all_laws(given: dict[str, LawName]) -> dict[str, Any]:
+    """Law of every sampled quantity; a law that is tied to another may not differ from it."""
+    laws = complete_laws(given)
+    for model in models.MODELS.values():
+        for name, other in model.tied_laws.items():
+            if laws[name] != laws[other]:
+                raise ValueError(
+                    f"{name} must have the law of {other} ({laws[other]!r}), since it follows "
+                    f"{other}; got {laws[name]!r}"
+                )
+    return {name: laws[name] for name in default_laws()}
 
 
-_rate = BeforeValidator(_parsed(lambda text: parse_quantity(text, "rate")))
-_area = BeforeValidator(_parsed(lambda text: parse_quantity(text, "area")))
+Id = Annotated[str, AfterValidator(check_id)]
+ModelName = Annotated[str, _one_of(lambda: models.MODELS)]
+NoiseName = Annotated[str, _one_of(lambda: noises.NOISES)]
+SampleRate = Annotated[str, _understood(lambda text: step_of(text, "rate"))]
+Text = Annotated[str, Field(max_length=100)]
+QuantityText = Annotated[str, Field(max_length=200)]
+Path1000 = Annotated[str, Field(min_length=1, max_length=1000)]
+Tolerance = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_share)]
+Covariates = Annotated[tuple[Literal["velocity", "amplitude"], ...], AfterValidator(_once)]
 
-SampleRate = Annotated[str, AfterValidator(_checked(lambda text: step_of(text, "rate")))]
-"""Rate of samples, "100 Hz", or their step, "10 ms"."""
 
-Area = Annotated[float, Field(ge=1e-10, le=1e10)]
-"""Area of an actuator, in²: of a campaign file, and of the manifest that is written of it."""
-
-
-class Part(BaseModel):
+class Table(BaseModel):
     """A table of a campaign file; unknown keys, NaN and infinity are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
-class Column(Part):
-    """A column of a test file, by its name or its number from 1.
-
-    Without `unit`, the ending of its name gives the unit.
-    """
+class Column(Table):
+    """A column of a test file."""
 
     name: Annotated[str, Field(min_length=1, max_length=NAME)] | None = None
+    """its name"""
     column: Annotated[int, Field(ge=1, le=COLUMNS, strict=True)] | None = None
+    """in place of `name`: its number, from 1"""
     unit: Annotated[str, Field(max_length=60)] | None = None
+    """its unit; may be left out where the name ends in it, as `force_kip`"""
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
+    def _named_once(self) -> Self:
         if (self.name is None) == (self.column is None):
             raise ValueError(
                 "a column is given either by its name or, as column = 1, by its number"
@@ -147,17 +215,28 @@ class Column(Part):
         """Its name or its number."""
         return self.name if self.name is not None else int(self.column or 0)
 
+    @property
+    def source(self) -> Source:
+        """The column as records are read."""
+        parts = self.model_dump(exclude={"name", "column", "unit", "minus"}, exclude_none=True)
+        other = getattr(self, "minus", None)
+        minus = None if other is None else Subtracted(other.key, other.unit, other.times)
+        return Source(None if parts.get("rate") else self.key, self.unit, minus, **parts)
+
 
 class TimeColumn(Column):
     """A column of times, or in its place the rate at which samples were taken."""
 
     rate: SampleRate | None = None
+    """in place of a column: `"100 Hz"`, or the step, `"10 ms"`"""
     dates: Literal["day first", "month first"] | None = None
+    """order in time stamps such as `05/03/2024 23:59:59`, where both orders are possible and
+    the date changes"""
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
+    def _named_once(self) -> Self:
         if self.rate is None:
-            _ = Column(name=self.name, column=self.column, unit=self.unit)
+            Column(name=self.name, column=self.column, unit=self.unit)
         elif self.name is not None or self.column is not None or self.dates is not None:
             raise ValueError("a time is given either by its column or by a rate")
         return self
@@ -166,45 +245,58 @@ class TimeColumn(Column):
 class SignedColumn(Column):
     """A column whose sign may be turned."""
 
-    sign: Annotated[int, Field(strict=True)] = 1
-
-    @field_validator("sign")
-    @classmethod
-    def _one(cls, sign: int) -> int:
-        if sign not in (1, -1):
-            raise ValueError("a sign is 1 or -1")
-        return sign
+    sign: Literal[1, -1] = 1
+    """`-1` turns the sign; `mfd-bayes init` writes it for the force where loops run backward"""
 
 
 class Minus(Column):
-    """A column that is taken off another, times a quantity."""
+    """A column that is subtracted from another, times a quantity."""
 
-    times: Annotated[str, Field(max_length=200)] = ""
+    times: QuantityText = ""
+    """the quantity, `"518.7 mm^2"`"""
 
 
 class DisplacementColumn(SignedColumn):
-    """A displacement, and what is taken off it."""
+    """A displacement, and what is corrected in it."""
 
     minus: Minus | None = None
-    tare: Annotated[str, Field(max_length=200)] = ""
-    arm: Annotated[str, Field(max_length=200)] = ""
-    measured_at: Annotated[str, Field(max_length=200)] = ""
+    """a column that is subtracted, times a quantity: `{ name = "pressure", times = "518.7 mm^2"
+    }`"""
+    tare: QuantityText = ""
+    """the reading at zero, `"12 N"`, which is subtracted; or a window in which the true value
+    is zero on average, `"0 s to 2 s"`"""
+    arm: QuantityText = ""
+    """`"4 in"`: of an angle, the travel is the angle times the arm; of a torque, the force is
+    the torque over it"""
+    measured_at: QuantityText = ""
+    """with `arm`: a travel or a force was measured at this radius, and is converted to that at
+    the arm"""
 
 
 class ForceColumn(DisplacementColumn):
-    """A force, and what is taken off it."""
+    """A force, and what is corrected in it."""
 
-    minus_mass: Annotated[str, Field(max_length=200)] = ""
+    minus_mass: QuantityText = ""
+    """`"3 kg"`: mass times acceleration is subtracted; the acceleration comes from a cubic
+    fitted to a tenth of a half-cycle (Savitzky–Golay)"""
 
 
-class Columns(Part):
-    """The column of each role in a test file; a `rate` is that of the time without a column."""
+class Columns(Table):
+    """The column of each role in a test file."""
 
     time: TimeColumn | None = None
-    displacement: DisplacementColumn | None = None
-    force: ForceColumn | None = None
-    velocity: SignedColumn | None = None
+    """must increase; where time has a gap, the longest unbroken piece is used. Time stamps are
+    read too: `2024-03-05 10:00:00.050`, `03/05/2024 10:00:00 AM`, `10:00:00.050`; the first
+    row is 0 s"""
     rate: SampleRate | None = None
+    """in place of `time`, where a file has no column of times: `"100 Hz"`, or the step, `"10
+    ms"`; also as `time = { rate = "100 Hz" }`"""
+    displacement: DisplacementColumn | None = None
+    """displacement of the damper's rod"""
+    force: ForceColumn | None = None
+    """may be absent only if the test is neither fitted nor scored"""
+    velocity: SignedColumn | None = None
+    """computed from the displacement if it is absent"""
 
     @model_validator(mode="after")
     def _time_or_rate(self) -> Self:
@@ -215,124 +307,237 @@ class Columns(Part):
     @property
     def given(self) -> dict[str, Column]:
         """Role to column, of those that are given."""
-        time = TimeColumn(rate=self.rate) if self.rate is not None else self.time
-        named = {
-            "time": time,
-            "displacement": self.displacement,
-            "force": self.force,
-            "velocity": self.velocity,
-        }
-        return {role: column for role, column in named.items() if column is not None}
+        time = self.time if self.rate is None else TimeColumn(rate=self.rate)
+        columns = {"time": time, **{r: getattr(self, r) for r in _MEASURED}}
+        return {role: column for role, column in columns.items() if column is not None}
 
 
-def _once(names: tuple[str, ...]) -> tuple[str, ...]:
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise ValueError(f"each of them may be there once, and {twice[0]!r} is there twice")
-    return names
+_MEASURED = ("displacement", "force", "velocity")
 
 
-Covariates = Annotated[tuple[Covariate, ...], AfterValidator(_once)]
-
-
-class Dependence(Part):
-    """What each parameter depends on besides the actuation; default none."""
-
-    Fc_fwd: Covariates = ()
-    Fc_bwd: Covariates = ()
-    sigma0: Covariates = ()
-    d2: Covariates = ()
-    gap: Covariates = ()
-
-    @property
-    def covariates(self) -> dict[str, tuple[str, ...]]:
-        """Parameters to the covariates of a test that they depend on."""
-        return {name: chosen for name, chosen in self if chosen}
-
-
-def _percent(value: object) -> object:
-    """Share of a text such as "5 %"; any other value unchanged."""
-    found = _PERCENT.fullmatch(value.strip()) if isinstance(value, str) else None
-    return float(found[1]) / 100.0 if found else value
-
-
-_PERCENT = re.compile(r"(\d+(?:\.\d+)?)\s*%")
-Tolerance = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_percent)]
-
-
-class Settings(Part):
-    """The table `[campaign]`; `rate` in Hz, `area` in in²."""
+class General(Table):
+    """The table `[campaign]`."""
 
     title: Annotated[str, Field(max_length=1000)] = ""
-    priors: Annotated[str, Field(min_length=1, max_length=1000)] = "mfd"
+    """title of the report; the file's name if it is empty"""
+    priors: Path1000 = "mfd"
+    """a family of the package (`"mfd"`, `"brfd"`), or the path of a prior file, relative to the
+    campaign file and inside its folder"""
     model: ModelName = "three_stage"
+    """or `"lugre"`, `"bouc_wen"`, `"backlash"`"""
     noise: NoiseName = "ou"
+    """or `"iid"`, `"student_t"`, `"staged"`"""
     noise_check: Annotated[bool, Field(strict=True)] | None = None
-    rate: Annotated[float, Field(gt=0, strict=True), _rate] | None = None
+    """whether each test is fitted under the other noises too, so that the report can say what
+    the choice decides; if it is not given, this is done at every effort but `quick`"""
+    rate: Annotated[float, Field(gt=0, strict=True), _quantity("rate")] | None = None
+    """sampling rate to which records are thinned, a number in Hz or `"64 Hz"`; by default a
+    rate that resolves the gap"""
     start: Literal["sample", "mask"] = "sample"
-    area: Annotated[Area, Field(strict=True), _area] | None = None
+    """the position in the gap at the first sample is inferred; `"mask"` leaves out the samples
+    before the first slip instead"""
+    area: Annotated[float, Field(ge=1e-10, le=1e10, strict=True), _quantity("area")] | None = None
+    """area of the actuator, a number in in² or `"1.5 in^2"` (1e-10 to 1e10 in²), for the
+    self-energizing factors; with pressures only"""
 
 
-class Entry(Part):
+class TestTable(Table):
     """One `[[test]]`."""
 
-    id: Annotated[str, AfterValidator(_check_new_id)]
-    file: Annotated[str, Field(min_length=1, max_length=1000)]
+    __test__ = False
+
+    id: Id
+    """name of its folder in the run: letters, digits and `. _ - +`, at most 100, unique
+    whatever the case"""
+    file: Path1000
+    """relative to the campaign file, and inside its folder"""
     actuation: Annotated[
-        Annotated[str, AfterValidator(_checked(parse_actuation)), Tag(":quantity")]
+        Annotated[str, _understood(parse_actuation), Tag(":quantity")]
         | Annotated[Column, Tag(":column")],
-        Discriminator(lambda value: ":column" if isinstance(value, dict) else ":quantity"),
+        Discriminator(lambda value: ":quantity" if isinstance(value, str) else ":column"),
     ]
-    fit: Annotated[str, AfterValidator(_checked(parse_window))] | None = None
-    role: Role = "calibrate"
-    columns: Columns = Columns()
+    """`"500 psi"`, `"30 lbf"`, `"0 psi"` (not for all tests), or `{ name = "pressure", unit =
+    "MPa" }` for a measured history; also in A, V, W, N*m, T, K, %, turns, degrees, clicks,
+    notches or steps: laws, tables and figures are in that unit"""
     rate: SampleRate | None = None
-    session: Annotated[str, Field(max_length=100)] = ""
-    after: Annotated[str, Field(max_length=100)] = ""
+    """in place of a column of times: `"100 Hz"`, or the step, `"10 ms"`"""
+    fit: Annotated[str, _understood(parse_window)] | None = None
+    """the part of the record that is used, `"0 s to 60 s"`, in its own time"""
+    role: Role = "calibrate"
+    """or `"validate"`: predicted from the others and scored, never fitted"""
+    columns: Columns = Columns()
+    """as `[columns]`, for this test only"""
+    session: Text = ""
+    """tests that were made together, with nothing changed on damper or rig in between; they
+    have one deviation from the laws in common"""
+    after: Text = ""
+    """id of the test that was made directly before this one, without a reset of the device in
+    between: this one begins where in the gap that one ended"""
+
+    @property
+    def actuation_unit(self) -> str:
+        """Unit of the actuation as it is given, such as "psi"; "" where the file has it."""
+        if isinstance(self.actuation, str):
+            return split_quantity(self.actuation)[1]
+        return self.actuation.unit or ""
 
 
-class Wish(Part):
-    """The table `[goal]`: what is to be known better, and by which tests."""
+class GoalTable(Table):
+    """The table `[goal]`."""
 
     quantity: Annotated[str, Field(min_length=1, max_length=100)] = "band"
-    of: Annotated[str, Field(max_length=100)] = ""
+    """or `"energy"`, `"peak"`, `"peak_fwd"`, `"peak_bwd"`, `"slip"`, `"gap"`, `"slope"`,
+    `"exponent"`"""
+    of: Text = ""
+    """quantity whose law is meant, for slope and exponent: `"Fc_fwd"`"""
     kind: Literal["device", "new_test"] = "device"
+    """of the band: `"device"` for the mean property, `"new_test"` with test-to-test scatter"""
     at: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+    """motions and actuations, `["1000 psi, 0.5 Hz, 1 in"]`; none for the campaign's range"""
     probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.95
-    session: Annotated[str, Field(max_length=100)] = ""
+    """of the band or interval"""
+    session: Text = ""
+    """session that it is about, where there are several"""
     candidates: Annotated[tuple[str, ...], Field(max_length=2000)] = ()
+    """tests to choose from, `["500|1350 psi, 0.5 Hz, 1 in"]`; none for a grid of the campaign's
+    range"""
     limits: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """of the actuator: velocity, stroke and force, `"10 in/s, 6 in, 20 kip"`"""
 
 
-class Content(Part):
-    """A whole campaign file."""
+class CampaignFile(Table):
+    """A whole campaign file; the manifest of a run holds it as `settings`."""
 
-    campaign: Settings = Settings()
+    campaign: General = General()
     columns: Columns = Columns()
-    laws: dict[Annotated[str, AfterValidator(_known_key)], LawName] = {}
-    dependence: Dependence = Dependence()
-    goal: Wish | None = None
-    tolerances: dict[Annotated[str, AfterValidator(_known_tolerance)], Tolerance] = {}
-    test: Annotated[tuple[Entry, ...], Field(min_length=1)]
+    laws: Annotated[
+        dict[Annotated[str, _key_of(lambda: complete_laws({}))], LawName],
+        Field(validate_default=True),
+        AfterValidator(_all_laws),
+    ] = {}
+    dependence: Annotated[
+        dict[Annotated[str, _key_of(lambda: DEPENDENCE)], Covariates],
+        AfterValidator(lambda given: {name: which for name, which in given.items() if which}),
+    ] = {}
+    goal: GoalTable | None = None
+    tolerances: dict[Annotated[str, _key_of(lambda: TOLERANCES)], Tolerance] = {}
+    test: Annotated[tuple[TestTable, ...], Field(min_length=1)]
+
+    @property
+    def tests(self) -> dict[str, TestTable]:
+        """Tests by id."""
+        return {test.id: test for test in self.test}
+
+    @property
+    def model(self) -> str:
+        """Name of the friction model."""
+        return self.campaign.model
+
+    @property
+    def noise(self) -> str:
+        """Name of the noise."""
+        return self.campaign.noise
+
+    @property
+    def area(self) -> float | None:
+        """Area of the actuator, in²."""
+        return self.campaign.area
+
+    @property
+    def actuation_unit(self) -> ActuationUnit:
+        """Internal unit of all actuations, such as "ksi" or "kip"."""
+        return actuation_factor(self.test[0].actuation_unit)[1]
+
+    @property
+    def sessions(self) -> dict[str, str]:
+        """Session of each test, "" where it has none."""
+        return {test.id: test.session for test in self.test}
+
+    @property
+    def order(self) -> dict[str, str]:
+        """The test that each follows without a reset, of those that follow one."""
+        return {test.id: test.after for test in self.test if test.after}
+
+    def columns_of(self, test: TestTable) -> dict[str, Column]:
+        """Role to column of a test: its own, else that of the campaign; an actuation's too."""
+        columns = self.columns.given | test.columns.given
+        if test.rate is not None:
+            columns["time"] = TimeColumn(rate=test.rate)
+        if isinstance(test.actuation, Column):
+            columns["actuation"] = test.actuation
+        return columns
+
+    def with_test(self, name: str, **changes: Any) -> Self:
+        """The file with changed keys of a test."""
+        tests = [t.model_copy(update=changes) if t.id == name else t for t in self.test]
+        return self.model_copy(update={"test": tuple(tests)})
+
+    def checks_noise(self, effort: str) -> bool:
+        """Whether tests are fitted under other noises too: as the file says, else unless quick."""
+        given = self.campaign.noise_check
+        return effort != "quick" if given is None else given
+
+    def inference(self, effort: str, seed: Sequence[int], jobs: int = 1) -> InferenceSettings:
+        """Settings of the inference of the population."""
+        from mfd_bayes.population.inference import InferenceSettings
+
+        return InferenceSettings(
+            self.laws, self.actuation_unit, effort, seed, self.dependence, self.sessions, jobs
+        )
 
 
-def known_keys(table: str) -> list[str]:
-    """Keys of a table of a campaign file; "" is the file itself."""
-    if table == "laws":
-        return list(complete_laws({}))
-    if table == "tolerances":
-        return list(DEFAULTS)
-    tables: dict[str, type[Part]] = {
-        "": Content,
-        "campaign": Settings,
+def complete_tolerances(given: Mapping[str, float] | None) -> dict[str, float]:
+    """Every tolerance, as given or by default."""
+    return {name: default for name, (default, _) in TOLERANCES.items()} | dict(given or {})
+
+
+TABLES: Mapping[str, type[Table]] = MappingProxyType(
+    {
+        "": CampaignFile,
+        "campaign": General,
         "columns": Columns,
-        "dependence": Dependence,
-        "goal": Wish,
-        "test": Entry,
-        "minus": Minus,
+        "goal": GoalTable,
+        "test": TestTable,
+        "actuation": Column,
         "time": TimeColumn,
         "displacement": DisplacementColumn,
         "force": ForceColumn,
         "velocity": SignedColumn,
+        "minus": Minus,
     }
-    return list(tables.get(table, Column).model_fields)
+)
+"""Tables of a campaign file by their own name, but for laws, dependence and tolerances."""
+
+
+def keys_of(table: str) -> dict[str, tuple[str, str]]:
+    """Default, as TOML, and meaning of each key of a table; "" is the file itself."""
+    if table == "laws":
+        tied = {
+            n: o for m in models.MODELS.values() for n, o in {**m.laws_from, **m.tied_laws}.items()
+        }
+        return {
+            name: (f"that of `{tied[name]}`" if name in tied else f'`"{law}"`', LAWS.get(name, ""))
+            for name, law in complete_laws({}).items()
+        }
+    if table == "dependence":
+        return {name: ("`[]`", meaning) for name, meaning in DEPENDENCE.items()}
+    if table == "tolerances":
+        return {name: (f"`{share:g}`", meaning) for name, (share, meaning) in TOLERANCES.items()}
+
+    def shown(default: object) -> str:
+        if default is None:
+            return "none"
+        if isinstance(default, str):
+            return f'`"{default}"`'
+        if isinstance(default, tuple):
+            return "`[]`"
+        return "`{}`" if isinstance(default, Table) else f"`{default}`"
+
+    fields = TABLES[table].model_fields
+    return {
+        name: (
+            "required" if f.is_required() else shown(f.default),
+            " ".join(str(f.description).split()),
+        )
+        for name, f in fields.items()
+    }

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,62 +21,70 @@ RATE = 100.0
 AMPLITUDE = 1.0
 
 
-_LAWS = MappingProxyType(
-    {
-        "K_c_fwd": 1.30,  # in²
-        "K_c_bwd": 1.65,
-        "alpha_sigma0": 15.0,  # in
-        "sigma0_0": 15.0,  # kip/in
-    }
-)
+_LAWS = {
+    "K_c_fwd": 1.30,  # in²
+    "K_c_bwd": 1.65,
+    "alpha_sigma0": 15.0,  # in
+    "sigma0_0": 15.0,  # kip/in
+}
 """Friction is proportional to the pressure, σ0 affine in it (paper Eq. 5)."""
 
-_RESIDUAL = MappingProxyType({"Fc_fwd_0": 0.15, "Fc_bwd_0": 0.20})  # kip
-"""Friction without pressure, which is added where the matrix has tests at zero."""
+_RESIDUAL = {"Fc_fwd_0": 0.15, "Fc_bwd_0": 0.20}
+"""Friction without pressure, kip, which is added where the matrix has tests at zero."""
 
-_MEDIANS = MappingProxyType(
-    {
-        "sigma1": 0.02,  # kip·s/in
-        "sigma2": 0.015,
-        "static_excess_fwd": 0.18,
-        "static_excess_bwd": 0.12,
-        "k2": 0.6,  # kip/in
-        "k3": 20.0,
-        "d2": 0.09,  # in
-        "d3": 0.07,
-        "ell": 0.02,
-        "v_s": 0.4,  # in/s
-        "noise_sd": 0.03,  # kip
-        "noise_time": 0.1,  # s
-    }
-)
+_MEDIANS = {
+    "sigma1": 0.02,  # kip·s/in
+    "sigma2": 0.015,
+    "static_excess_fwd": 0.18,
+    "static_excess_bwd": 0.12,
+    "k2": 0.6,  # kip/in
+    "k3": 20.0,
+    "d2": 0.09,  # in
+    "d3": 0.07,
+    "ell": 0.02,
+    "v_s": 0.4,  # in/s
+    "noise_sd": 0.03,  # kip
+    "noise_time": 0.1,  # s
+}
 """Medians over the tests; the value of each test is log-normal about them."""
 
-_SCATTER = MappingProxyType(
-    {
-        "friction": 0.05,
-        "static": 0.15,
-        "bristle": 0.10,
-        "damping": 0.10,
-        "stiffness": 0.05,
-        "travel": 0.05,
-        "noise": 0.10,
-    }
-)
-"""Standard deviation of the logarithm of each group of quantities between tests."""
+_SCATTER = {
+    ("Fc_fwd", "Fc_bwd"): 0.05,
+    ("static_excess_fwd", "static_excess_bwd"): 0.15,
+    ("sigma0",): 0.10,
+    ("sigma1", "sigma2", "v_s"): 0.10,
+    ("k2", "k3"): 0.05,
+    ("d2", "d3", "ell"): 0.05,
+    ("noise_sd", "noise_time"): 0.10,
+}
+"""Standard deviation of the logarithm of quantities between tests."""
 
 _OFFSET = 0.02
 """Standard deviation of the force offset between tests, kip."""
 
-_GROUPS = {
-    "friction": ("Fc_fwd", "Fc_bwd"),
-    "static": ("static_excess_fwd", "static_excess_bwd"),
-    "bristle": ("sigma0",),
-    "damping": ("sigma1", "sigma2", "v_s"),
-    "stiffness": ("k2", "k3"),
-    "travel": ("d2", "d3", "ell"),
-    "noise": ("noise_sd", "noise_time"),
-}
+_HEADER = """\
+# Synthetic: computed by the three-stage model from a stated truth, with stated noise.
+# After the MFD paper's test matrix: 0.05 and 0.5 Hz, 0 to 1500 psi, 1 in, 100 Hz.
+[campaign]
+title = "Synthetic campaign after the MFD paper's test matrix"
+priors = "mfd"
+model = "three_stage"
+noise = "ou"
+
+[columns]
+time = { name = "time_s", unit = "s" }
+displacement = { name = "displacement_in", unit = "in" }
+force = { name = "force_kip", unit = "kip" }
+
+"""
+_AFFINE = """\
+[laws]  # friction is affine: some is left without pressure
+Fc_fwd = "affine"
+Fc_bwd = "affine"
+Fs_fwd = "affine"
+Fs_bwd = "affine"
+
+"""
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,7 @@ class Matrix:
     def laws(self) -> dict[str, float]:
         """True value of each constant of the laws, by name."""
         residual = _RESIDUAL if 0.0 in self.pressures else dict.fromkeys(_RESIDUAL, 0.0)
-        return dict(_LAWS) | dict(residual)
+        return _LAWS | residual
 
 
 def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dict[str, Any]:
@@ -120,8 +127,10 @@ def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dic
     for pressure, frequency, count, role in planned:
         name = f"p{pressure:.0f}_f{frequency:g}"
         values = draw_values(pressure / 1000.0, matrix.laws, rng)
-        _write_csv(folder / f"{name}.csv", values, frequency, count, rng)
-        tests[name] = _known(values)
+        rows = zip(*draw_record(values, frequency, count, rng), strict=True)
+        lines = "".join(f"{t:.2f},{x:.6f},{f:.6f}\n" for t, x, f in rows)
+        write_text(folder / f"{name}.csv", "time_s,displacement_in,force_kip\n" + lines)
+        tests[name] = _true_values(values)
         entries.append(
             f'[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{pressure:.0f} psi"\n'
             f'role = "{role}"\n'
@@ -131,48 +140,21 @@ def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dic
     laws = {name: value for name, value in matrix.laws.items() if value}
     for side in ("fwd", "bwd"):
         laws[f"K_s_{side}"] = laws[f"K_c_{side}"] * (1 + _MEDIANS[f"static_excess_{side}"])
-    return {"population": laws | _known_scatter(), "tests": tests}
-
-
-_HEADER = """\
-# Synthetic: computed by the three-stage model from a stated truth, with stated noise.
-# After the MFD paper's test matrix: 0.05 and 0.5 Hz, 0 to 1500 psi, 1 in, 100 Hz.
-[campaign]
-title = "Synthetic campaign after the MFD paper's test matrix"
-priors = "mfd"
-model = "three_stage"
-noise = "ou"
-
-[columns]
-time = { name = "time_s", unit = "s" }
-displacement = { name = "displacement_in", unit = "in" }
-force = { name = "force_kip", unit = "kip" }
-
-"""
-
-
-_AFFINE = """\
-[laws]  # friction is affine: some is left without pressure
-Fc_fwd = "affine"
-Fc_bwd = "affine"
-Fs_fwd = "affine"
-Fs_bwd = "affine"
-
-"""
+    return {"population": laws | _true_scatter(), "tests": tests}
 
 
 def draw_values(
     pressure: float, laws: Mapping[str, float], rng: np.random.Generator
 ) -> dict[str, Array]:
     """Quantities of one test at a pressure in ksi, (1,) each."""
-    median = dict(_MEDIANS) | {
+    median = _MEDIANS | {
         "Fc_fwd": laws["K_c_fwd"] * pressure + laws["Fc_fwd_0"],
         "Fc_bwd": laws["K_c_bwd"] * pressure + laws["Fc_bwd_0"],
         "sigma0": laws["alpha_sigma0"] * pressure + laws["sigma0_0"],
     }
     values = {
-        name: median[name] * np.exp(_SCATTER[group] * rng.standard_normal(1))
-        for group, names in _GROUPS.items()
+        name: median[name] * np.exp(scatter * rng.standard_normal(1))
+        for names, scatter in _SCATTER.items()
         for name in names
     }
     values["offset"] = _OFFSET * rng.standard_normal(1)
@@ -181,28 +163,25 @@ def draw_values(
     return values
 
 
-def _known(values: Mapping[str, Array]) -> dict[str, float]:
+def _true_values(values: Mapping[str, Array]) -> dict[str, float]:
     """True values of a test by name, with F_s; without γ1 and γ2, of which only ℓ is given."""
-    known = {name: float(value[0]) for name, value in values.items() if name != "gamma1"}
+    true = {name: float(value[0]) for name, value in values.items() if name != "gamma1"}
     for side in ("fwd", "bwd"):
-        known[f"Fs_{side}"] = known[f"Fc_{side}"] * (1 + known[f"static_excess_{side}"])
-    return known
+        true[f"Fs_{side}"] = true[f"Fc_{side}"] * (1 + true[f"static_excess_{side}"])
+    return true
 
 
-def _known_scatter() -> dict[str, float]:
+def _true_scatter() -> dict[str, float]:
     """True values of the scatter by name, in the coordinates of the population.
 
-    The scatter of the slip force and the gap (`Fc`, `d2`) is left out: there they are combinations
-    of the values drawn here.
+    That of the slip force and the gap (`Fc`, `d2`) is left out: there they are combinations of the
+    values drawn here.
     """
-    known = {
-        f"scatter_{name}": _SCATTER[group]
-        for group, names in _GROUPS.items()
-        for name in names
-        if name not in ("Fc_fwd", "Fc_bwd", "d2", "d3")
-    }
-    ratio = float(np.sqrt(2.0)) * _SCATTER["travel"]  # of d3/d2: both have this scatter
-    return known | {"scatter_d3": ratio, "scatter_offset": _OFFSET}
+    each = {name: scatter for names, scatter in _SCATTER.items() for name in names}
+    combined = ("Fc_fwd", "Fc_bwd", "d2", "d3")
+    true = {f"scatter_{name}": each[name] for name in each if name not in combined}
+    ratio = float(np.sqrt(2.0)) * each["d3"]  # of d3/d2: both have this scatter
+    return true | {"scatter_d3": ratio, "scatter_offset": _OFFSET}
 
 
 def draw_record(
@@ -227,16 +206,3 @@ def draw_record(
     force = model.force(model.theta(values), trace, values["start"])[0]
     noise = find_noise("ou").draw(rng, time, values)[0]
     return time, displacement, force + values["offset"] + noise
-
-
-def _write_csv(
-    path: Path,
-    values: Mapping[str, Array],
-    frequency: float,
-    cycles: int,
-    rng: np.random.Generator,
-) -> None:
-    """Write a harmonic test: time, displacement and force."""
-    rows = zip(*draw_record(values, frequency, cycles, rng), strict=True)
-    lines = "".join(f"{t:.2f},{x:.6f},{f:.6f}\n" for t, x, f in rows)
-    write_text(path, "time_s,displacement_in,force_kip\n" + lines)

@@ -1,28 +1,25 @@
-"""The command line: its commands in the order of work.
-
-Typer makes an option of each parameter of a command, so commands have more than five; whatever
-they call takes the options together, as frozen settings.
-"""
+"""The command line: its commands in the order of work."""
 
 from __future__ import annotations
 
+import atexit
+import os
+import shutil
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mfd_bayes.cli.calibration import calibrate, check, demo, draws, report
-from mfd_bayes.cli.environment import settle_environment
-from mfd_bayes.cli.planning import next_test
-from mfd_bayes.cli.prediction import compare, crossvalidate, predict
-from mfd_bayes.cli.preparation import init, inspect, prior_check
-from mfd_bayes.cli.response import export, respond
-from mfd_bayes.cli.streams import checked_streams
-from mfd_bayes.cli.usage import NothingEmpty, OneSentence
+from mfd_bayes.cli.data import init, inspect, prior_check
+from mfd_bayes.cli.errors import Command, Commands, checked_streams
+from mfd_bayes.cli.fit import calibrate, check, demo, draws, report
+from mfd_bayes.cli.use import compare, crossvalidate, export, next_test, predict, respond
 from mfd_bayes.jobs.signals import end_on_signals
 
 app = typer.Typer(
-    cls=OneSentence,
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",  # keeps the lines of examples apart
@@ -31,38 +28,36 @@ app = typer.Typer(
     epilog="New here? mfd-bayes demo out --quick takes a few minutes; each command has --help.",
 )
 
-_LOOK, _FIT, _USE, _TRY = (
-    "Look at your data",
-    "Calibrate",
-    "Predict and compare",
-    "See it work on synthetic data",
-)
-
-_COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
-    (
-        _LOOK,
-        init,
-        "complete campaign.toml where it is marked, then mfd-bayes inspect campaign.toml",
+_PANELS: dict[str, tuple[tuple[Callable[..., None], str], ...]] = {
+    "Look at your data": (
+        (init, "complete campaign.toml where it is marked, then mfd-bayes inspect campaign.toml"),
+        (inspect, "mfd-bayes prior-check campaign.toml, or mfd-bayes calibrate --help"),
+        (prior_check, "mfd-bayes calibrate campaign.toml -o out"),
     ),
-    (_LOOK, inspect, "mfd-bayes prior-check campaign.toml, or mfd-bayes calibrate --help"),
-    (_LOOK, prior_check, "mfd-bayes calibrate campaign.toml -o out"),
-    (_FIT, calibrate, "open out/report.html, then mfd-bayes check out"),
-    (_FIT, check, "mfd-bayes predict --help, or mfd-bayes calibrate --help if a check failed"),
-    (_FIT, report, "open out/report.html, then mfd-bayes check out"),
-    (_USE, predict, "look at bands.png, then mfd-bayes crossvalidate --help"),
-    (_USE, crossvalidate, "open out/report.html, then mfd-bayes compare --help"),
-    (_USE, compare, "open out/MODEL/report.html of the model that is favoured"),
-    (_USE, draws, "read the table with pandas, R or another program; or mfd-bayes predict --help"),
-    (_USE, next_test, "make the test, add it to campaign.toml, and calibrate again"),
-    (_USE, respond, "open FOLDER/report.html, then mfd-bayes export --help"),
-    (_USE, export, "read about.json in the folder, beside the samples"),
-    (_TRY, demo, "open out/report.html, then mfd-bayes inspect test.csv with a file of yours"),
-)
-"""Panel of the help, command, and what to do next."""
+    "Calibrate": (
+        (calibrate, "open out/report.html, then mfd-bayes check out"),
+        (check, "mfd-bayes predict --help, or mfd-bayes calibrate --help if a check failed"),
+        (report, "open out/report.html, then mfd-bayes check out"),
+    ),
+    "Predict and compare": (
+        (predict, "look at bands.png, then mfd-bayes crossvalidate --help"),
+        (crossvalidate, "open out/report.html, then mfd-bayes compare --help"),
+        (compare, "open out/MODEL/report.html of the model that is favoured"),
+        (draws, "read the table with pandas, R or another program; or mfd-bayes predict --help"),
+        (next_test, "make the test, add it to campaign.toml, and calibrate again"),
+        (respond, "open FOLDER/report.html, then mfd-bayes export --help"),
+        (export, "read about.json in the folder, beside the samples"),
+    ),
+    "See it work on synthetic data": (
+        (demo, "open out/report.html, then mfd-bayes inspect test.csv with a file of yours"),
+    ),
+}
+"""Panels of the help: their commands, and what to do after each."""
 
-for _panel, _command, _next in _COMMANDS:
-    _name = "next" if _command is next_test else None  # next is a word of Python
-    app.command(_name, cls=NothingEmpty, rich_help_panel=_panel, epilog=f"Next: {_next}")(_command)
+for _panel, _commands in _PANELS.items():
+    for _command, _next in _commands:
+        _name = "next" if _command is next_test else None  # next is a word of Python
+        app.command(_name, cls=Command, rich_help_panel=_panel, epilog=f"Next: {_next}")(_command)
 
 
 def _version(wanted: bool) -> None:
@@ -86,4 +81,33 @@ def main() -> None:
     """Run the command line."""
     settle_environment()
     with end_on_signals(), checked_streams():
-        app()
+        app(prog_name="mfd-bayes")
+
+
+def settle_environment() -> None:
+    """Make what libraries read from the environment the same for everybody.
+
+    One thread for each matrix, for those here are small; figures without a screen, for a notebook
+    may have set a backend of its own; and a folder for caches where the home cannot be written to.
+    Processes that are started inherit it.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # before numpy is imported
+    os.environ["MPLBACKEND"] = "agg"
+    caches = {"MPLCONFIGDIR": ".config/matplotlib", "XDG_CACHE_HOME": ".cache"}
+    needed = [name for name, default in caches.items() if not _is_writable(name, default)]
+    if needed:
+        own = tempfile.mkdtemp(prefix="mfd-bayes-")
+        atexit.register(shutil.rmtree, own, ignore_errors=True)
+        os.environ.update(dict.fromkeys(needed, own))
+
+
+def _is_writable(name: str, default: str) -> bool:
+    """Whether the folder of a variable, or the nearest above it that is there, can be written."""
+    try:
+        folder = Path(os.environ.get(name) or Path.home() / default)
+        there = next(path for path in (folder, *folder.parents) if path.exists())
+        kernels = str(there.resolve()).startswith(("/proc", "/sys"))  # where nothing can be made
+        return there.is_dir() and os.access(there, os.W_OK) and not kernels
+    except (OSError, RuntimeError, StopIteration):  # no home is known
+        return False

@@ -1,36 +1,40 @@
-"""Checks of one test or of the population, each with its limit."""
+"""Checks of one test or of the population: what is observed, what is expected, and the verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
-from mfd_bayes.calibration.predictive import PredictiveCheck, Replicas, check_predictive
-from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.campaign.tolerances import complete_tolerances
-from mfd_bayes.evaluation.noises import noise_checks
-from mfd_bayes.evaluation.read_off import reading_check
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.predictive import COVERAGES, Replicas, check_predictive
+from mfd_bayes.campaign.schema import complete_tolerances
+from mfd_bayes.evaluation.properties import measured_properties
 from mfd_bayes.evaluation.views import (
     CONTRACTION,
     COVERAGE,
     DIRECTIONS,
     FREE_EXPONENT,
+    LENGTH,
     LIKELIHOOD_SENSITIVITY,
+    LOOP_ESTIMATE,
+    MODES,
     PREDICTIVE,
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
     Check,
-    NoiseRow,
-    ReadingRow,
+    LoopEstimate,
     Row,
+    ScoreRow,
 )
+from mfd_bayes.records.measured import MeasuredCycles
 from mfd_bayes.runs.verdict import Verdict
-from mfd_bayes.store.netcdf import StoredTest
+
+Array = NDArray[np.float64]
 
 INFORMED = 0.5
 """Least contraction of a parameter that the data inform."""
@@ -48,139 +52,241 @@ EXTREME = 0.005
 GROSS = 5.0
 """A feature that is missed by more than this many tolerances says that something is wrong."""
 
-LENGTH = "autocorrelation times kept"
+FAR = 2.0
+"""A slip force of the model more than this many times the measured one, or less than its inverse,
+is none: the noise stands in for the friction."""
+
 CALIBRATION = "calibration"
-SHOWN = "report"
-MODES = "modes found"
+REPORT = "report"
 
 SECOND_MODE = 0.1
 """A second mode with this share of the draws makes the parameters of a test two sets."""
 
+SMALLEST_MODE = 0.01
+"""Further modes with less than this share of the draws are not spoken of."""
+
 SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""
 
+_FEATURES = {
+    "energy_per_cycle": ("energy per cycle", "energy", "kip*in", PREDICTIVE),
+    "energy_in_all": ("energy in all", "energy", "kip*in", PREDICTIVE),
+    "peak_fwd": ("peak force forward", "peak", "kip", PREDICTIVE),
+    "peak_bwd": ("peak force backward", "peak", "kip", PREDICTIVE),
+    "slip_fwd": ("slip force forward", "slip_force", "kip", LOOP_ESTIMATE),
+    "slip_bwd": ("slip force backward", "slip_force", "kip", LOOP_ESTIMATE),
+    "build_up_slope": ("build-up slope", "build_up", "kip/in", LOOP_ESTIMATE),
+    "gap": ("gap", "gap", "in", LOOP_ESTIMATE),
+}
+"""Feature in words, kind of its tolerance, unit, and check, by property."""
 
-def convergence_checks(subject: str, rows: Iterable[Row], effort: Effort) -> list[Check]:
+
+def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[Check]:
     """R-hat and effective sample sizes against the effort's targets.
 
     A quantity that is not sampled has NaN for R-hat, and no check; an infinite R-hat fails.
     """
-    checks = []
-    for row in (row for row in rows if not np.isnan(row.r_hat)):
+    return [
+        Check(test, name, row.name, value, limit, Verdict.of(good))
+        for row in rows
+        if not np.isnan(row.r_hat)
         for name, value, limit, good in (
-            ("R-hat", row.r_hat, f"<= {effort.r_hat:g}", row.r_hat <= effort.r_hat),
-            ("bulk ESS", row.ess_bulk, f">= {effort.ess:g}", row.ess_bulk >= effort.ess),
-            ("tail ESS", row.ess_tail, f">= {effort.ess:g}", row.ess_tail >= effort.ess),
-        ):
-            checks.append(Check(subject, name, row.name, value, limit, Verdict.of(good)))
-    return checks
+            ("R-hat", row.r_hat, effort.r_hat, row.r_hat <= effort.r_hat),
+            ("bulk ESS", row.ess_bulk, effort.ess, row.ess_bulk >= effort.ess),
+            ("tail ESS", row.ess_tail, effort.ess, row.ess_tail >= effort.ess),
+        )
+    ]
 
 
-def length_check(subject: str, facts: Mapping[str, Any], effort: Effort) -> Check:
+def length_check(test: str, facts: Mapping[str, Any], effort: Effort) -> Check:
     """Kept steps over the longest autocorrelation time, against the effort's target."""
     times = {n: np.inf if t is None else t for n, t in facts["autocorrelation"].items()}  # of JSON
     slowest, time = max(times.items(), key=lambda item: item[1])
     lengths = (facts["steps"] - facts["discarded"]) / time
-    good = Verdict.of(lengths >= effort.length)
-    return Check(subject, LENGTH, slowest, lengths, f">= {effort.length:g}", good)
+    return Check(
+        test, LENGTH, slowest, lengths, effort.length, Verdict.of(lengths >= effort.length)
+    )
 
 
-def predictive_check(
-    subject: str, check: PredictiveCheck, tolerances: Mapping[str, float] | None = None
+def predictive_checks(
+    test: str,
+    posterior: Posterior,
+    replicas: Replicas,
+    measured: MeasuredCycles,
+    properties: Mapping[str, Array],
+    tolerances: Mapping[str, float] | None = None,
+) -> list[Check]:
+    """Features of a record beside those of replicated records, by p-value and size together.
+
+    Energy, peaks and what is read off the loop are measured on the record as recorded, and on
+    replicated records by the same rules; `properties` are theirs, by name, (n,) each.
+    """
+    allowed = complete_tolerances(tolerances)
+    width = posterior.model.crossing(replicas.values)
+    gap = None if width is None else float(np.median(width))
+    found = []
+    for check in check_predictive(posterior, replicas, gap):
+        if check.kind in ("residual", "correlation", "mid_gap"):
+            feature, _, unit = check.name.partition(", ")
+            sizes = check.observed, check.expected, check.size, check.p_value
+            found.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
+    seen = measured_properties(measured)
+    for name, (feature, kind, unit, check_name) in _FEATURES.items():
+        values = properties[name][np.isfinite(properties[name])]
+        if not values.size or not np.isfinite(seen[name]):
+            continue
+        if name == "energy_in_all" and measured.full_stroke.all() and measured.full_stroke.size:
+            continue  # it says the same as the energy of a cycle
+        expected, own = float(values.mean()), seen[name]
+        difference = (expected - own) / max(abs(own), 1e-12)
+        p_value = float(np.mean(values > own) + 0.5 * np.mean(values == own))
+        figures = unit, own, expected, difference, p_value, allowed[kind], check_name
+        found.append(feature_check(test, feature, *figures))
+    return found
+
+
+def feature_check(
+    test: str,
+    feature: str,
+    unit: str,
+    observed: float,
+    expected: float,
+    difference: float,
+    p_value: float,
+    tolerance: float,
+    check: str = PREDICTIVE,
 ) -> Check:
-    """A feature of the record against the model's, judged by p-value and size together.
+    """A feature of the record against the model's.
 
     A p-value that is not extreme passes: artificial records differ by as much. So does a size
     within the tolerance: nobody minds it. Beyond both, the figure is to be used with care, and
-    beyond `GROSS` tolerances not at all. A band is judged by its coverage (`coverage_check`).
+    beyond `GROSS` tolerances not at all; an estimate from the loop is noted.
     """
-    tolerance = complete_tolerances(tolerances).get(check.kind, np.inf)
-    if check.kind == "coverage":
-        return coverage_check(subject, check, tolerance)
-    likely = EXTREME <= check.p_value <= 1.0 - EXTREME
-    verdict = Verdict.PASS if likely else _of_size(abs(check.size), tolerance)
-    if verdict == Verdict.CARE and check.kind == "energy" and check.observed < 0.0:
-        verdict = Verdict.FAIL  # no damper makes energy
-    seen = f"observed {check.observed:.3g}, expected {check.expected:.3g}, off by {check.size:+.2g}"
-    return Check(
-        subject,
-        PREDICTIVE,
-        f"{check.name} ({seen})",
-        check.p_value,
-        f"in [{EXTREME:g}, {1 - EXTREME:g}], or within its tolerance",
-        verdict,
-        check.size,
-        tolerance,
-    )
+    likely = EXTREME <= p_value <= 1.0 - EXTREME
+    status = Verdict.PASS if likely else _of_size(abs(difference), tolerance)
+    if status == Verdict.WARNING and feature.startswith("energy") and observed < 0.0:
+        status = Verdict.FAIL  # no damper makes energy
+    if check == LOOP_ESTIMATE and status != Verdict.PASS:
+        status = Verdict.NOTE
+    figures = unit, difference, tolerance, p_value
+    return Check(test, check, feature, observed, expected, status, *figures)
 
 
-def coverage_check(subject: str, check: PredictiveCheck, tolerance: float) -> Check:
-    """Share of samples inside a band: too few are a fault, many only a wide band."""
-    verdict = _of_size(-check.size, tolerance)
-    if verdict == Verdict.PASS and check.size > tolerance:
-        verdict = Verdict.NOTE
-    seen = f"observed {check.observed:.3g}, {check.size:+.2g} from the band's probability"
-    wide = "; the band is wider than necessary" if verdict == Verdict.NOTE else ""
-    return Check(
-        subject,
-        COVERAGE,
-        f"{check.name} ({seen}{wide})",
-        check.observed,
-        "not below the band's probability by more than its tolerance",
-        verdict,
-        check.size,
-        tolerance,
-    )
+def is_missed(values: Array, measured: float, name: str) -> bool:
+    """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
+    kind = _FEATURES[name][1] if name in _FEATURES else "energy"
+    known, tolerance = values[np.isfinite(values)], complete_tolerances(None)[kind]
+    if not known.size or not np.isfinite(measured):
+        return False
+    share = float(np.mean(known > measured) + 0.5 * np.mean(known == measured))
+    beyond = abs(float(np.median(known)) - measured) > tolerance * abs(measured)
+    return beyond and not EXTREME <= share <= 1.0 - EXTREME
+
+
+def coverage_checks(score: ScoreRow, tolerances: Mapping[str, float] | None = None) -> list[Check]:
+    """Share of samples inside each band: too few are a fault, many only a wide band."""
+    tolerance = complete_tolerances(tolerances)["coverage"]
+    checks = []
+    shares = score.coverage_50, score.coverage_90, score.coverage_95
+    for probability, share in zip(COVERAGES, shares, strict=True):
+        away = share - probability
+        status, wide = _of_size(-away, tolerance), ""
+        if status == Verdict.PASS and away > tolerance:
+            status, wide = Verdict.NOTE, "the band is wider than necessary"
+        feature = f"coverage of the {100 * probability:.0f} % band"
+        checks.append(
+            Check(
+                *(score.subject, COVERAGE, feature, share, probability, status),
+                difference=away,
+                tolerance=tolerance,
+                note=wide,
+            )
+        )
+    return checks
 
 
 def _of_size(size: float, tolerance: float) -> Verdict:
     if size <= tolerance:
         return Verdict.PASS
-    return Verdict.CARE if size <= GROSS * tolerance else Verdict.FAIL
+    return Verdict.WARNING if size <= GROSS * tolerance else Verdict.FAIL
 
 
-def notes(subject: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Check]:
+def slip_checks(
+    test: str, posterior: Posterior, values: Mapping[str, Array], measured: MeasuredCycles
+) -> list[Check]:
+    """Fails where a slip force of the model is far from the measured one.
+
+    Replicated records do not show it, for the noise stands in for the friction there.
+    """
+    own, offset = measured.of_test(), float(np.median(values["offset"]))
+    sides = (own["slip_fwd"] - offset, own["slip_bwd"] + offset)
+    checks = []
+    for name, slip in zip(posterior.model.slip_forces, sides, strict=False):
+        middle = float(np.median(values[name]))
+        if slip > 0.0 and not slip / FAR <= middle <= FAR * slip:
+            sizes = "kip", middle / slip - 1.0, FAR - 1.0
+            checks.append(Check(test, LOOP_ESTIMATE, name, slip, middle, Verdict.FAIL, *sizes))
+    return checks
+
+
+def loop_estimates(
+    checks: Iterable[Check], properties: Mapping[str, Array]
+) -> tuple[LoopEstimate, ...]:
+    """What is read off the loop of a test, beside the figures of replicated records."""
+    names = {feature: name for name, (feature, *_) in _FEATURES.items()}
+    found = []
+    for check in checks:
+        if check.check == LOOP_ESTIMATE and check.feature in names:
+            values = properties[names[check.feature]]
+            low, middle, high = np.nanquantile(values, [0.025, 0.5, 0.975]).tolist()
+            figures = check.unit, check.observed, low, middle, high, check.tolerance
+            missed = check.status != Verdict.PASS
+            found.append(LoopEstimate(check.test, check.feature, *figures, missed))
+    return tuple(found)
+
+
+def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Check]:
     """Checks that cannot fail: how well each parameter is informed, and several modes.
 
     A second mode with `SECOND_MODE` of the draws is to be used with care.
     """
-    found = []
-    for row in (row for row in rows if np.isfinite(row.contraction)):
-        verdict = Verdict.noted(row.contraction >= INFORMED)
-        limit = f">= {INFORMED:g}"
-        found.append(Check(subject, CONTRACTION, row.name, row.contraction, limit, verdict))
-    if facts["modes"] > 1:
-        shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
-        ranked = sorted(shares)[::-1]
-        held = ", ".join(f"{100 * share:.0f} %" for share in ranked if share >= 0.005)
-        target = f"posterior ({held} of the draws)" if held else "posterior"
-        two = len(ranked) > 1 and ranked[1] >= SECOND_MODE
-        verdict = Verdict.CARE if two else Verdict.NOTE
-        found.append(Check(subject, MODES, target, facts["modes"], "1", verdict))
+    found = [
+        Check(
+            *(test, CONTRACTION, row.name, row.contraction, INFORMED),
+            Verdict.noted(row.contraction >= INFORMED),
+        )
+        for row in rows
+        if np.isfinite(row.contraction)
+    ]
+    shares = np.sort(np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0))[::-1]
+    if facts["modes"] > 1 and (shares.size < 2 or shares[1] >= SMALLEST_MODE):
+        second = float(shares[1]) if shares.size > 1 else 0.0
+        status = Verdict.WARNING if second >= SECOND_MODE else Verdict.NOTE
+        held = ", ".join(f"{100 * share:.0f} %" for share in shares if share >= SMALLEST_MODE)
+        feature = f"posterior ({held} of the draws)" if held else "posterior"
+        found.append(Check(test, MODES, feature, facts["modes"], 1.0, status))
     return found
 
 
-def identifiability_checks(subject: str, found: Identifiability) -> list[Check]:
+def identifiability_checks(test: str, found: Identifiability) -> list[Check]:
     """Checks that cannot fail: directions informed, trade-offs and sensitivities of a test."""
     directions = found.directions
-    total = len(directions.names)
+    total, informed = len(directions.names), directions.informed
     best, least = (" and ".join(directions.carriers(at)) for at in (0, total - 1))
-    target = f"of {total} (best: {best}; least: {least})"
-    informed = directions.informed
-    verdict = Verdict.noted(informed >= total)
-    checks = [Check(subject, DIRECTIONS, target, informed, f">= {total}", verdict)]
+    feature = f"of {total} (best: {best}; least: {least})"
+    status = Verdict.noted(informed >= total)
+    checks = [Check(test, DIRECTIONS, feature, informed, total, status)]
     for pair in found.pairs:
-        target = f"{pair.first} and {pair.second}"
-        limit = f"within +-{TRADE_OFF:g}"
-        checks.append(Check(subject, TRADE_OFFS, target, pair.correlation, limit, Verdict.NOTE))
+        feature = f"{pair.first} and {pair.second}"
+        checks.append(Check(test, TRADE_OFFS, feature, pair.correlation, TRADE_OFF, Verdict.NOTE))
     for s in found.sensitivities:
-        target = f"{s.name} ({s.diagnosis})" if s.diagnosis else s.name
-        limit, verdict = f"<= {s.prior_limit:.2g}", Verdict.noted(not s.prior > s.prior_limit)
-        checks.append(Check(subject, PRIOR_SENSITIVITY, target, s.prior, limit, verdict))
-        limit = f"> {s.likelihood_limit:.2g}"
-        verdict = Verdict.noted(s.likelihood > s.likelihood_limit)
-        name = LIKELIHOOD_SENSITIVITY
-        checks.append(Check(subject, name, s.name, s.likelihood, limit, verdict))
+        feature = f"{s.name} ({s.diagnosis})" if s.diagnosis else s.name
+        to_prior = Verdict.noted(not s.prior > s.prior_limit)
+        to_data = Verdict.noted(s.likelihood > s.likelihood_limit)
+        checks += [
+            Check(test, PRIOR_SENSITIVITY, feature, s.prior, s.prior_limit, to_prior),
+            Check(test, LIKELIHOOD_SENSITIVITY, s.name, s.likelihood, s.likelihood_limit, to_data),
+        ]
     return checks
 
 
@@ -194,94 +300,10 @@ def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     exponents : mapping of str to iterable of float
         2.5 %, 50 % and 97.5 % quantile by quantity.
     """
-    checks, limit = [], f"interval holds 1, no wider than {TELLING:g}"
+    checks = []
     for name, (low, middle, high) in exponents.items():
-        verdict = Verdict.noted(high - low <= TELLING) if low <= 1.0 <= high else Verdict.CARE
-        target = f"{name} (95 % interval {low:.2f} to {high:.2f})"
-        checks.append(Check("population", FREE_EXPONENT, target, middle, limit, verdict))
+        holds = low <= 1.0 <= high
+        status = Verdict.noted(high - low <= TELLING) if holds else Verdict.WARNING
+        note = f"95 % interval {low:.2f} to {high:.2f}"
+        checks.append(Check("population", FREE_EXPONENT, name, middle, 1.0, status, note=note))
     return checks
-
-
-@dataclass(frozen=True, eq=False)
-class CheckedTest:
-    """A calibrated test with everything that its checks need.
-
-    Attributes
-    ----------
-    stored : StoredTest
-        What the test has stored, read once.
-    rows : sequence of Row
-        Parameters with their convergence.
-    replicas : Replicas
-        Artificial records that the posterior predicts.
-    effort : Effort
-        Targets of the sampling.
-    tolerances : mapping of str to float, optional
-        Those that the campaign gives.
-    readings : tuple of ReadingRow
-    noises : tuple of NoiseRow
-    """
-
-    test: TestResult
-    stored: StoredTest
-    rows: Sequence[Row]
-    replicas: Replicas
-    known: Identifiability
-    effort: Effort
-    tolerances: Mapping[str, float] | None = None
-    readings: tuple[ReadingRow, ...] = ()
-    noises: tuple[NoiseRow, ...] = ()
-
-    @property
-    def id(self) -> str:
-        """Id of the test."""
-        return self.test.id
-
-
-def _convergence(found: CheckedTest) -> list[Check]:
-    return convergence_checks(found.id, found.rows, found.effort)
-
-
-def _length(found: CheckedTest) -> list[Check]:
-    return [length_check(found.id, found.stored.facts, found.effort)]
-
-
-def _predictive(found: CheckedTest) -> list[Check]:
-    posterior, values = found.test.posterior, found.stored.values()
-    crossing = posterior.model.crossing(values)
-    gap = None if crossing is None else float(np.median(crossing))
-    checks = check_predictive(posterior, found.replicas, gap)
-    return [predictive_check(found.id, check, found.tolerances) for check in checks]
-
-
-def _readings(found: CheckedTest) -> list[Check]:
-    return [reading_check(row) for row in found.readings]
-
-
-def _noises(found: CheckedTest) -> list[Check]:
-    return noise_checks(found.id, found.noises, found.stored.facts)
-
-
-def _notes(found: CheckedTest) -> list[Check]:
-    return notes(found.id, found.rows, found.stored.facts)
-
-
-def _identifiability(found: CheckedTest) -> list[Check]:
-    return identifiability_checks(found.id, found.known)
-
-
-OF_TEST: tuple[Callable[[CheckedTest], Iterable[Check]], ...] = (
-    _convergence,
-    _length,
-    _predictive,
-    _readings,
-    _noises,
-    _notes,
-    _identifiability,
-)
-"""The checks of a calibrated test, in the order of the table."""
-
-
-def checks_of_test(found: CheckedTest) -> tuple[Check, ...]:
-    """All checks of a calibrated test."""
-    return tuple(check for make in OF_TEST for check in make(found))

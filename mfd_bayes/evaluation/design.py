@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.cycles import UNITS, derive_from_force, derive_from_parameters
-from mfd_bayes.friction.model import Model
+from mfd_bayes.evaluation.properties import NO_FACTOR, UNITS, peaks_of, properties_of
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
-from mfd_bayes.population.settings import KIND_NAMES, NESTED, levels_of, setting_of, with_zeros
+from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
@@ -34,10 +33,11 @@ DRAWS = 1000
 
 NOT_KNOWN = "not known: no sessions of several devices are declared"
 
-_OF_DEVICE = ("energy_per_cycle", "c_eq", "peak_fwd", "peak_bwd", "gap")
-_OF_RECORD = ("energy_per_cycle", "c_eq", "peak_fwd", "peak_bwd")
+PROPERTIES = (
+    *("slip_fwd", "slip_bwd", "energy_per_cycle", "effective_stiffness", "effective_damping"),
+    *("c_eq", "peak_fwd", "peak_bwd", "gap"),
+)
 _NEW = "\x00another"  # a session that no campaign can declare
-_SLIP = {"slip_fwd": "kip", "slip_bwd": "kip"}
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,10 @@ class DesignRow:
 def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[DesignRow, ...]:
     """Mean and bounding properties under a motion and an actuation, by property, then by basis.
 
+    "This device tested again" is a test in one of the declared sessions, "another device" one in a
+    session that was not. Without sessions the latter is not known. The mean property has the mean
+    of the factor between the model's peak and the measured one, the others its scatter too.
+
     Parameters
     ----------
     run : Run
@@ -95,11 +99,30 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[Desi
     FitError
         When the trace has no actuation, or the probability is not between 0 and 1.
     """
-    model = next(iter(run.tests.values())).posterior.model
-    drawn = {
-        basis: _properties(band, trace, model)
-        for basis, band in _bands(run, trace, probability).items()
+    sessions, n, peaks = sessions_of(run), n_draws(run), peaks_of(run)
+
+    def draw(kind: str, session: str, draws: int = n) -> Band:
+        return run.predict(trace, kind, probability, session=session, draws=draws)
+
+    bands = {
+        kind: [draw(kind, session) for session in sessions] for kind in KIND_NAMES if kind in BASES
     }
+    smooth = {kind: bands[kind] for kind in ("device", "new_test")}
+    if len(sessions) > 1:
+        bands[ANOTHER] = [draw("new_test", _NEW, DRAWS)]
+    drawn = {}
+    for basis, several in bands.items():
+        parts = []
+        for number, band in enumerate(several):
+            without_noise = band.draws
+            if basis == "observation":
+                test = smooth["new_test"][number]
+                without_noise = test.draws + np.asarray(test.values["offset"])[:, None]
+            factor = NO_FACTOR if basis == "device" else peaks
+            parts.append(properties_of(trace, band.draws, factor, smooth=without_noise))
+        drawn[basis] = {name: np.concatenate([p[name] for p in parts]) for name in PROPERTIES}
+    for side, factor_of in peaks.items():
+        drawn["device"][f"peak_{side}"] *= factor_of.expected
     return bounds_of(drawn, probability)
 
 
@@ -126,24 +149,23 @@ def bounds_of(
     tail = 0.5 * (1.0 - probability)
     rows = []
     for name, mean in drawn["device"].items():
-        nominal = float(np.mean(mean))
-        if not np.isfinite(nominal):  # the motion has no full cycle
+        known = mean[np.isfinite(mean)]
+        if not known.size:  # the motion has no full cycle
             continue
+        head = name, UNITS[name], float(np.mean(known))
         for basis in BASES:
-            values = drawn.get(basis, {}).get(name)
-            empty = DesignRow(
-                *(basis, name, _unit(name), nominal, np.nan, np.nan, probability),
-                note=NOT_KNOWN if basis not in drawn else "",
-            )
-            if values is not None:
-                lower, upper = (float(q) for q in np.quantile(values, [tail, 1.0 - tail]))
-                rows.append(replace(empty, lower=lower, upper=upper))
-            elif empty.note:
-                rows.append(empty)
+            if basis not in drawn:
+                rows.append(DesignRow(basis, *head, np.nan, np.nan, probability, NOT_KNOWN))
+                continue
+            values = drawn[basis].get(name, np.empty(0))
+            values = values[np.isfinite(values)]
+            if values.size:
+                lower, upper = np.quantile(values, [tail, 1.0 - tail]).tolist()
+                rows.append(DesignRow(basis, *head, lower, upper, probability))
     return tuple(rows)
 
 
-def draws_of(run: Run) -> int:
+def n_draws(run: Run) -> int:
     """Draws of the bands behind the bounds, for each session.
 
     A band with as many, without sessions, has the same draws as the bounds.
@@ -154,44 +176,3 @@ def draws_of(run: Run) -> int:
 def sessions_of(run: Run) -> tuple[str, ...]:
     """Sessions of the calibrated tests; "" where none are declared."""
     return tuple(dict.fromkeys(run.session(name) for name in run.tests))
-
-
-def _unit(name: str) -> str:
-    return _SLIP.get(name) or UNITS[name]
-
-
-def _bands(run: Run, trace: Trace, probability: float) -> dict[str, tuple[Band, ...]]:
-    """Predictions of every basis; several where tests of several sessions are meant.
-
-    "This device tested again" is a test in one of the declared sessions, "another device" one in
-    a session that was not. Without sessions the latter is not known.
-    """
-    sessions, size = sessions_of(run), draws_of(run)
-    told = len(sessions) > 1
-    found = {
-        kind: tuple(
-            run.predict(trace, kind, probability, session=session, draws=size)
-            for session in sessions
-        )
-        for kind in NESTED
-    }
-    if told:
-        found[ANOTHER] = (run.predict(trace, "new_test", probability, session=_NEW, draws=DRAWS),)
-    return found
-
-
-def _properties(bands: Iterable[Band], trace: Trace, model: Model) -> dict[str, Array]:
-    """Properties of the draws of bands, by name, (n,) each; NaN where there is no full cycle."""
-    parts = [_of_band(band, trace, model) for band in bands]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _of_band(band: Band, trace: Trace, model: Model) -> dict[str, Array]:
-    found = derive_from_force(band.draws, trace)
-    if band.kind == "observation":
-        return {name: found[name] for name in _OF_RECORD}
-    theta = model.theta(band.values)
-    columns = (model.parameters.index(name) for name in model.slip_forces)
-    slip = dict(zip(_SLIP, (theta[:, column] for column in columns), strict=False))
-    found |= derive_from_parameters(model, band.values)
-    return slip | {name: found[name] for name in _OF_DEVICE if name in found}

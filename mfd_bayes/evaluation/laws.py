@@ -1,8 +1,8 @@
-"""The laws of a run: Table II, and each quantity against actuation."""
+"""The laws of a run: Table II, each quantity against actuation, and which law predicts best."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.prior_files import units
-from mfd_bayes.evaluation.bands import fan_of, spread_of
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.design import sessions_of
-from mfd_bayes.evaluation.law_choices import weighed
-from mfd_bayes.evaluation.mixed_laws import mixed_rows
-from mfd_bayes.evaluation.views import Fan, LawView, Row
-from mfd_bayes.population.laws import COMPARE, law_unit, shapes_of
+from mfd_bayes.evaluation.scores import fan_of, spread_of
+from mfd_bayes.evaluation.views import Fan, LawChoice, LawScoreRow, LawView, Row
+from mfd_bayes.population.law_scores import LARGEST_K, LawScore
+from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit, shapes_of
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
     found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
-    rows = mixed_rows(population, run.actuation_unit, run.system)
+    rows = _mixed_rows(population, run.actuation_unit, run.system)
     for name, draws in found.items():
         converged = measure_draws(draws, population.walkers)
         shrunk = _contraction(draws, prior_sd[name]) if name in prior_sd else float("nan")
@@ -87,7 +87,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     laws = population.design.laws
     levels = [test.trace.reference_actuation for test in run.tests.values()]
     grid = np.union1d(np.linspace(0.0, 1.15 * max(levels), 60), levels)
-    drawn, tested = _drawn(run, grid), _tested(run, list(laws))
+    drawn, tested = _law_draws(run, grid), _tested(run, list(laws))
     views = []
     for name, law in laws.items():
         starts = np.any(population.ratio(name, grid) > 0.0, axis=(0, 1))  # not at zero
@@ -98,7 +98,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
             LawView(
                 name=name,
                 unit=units()[name],
-                law=weighed(law, population.law_weights[name]),
+                law=law_label(law, population.law_weights[name]),
                 actuation=grid,
                 device=device,
                 new_test=_around(again, device),
@@ -108,7 +108,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     return tuple(views)
 
 
-def _drawn(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
+def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
     """Draws of the quantities with a law on a grid of actuations, (n, G) each, by kind.
 
     The tests are of the declared sessions; the numbers are the same at every actuation.
@@ -167,3 +167,143 @@ def _tested(
             middle, low, high = test.intervals[name]
             found[name].append((test.id, test.trace.reference_actuation, low, middle, high))
     return found
+
+
+# --- the constants of compared laws
+
+FEWEST = 20
+"""Fewest draws under a law of which an interval is given."""
+
+_SLOPES = {"Fc_fwd": "K_c_fwd", "Fc_bwd": "K_c_bwd", "sigma0": "alpha_sigma0"}
+
+
+def _mixed_rows(population: Population, actuation_unit: str, system: System) -> list[Row]:
+    """Constants of every law of each quantity whose laws are compared.
+
+    Each draw of the population has one law. The rows of a law are of the draws that have it, so
+    they hold given that law; a law of too few draws has none. R̂ and effective sample sizes of such
+    a part of the chains are not known.
+    """
+    unit, reference = actuation_unit, population.design.reference
+    at = system.words([reference], unit, actuation=True)
+    rows = []
+    for name, law, picked in _chosen(population):
+        weight = population.law_weights[name].get(law, 0.0)
+        about = f"{law} law, weight {weight:.2g}"
+        for constant, draws in _constants(population, name, law).items():
+            of_level = constant == name
+            rows.append(
+                Row(
+                    subject="population",
+                    name=constant,
+                    unit=units()[name] if of_level else law_unit(constant, unit),
+                    **spread_of(draws[picked]),
+                    r_hat=np.nan,
+                    ess_bulk=np.nan,
+                    ess_tail=np.nan,
+                    contraction=np.nan,
+                    note=f"{about}; at {at}" if of_level else about,
+                )
+            )
+    return rows
+
+
+def _chosen(population: Population) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
+    """Quantity, law, and which draws have it, (chain, draw), of all that have enough draws."""
+    for column, (name, law) in enumerate(population.design.laws.items()):
+        if law != COMPARE:
+            continue
+        for number, one in enumerate(LAW_NAMES):
+            picked = population.choice[..., column] == number
+            if np.count_nonzero(picked) >= FEWEST:
+                yield name, one, picked
+
+
+def _constants(population: Population, name: str, law: str) -> dict[str, Array]:
+    """Constants of a quantity's law by name, (chain, draw): slope, intercept, level, exponent."""
+    design, known = population.design, LAWS[law]
+    level = population.median(name, np.array([design.reference]))[..., 0]
+    share, exponent = population.shapes(name)
+    found: dict[str, Array] = {}
+    if known.exponent == 1.0 and known.share != 0.0 and name in _SLOPES:
+        found[_SLOPES[name]] = level * share / design.reference
+    else:
+        found[name] = level
+    if f"{name}_0" in INTERCEPTS and "share" in known.shapes:
+        found[f"{name}_0"] = level * (1.0 - share)
+    if "exponent" in known.shapes:
+        found[f"exponent_{name}"] = exponent
+    return found
+
+
+# --- which law predicts best
+
+
+def law_choices(scores: Sequence[LawScore], laws: Mapping[str, str]) -> tuple[LawChoice, ...]:
+    """The laws of each quantity, best first, with a sentence; `laws` are the campaign's."""
+    found = []
+    for name in dict.fromkeys(score.quantity for score in scores):
+        own = [score for score in scores if score.quantity == name]
+        rows = _rows(own, laws.get(name, ""))
+        found.append(LawChoice(name, rows, _sentence(rows, len(own[0].levels), laws.get(name))))
+    return tuple(found)
+
+
+def _rows(scores: Sequence[LawScore], chosen: str) -> tuple[LawScoreRow, ...]:
+    ordered = sorted(scores, key=lambda score: (not score.trusted, -score.elpd))
+    best = np.array(ordered[0].levels)
+    rows = []
+    for score in ordered:
+        apart = np.array(score.levels) - best
+        rows.append(
+            LawScoreRow(
+                quantity=score.quantity,
+                law=score.law,
+                chosen=score.law == chosen,
+                elpd=score.elpd,
+                elpd_se=score.se,
+                difference=float(apart.sum()),
+                difference_se=float(np.sqrt(apart.size) * apart.std(ddof=1)),
+                weight=score.weight,
+                pareto_k=score.pareto_k,
+            )
+        )
+    return tuple(rows)
+
+
+def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> str:
+    """Which law predicts best, and which others are within the standard error."""
+    doubtful = [row for row in rows if row.pareto_k > LARGEST_K]
+    rows = [row for row in rows if row not in doubtful]
+    doubt = ""
+    if doubtful:
+        named = " and ".join(f"{row.law} (Pareto k {row.pareto_k:.2f})" for row in doubtful)
+        doubt = f"; the score of {named} cannot be trusted, so it gets no weight"
+    if not rows:
+        return f"the laws have no weights{doubt}."
+    best, *others = rows
+    text = f"the {best.law} law predicts levels that were left out best"
+    near = [row.law for row in others if -row.difference <= row.difference_se]
+    if near:
+        text += (
+            f", but the {levels} levels cannot separate it from {' or '.join(near)}: the "
+            "difference is within its standard error"
+        )
+    own = next((row for row in others if row.chosen and row.law not in near), None)
+    if own:
+        text += (
+            f"; the campaign's own, {own.law}, is worse by {-own.difference:.1f} ± "
+            f"{own.difference_se:.1f}"
+        )
+    elif chosen == COMPARE:
+        held = law_label(COMPARE, {row.law: row.weight for row in rows})
+        text += f"; predictions mix them ({held})"
+    return f"{text}{doubt}."
+
+
+def law_label(law: str, weights: Mapping[str, float]) -> str:
+    """A law's name, or the weights of those that were compared."""
+    if law != COMPARE:
+        return law
+    held = sorted(((name, w) for name, w in weights.items() if w > 0), key=lambda it: -it[1])
+    return "compared: " + ", ".join(f"{name} {weight:.2g}" for name, weight in held)

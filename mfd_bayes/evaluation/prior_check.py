@@ -10,13 +10,13 @@ import numpy as np
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.campaign.file import Campaign
-from mfd_bayes.evaluation.bands import fan_of
+from mfd_bayes.campaign.campaign import Campaign
+from mfd_bayes.evaluation.scores import fan_of
 from mfd_bayes.evaluation.views import Fan
 from mfd_bayes.friction import models
 from mfd_bayes.records.loop_features import Scales, scales_of
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 
 PRIOR_DRAWS = 400
 

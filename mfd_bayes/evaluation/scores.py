@@ -1,14 +1,216 @@
-"""Scores of a predicted band and its draws against a measured force."""
+"""Bands and their scores: coverage, width, CRPS and error against a measured force."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.predictive import COVERAGES
-from mfd_bayes.runs.results import Score
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval, ScoreRow
+from mfd_bayes.population.bands import Band
+from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.scores import Score
+from mfd_bayes.runs.unit_system import System
+from mfd_bayes.units import percent
 
 Array = NDArray[np.float64]
+
+PROBABILITIES = (0.5, 0.95)
+"""Probabilities of the equal-tailed bands in figures."""
+
+OFTEN = 3.0
+"""A band is said to miss a record that leaves it so many times as often as its probability says."""
+
+STILL = 0.01
+DWELL = 0.125
+"""At rest: within this share of the stroke, for longer than this share of a mean cycle. A sine is
+so near to its turn for half as long."""
+
+
+def fan_of(kind: str, draws: Array) -> Fan:
+    """Median and bands of draws (n, T)."""
+    tails = [0.5 * (1.0 - p) for p in PROBABILITIES]
+    levels = [0.5, *tails, *(1.0 - t for t in tails)]
+    median, *bounds = np.quantile(draws, levels, axis=0)
+    n = len(tails)
+    intervals = (Interval(p, bounds[i], bounds[n + i]) for i, p in enumerate(PROBABILITIES))
+    return Fan(kind, median, tuple(intervals))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A predicted band beside the force that was measured in the same motion.
+
+    Attributes
+    ----------
+    coverage : float
+        Share of the measured samples in motion inside the band.
+    full : float
+        The same of those in full cycles at full stroke; NaN where there are none.
+    samples : int
+        Those in motion that were not given.
+    rrse : float
+        Error of the median: 0 for a perfect prediction; 1 where the mean force would be as good.
+    crps : float, kip
+        Mean distance between the draws and the force.
+    kind : str
+        Of the band.
+    probability : float
+    given : bool
+        Whether a first part of the record was given.
+    """
+
+    coverage: float
+    full: float
+    samples: int
+    rrse: float
+    crps: float
+    kind: str
+    probability: float
+    given: bool = False
+
+    def sentence(self, system: System) -> str:
+        """Coverage and error in words; whether the band holds what a load cell adds."""
+        full = "" if np.isnan(self.full) else f", {100 * self.full:.1f} % at full stroke"
+        text = (
+            f"the {percent(self.probability)} % band of kind {self.kind} holds "
+            f"{100 * self.coverage:.1f} % of the {self.samples} measured samples in motion"
+            f"{' that were not given' if self.given else ''}{full}; error of the "
+            f"median (RRSE) {self.rrse:.3g}, mean distance (CRPS) "
+            f"{system.words([self.crps], 'kip', 3)}"
+        )
+        if self.kind == "observation":
+            return text
+        return f"{text}; this kind holds no offset and noise: measured data need --kind observation"
+
+    def disagrees(self, rows: Sequence[DerivedRow]) -> bool:
+        """Whether most measured values are outside, or far more samples than the band allows."""
+        worst = np.nanmin([self.coverage, self.full])
+        missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
+        known = len(_held(rows))
+        return (missed and self.kind == "observation") or 2 * len(outside(rows)) > known
+
+    def judged(self, rows: Sequence[DerivedRow]) -> str:
+        """What measured values outside their intervals, and a low coverage, say; "" for nothing.
+
+        `rows` are those of `predicted_rows`.
+        """
+        out, promised = outside(rows), f"{percent(self.probability)} %"
+        parts = []
+        if out:
+            known = len(_held(rows))
+            counted = ", offset and noise included" if self.kind == "observation" else ""
+            parts = [
+                f"{len(out)} of {known} measured values lie outside their {promised} "
+                f"intervals{counted} ({', '.join(out)})"
+            ]
+        if not self.disagrees(rows):
+            return "".join(parts)
+        if self.kind == "observation":
+            full = "" if np.isnan(self.full) else f", {100 * self.full:.0f} % at full stroke"
+            parts.append(
+                f"the band holds {100 * self.coverage:.0f} % of the samples{full}, not {promised}"
+            )
+        return (
+            f"the prediction does not agree with the measurement: {', and '.join(parts)}; check "
+            "the record and its actuation, or the device is not as it was in the calibrated tests"
+        )
+
+
+def outside(rows: Sequence[DerivedRow]) -> list[str]:
+    """Names of quantities whose measured value lies outside its interval."""
+    return [row.name for row in _held(rows) if not row.lower <= row.measured <= row.upper]
+
+
+def _held(rows: Sequence[DerivedRow]) -> list[DerivedRow]:
+    """Rows whose measured value can be held to them: only a measurement has offset and noise."""
+    offset = ("peak_fwd", "peak_bwd", "slip_fwd", "slip_bwd")
+    return [
+        row
+        for row in rows
+        if np.isfinite(row.measured) and (row.role == "observation" or row.name not in offset)
+    ]
+
+
+def compare(band: Band, trace: Trace) -> Compared:
+    """A band beside the measured force of its motion, where that moves and was not given."""
+    given = band.given is not None
+    force = np.asarray(trace.force)
+    rest = ~band.given.holds(band.time) if band.given else np.ones(force.size, dtype=np.bool_)
+    if not np.any(rest):
+        raise CampaignError("nothing is left to compare: the whole record was given")
+    moving = in_motion(trace)
+    kept = rest & moving if np.any(rest & moving) else rest
+    inside = (force >= band.lower) & (force <= band.upper)
+    full = kept & _at_full_stroke(trace)
+    return Compared(
+        float(np.mean(inside[kept])),
+        float(np.mean(inside[full])) if np.any(full) else float("nan"),
+        int(np.count_nonzero(kept)),
+        rrse(band.median[kept], force[kept]),
+        float(np.mean(crps(band.draws[:, kept], force[kept]))),
+        band.kind,
+        band.probability,
+        given,
+    )
+
+
+def in_motion(trace: Trace) -> NDArray[np.bool_]:
+    """Samples at which the device is not at rest, (T,).
+
+    It rests where it stays within `STILL` of its stroke for longer than `DWELL` of a cycle.
+    """
+    from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
+
+    x, speed = trace.displacement, float(trace.velocity.std())
+    if not speed > 0.0:
+        return np.zeros(x.size, dtype=np.bool_)
+    cycle = 2.0 * np.pi * float(x.std()) / speed
+    step = float(np.median(np.diff(trace.time)))
+    window = 2 * max(int(0.5 * DWELL * cycle / step), 1) + 1
+    span = maximum_filter1d(x, window, mode="nearest") - minimum_filter1d(x, window, mode="nearest")
+    still = span <= STILL * float(np.ptp(x))
+    return np.asarray(~binary_dilation(still, np.ones(window, dtype=np.bool_)))
+
+
+def _at_full_stroke(trace: Trace) -> NDArray[np.bool_]:
+    """Samples in the full cycles at full stroke, (T,)."""
+    inside, loops = np.zeros(trace.samples, dtype=np.bool_), find_loops(trace)
+    for (begin, end), full in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True):
+        inside[begin:end] |= full
+    return inside
+
+
+class Spread(TypedDict):
+    """Mean, sd and three quantiles of draws, as rows of tables have them."""
+
+    mean: float
+    sd: float
+    lower: float
+    median: float
+    upper: float
+
+
+def spread_of(draws: Array, tail: float = 0.025) -> Spread:
+    """Mean, sd, median, and the bounds that leave `tail` of the draws (n,) on either side."""
+    lower, median, upper = (float(q) for q in np.quantile(draws, [tail, 0.5, 1.0 - tail]))
+    mean, sd = float(draws.mean()), float(draws.std())
+    return {"mean": mean, "sd": sd, "lower": lower, "median": median, "upper": upper}
+
+
+def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
+    """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
+    found = score(draws[:, first:], np.asarray(trace.force)[first:])
+    scales = found.width, found.interval_score, found.crps
+    half, most, nearly = found.coverage
+    return ScoreRow(name, role, half, most, nearly, *scales, found.rrse)
 
 
 def score(draws: Array, observed: Array) -> Score:

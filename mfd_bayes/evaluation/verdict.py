@@ -1,182 +1,342 @@
-"""The whole report: every test, the laws, the verdict, and the origin of the run."""
+"""What each test and the whole run may be used for, and why: the worst first."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from functools import partial
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
-from mfd_bayes.evaluation.checks import CALIBRATION, convergence_checks, exponent_checks
-from mfd_bayes.evaluation.contradicted import contradicted_starts
-from mfd_bayes.evaluation.judgement import judge, use_of
-from mfd_bayes.evaluation.law_choices import law_choices
-from mfd_bayes.evaluation.laws import law_rows, law_views
-from mfd_bayes.evaluation.left_out import left_out_view
-from mfd_bayes.evaluation.noises import noise_findings
-from mfd_bayes.evaluation.odd_tests import odd_tests
-from mfd_bayes.evaluation.sentences import remarks, verdict_sentence
-from mfd_bayes.evaluation.shown import unshown, views_of_tests, with_lost
+import numpy as np
+
+from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.prior_files import SCALED
+from mfd_bayes.evaluation.checks import CALIBRATION, INFORMED, REPORT, SAMPLING
+from mfd_bayes.evaluation.test_summary import SCALE_NOTE
 from mfd_bayes.evaluation.views import (
-    CampaignView,
+    COVERAGE,
+    FREE_EXPONENT,
+    LOOP_ESTIMATE,
+    MODES,
+    PREDICTIVE,
     Check,
-    LawView,
-    Row,
+    Judgement,
     TestView,
-    TruthRow,
 )
-from mfd_bayes.jobs.likelihoods import meanwhile
-from mfd_bayes.runs.findings import Finding
+from mfd_bayes.messages import Message, join
+from mfd_bayes.population.design import Design
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, systems_beside
-from mfd_bayes.runs.verdict import Use, Verdict
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
+
+MILD = 3.0
+"""Misfit, in tolerances, of a fault of a record that does not spoil it."""
+
+_SPOILS, _LOST, _UNREACHED, _UNLIKE = 1000.0, 2000.0, 500.0, 100.0
+
+_HINTS = {
+    "residual rms": "the noise model is not that of the record, or the model lacks something",
+    "lag-one residual correlation": "the noise model is not that of the record",
+    "energy": (
+        "the area of the loop is not the model's: the device changes during the test, or parts of "
+        "the record differ"
+    ),
+    "peak force": "spikes at build-up that the model does not have, or a force that drifts",
+    "force at mid-gap": "the gap is not as in the model",
+    "coverage": "the bands are too narrow for this record",
+}
+
+MOST_NAMED = 4
+"""Most tests that the verdict names with their reasons."""
 
 
-def assess(run: Run, jobs: int = 1) -> CampaignView:
-    """Everything that the report of a run shows, by one process or several."""
-    with meanwhile(jobs) as beside:
-        rows, laws = beside(partial(law_rows, run)), beside(partial(law_views, run))
-        tests, lost = views_of_tests(run, jobs, beside)
-        return put_together(run, tests, rows(), laws(), lost)
+def judge(
+    tests: Iterable[str], checks: Sequence[Check], findings: Sequence[Finding]
+) -> tuple[Judgement, ...]:
+    """Judgement of each test, the one to believe least first.
 
-
-def put_together(
-    run: Run,
-    tests: list[TestView],
-    table: tuple[Row, ...],
-    laws: tuple[LawView, ...],
-    lost: Mapping[str, str] | None = None,
-) -> CampaignView:
-    """The report of a run from the views of its tests and laws, and from its manifest.
-
-    `lost` are the tests that cannot be shown, and why.
+    Misfit is counted in tolerances: 1 where the model misses a figure by as much as its tolerance.
+    What is wrong with the record itself counts more than any misfit.
     """
-    manifest = run.manifest
-    lost = lost or {}
-    failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
-    checks = (*_all_checks(manifest, tests, table, failures), *unshown(lost))
-    warnings = (*_warnings(run), *noise_findings(tests))
-    judged = judge([*run.tests, *failures], checks, warnings)
-    whole = use_of(judged, checks)
-    compared = manifest.comparison
-    return CampaignView(
-        title=manifest.title,
-        verdict=whole,
-        sentence=with_lost(verdict_sentence(manifest, checks, judged), lost),
-        actuation_unit=run.actuation_unit,
-        tests=tuple(tests),
-        failures={**failures, **lost},
-        laws=laws,
-        law_rows=table,
-        checks=checks,
-        scores=tuple(view.score for view in tests),
-        truth=_truth_rows(manifest, tests, table),
-        provenance=_provenance(manifest),
-        remarks=remarks(run, tests),
-        common=run.population.common if table else (),
-        law_choices=law_choices(manifest.law_scores, manifest.settings.laws),
-        left_out=left_out_view(manifest.crossvalidation),
-        comparison=compared.rows if compared else (),
-        comparison_sentence=compared.sentence if compared else "",
-        judgements=judged,
-        warnings=warnings,
-        metric=run.system.name == SI.name,
-        systems=systems_beside(run.system),
-        tested=run.tested,
+    judged = []
+    for name in tests:
+        own = [check for check in checks if check.test == name]
+        judged.append(_judge(name, own, [f for f in findings if f.subject == name]))
+    return tuple(sorted(judged, key=lambda j: -j.misfit))
+
+
+def _judge(test: str, checks: Sequence[Check], findings: Sequence[Finding]) -> Judgement:
+    """Judgement of one test from its own checks and warnings."""
+    missed = sorted(
+        (c for c in checks if _is_of_fit(c) and c.status in (Verdict.WARNING, Verdict.FAIL)),
+        key=lambda check: -misfit_of(check),
     )
+    reasons: list[tuple[float, Message]] = []
+    for number, finding in enumerate(sorted(findings, key=lambda f: not f.spoils)):
+        message = finding.message
+        if missed and number == 0 and finding.spoils and finding.name != "time unit":
+            message = join([missed[0].message, message], ": ")  # no clock changes an energy
+        reasons.append((_SPOILS if finding.spoils else MILD, message))
+    reasons += [*_of_sampler(checks), *_of_slip(checks)]
+    spoiled = any(f.spoils for f in findings)
+    counted = bool(missed) and not spoiled
+    if counted:
+        reasons.append((misfit_of(missed[0]), _miss(missed)))
+    failed = {c.check for c in checks if c.status == Verdict.FAIL}
+    wrong = spoiled or bool(failed - set(SAMPLING))
+    use = Use.NOT_USABLE if wrong or failed else Use.WITH_CARE if reasons else Use.USABLE
+    reasons.sort(key=lambda reason: -reason[0])
+    least = max((misfit_of(c) for c in checks if _is_of_fit(c)), default=0.0)
+    misfit = sum(size for size, _ in reasons) if reasons else min(least, 1.0)
+    if reasons and not counted:  # else the worst misfit is one of the reasons
+        misfit += least
+    notes = tuple(_modes(check) for check in checks if _is_mode(check, Verdict.NOTE))
+    return Judgement(test, use, tuple(message for _, message in reasons), misfit, wrong, notes)
 
 
-def _all_checks(
-    manifest: Manifest, tests: list[TestView], table: tuple[Row, ...], failures: Iterable[str]
-) -> tuple[Check, ...]:
-    """Checks of tests and laws, and one that fails for each test without a result."""
-    return (
-        *(check for view in tests for check in view.checks),
-        *convergence_checks("population", table, manifest.effort),
-        *exponent_checks(manifest.free_exponents),
-        *(Check(n, CALIBRATION, "finished", 0.0, "finished", Verdict.FAIL) for n in failures),
-    )
+def _is_of_fit(check: Check) -> bool:
+    return check.check in (PREDICTIVE, COVERAGE)
 
 
-def _warnings(run: Run) -> tuple[Finding, ...]:
-    """Warnings about the records, and tests that stand apart or contradict the one before."""
-    before = [found for found in run.manifest.warnings if found.stage == "records"]
-    return (*before, *odd_tests(run), *contradicted_starts(run))
+def misfit_of(check: Check) -> float:
+    """Size of a miss over its tolerance; of a band, only what is missing inside."""
+    size = -check.difference if check.check == COVERAGE else abs(check.difference)
+    return max(float(size / check.tolerance), 0.0) if np.isfinite(check.tolerance) else 0.0
 
 
-def fails(view: CampaignView) -> bool:
-    """Whether a run must not be used: a check failed, or something is wrong with a test."""
-    return view.verdict == Use.NOT_USABLE
+def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, Message]]:
+    """Sampling that did not reach its targets, a test that was lost, and several modes."""
+    if any(check.check == CALIBRATION for check in checks):
+        yield _LOST, Message("it could not be calibrated")
+    if any(check.check == REPORT for check in checks):
+        yield _LOST, Message("it could not be shown in the report")
+    short = [c for c in checks if c.check in SAMPLING and c.status == Verdict.FAIL]
+    if short:
+        more = f" and {len(short) - 1} more" if short[1:] else ""
+        first = f"{short[0].check} of {short[0].feature}{more}"
+        text = "the sampling did not reach its targets ({first})"
+        yield _UNREACHED, Message(text, {"first": first})
+    for check in (c for c in checks if _is_mode(c, Verdict.WARNING)):
+        yield MILD, _modes(check)
 
 
-def verdicts(view: CampaignView) -> dict[str, str]:
-    """Verdict of the campaign with its sentence, and of every subject of a check."""
-    found: dict[str, str] = {}
-    for check in view.checks:
-        worse = {Verdict.CARE: Use.WITH_CARE, Verdict.FAIL: Use.NOT_USABLE}.get(check.verdict)
-        if worse != Use.WITH_CARE or found.get(check.subject) != Use.NOT_USABLE:
-            found[check.subject] = worse or found.get(check.subject, Use.USABLE)
-    found |= {judged.subject: judged.use for judged in view.judgements}
-    whole = {"campaign": view.verdict, "sentence": view.sentence}
-    return whole | found | whole  # tests may have these names too
+def _is_mode(check: Check, status: Verdict) -> bool:
+    return check.check == MODES and check.status == status
 
 
-def _truth_rows(
-    manifest: Manifest, tests: list[TestView], table: tuple[Row, ...]
-) -> tuple[TruthRow, ...]:
-    """The true values of a synthetic campaign, each beside its posterior."""
-    known = _truths(manifest)
-    rows = [*(row for view in tests for row in view.rows), *table]
-    return tuple(
-        TruthRow(
-            subject=row.subject,
-            name=row.name,
-            unit=row.unit,
-            truth=float(value),
-            lower=row.lower,
-            median=row.median,
-            upper=row.upper,
-            inside=bool(row.lower <= value <= row.upper),
-            informed=not row.note,
+def _modes(check: Check) -> Message:
+    held = check.feature.removeprefix("posterior")
+    text = f"{check.observed:.0f} different sets of parameters explain it{{held}}"
+    return Message(text, {"held": held})
+
+
+def _of_slip(checks: Sequence[Check]) -> Iterable[tuple[float, Message]]:
+    """Slip forces that are far from the measured ones, and whether the band is usable."""
+    far = [c for c in checks if c.check == LOOP_ESTIMATE and c.status == Verdict.FAIL]
+    if far:
+        bands = [c for c in checks if c.check == COVERAGE]
+        holds = bands and all(c.status in (Verdict.PASS, Verdict.NOTE) for c in bands)
+        use = "its band is usable, its parameters are not" if holds else "do not use its parameters"
+        why = Message(f"{use}: a slip force is not the measured one, the noise stands in for it")
+        parts = (
+            Message(
+                "{name} {expected}, measured {observed}", {**c.message.values, "name": c.feature}
+            )
+            for c in far
         )
-        for row in rows
-        if (value := known.get(row.subject, {}).get(row.name)) is not None
+        yield _UNLIKE, join([why, join(parts, ", ")], ": ")
+
+
+def _miss(missed: Sequence[Check]) -> Message:
+    """The worst miss with its likely cause, and how many others there are."""
+    worst = missed[0]
+    cause = next((text for name, text in _HINTS.items() if worst.feature.startswith(name)), "")
+    if worst.feature.startswith("energy") and worst.observed < 0.0:
+        cause = "the sign of the force or of the displacement is probably swapped"
+    more = f"; {len(missed) - 1} more" if missed[1:] else ""
+    sizes = f" ({abs(worst.difference):.0%} off, tolerance {worst.tolerance:.0%}): {cause}{more}"
+    return join([worst.message, Message(sizes)], "")
+
+
+def use_of(judged: Iterable[Judgement], checks: Iterable[Check]) -> Use:
+    """What the whole run may be used for: as its worst test, check or law."""
+    statuses, uses = {check.status for check in checks}, {j.use for j in judged}
+    if Verdict.FAIL in statuses or Use.NOT_USABLE in uses:
+        return Use.NOT_USABLE
+    return Use.WITH_CARE if Verdict.WARNING in statuses or Use.WITH_CARE in uses else Use.USABLE
+
+
+def verdict_sentences(
+    manifest: Manifest, checks: Sequence[Check], judged: Sequence[Judgement]
+) -> tuple[Message, ...]:
+    """What a run may be used for, and why: a sentence each, the worst first."""
+    failed = [check for check in checks if check.status == Verdict.FAIL]
+    wrong = [j for j in judged if j.wrong]
+    careful = [j for j in judged if j.use == Use.WITH_CARE]
+    sentences = []
+    for lead, some in (("something is wrong with", wrong), ("to be used with care:", careful)):
+        if some:
+            lead = lead[0].upper() + lead[1:]
+            sentences.append(Message(f"{lead} {len(some)} of {_tests(len(judged))}."))
+            sentences += [_named(j) for j in some[:MOST_NAMED]]
+            if some[MOST_NAMED:]:
+                sentences.append(Message(f"And {len(some) - MOST_NAMED} more."))
+    if all(j.use == Use.USABLE for j in judged):
+        which = {1: "The test is", 2: "Both tests are"}.get(
+            len(judged), f"All {len(judged)} tests are"
+        )
+        sentences.append(Message(f"{which} reproduced within tolerance."))
+    lost = {check.test for check in failed if check.check == CALIBRATION}
+    advice = "correct what is wrong first" if wrong else "give a larger --effort"
+    sentences.append(_of_sampling(failed, manifest.effort, len(judged) - len(lost), advice))
+    if len(judged) > 1 and judged[0].use != Use.USABLE:
+        worst, second = judged[:2]
+        alone = "" if second.misfit < worst.misfit else " (as little as {second})"
+        names = {"worst": worst.subject, "second": second.subject}
+        sentences.append(Message(f"The test to believe least is {{worst}}{alone}.", names))
+    bent = [c for c in checks if c.check == FREE_EXPONENT and c.status == Verdict.WARNING]
+    if bent:
+        what = ", ".join(f"{c.feature}: exponent {c.observed:.2f}" for c in bent)
+        sentences.append(
+            Message(
+                f"The proportional law is not supported ({what}, not 1): "
+                "do not extrapolate with it."
+            )
+        )
+    return tuple(sentences)
+
+
+def _tests(count: int) -> str:
+    return f"{count} test{'' if count == 1 else 's'}"
+
+
+def _named(judged: Judgement) -> Message:
+    """A test with its reasons."""
+    head = Message("{test}: ", {"test": judged.subject})
+    return join([head, join(judged.reasons, "; "), Message(".")], "")
+
+
+def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advice: str) -> Message:
+    """Whether the sampling reached its targets, and what to do where it did not."""
+    limits = f"R-hat <= {effort.r_hat:g}, bulk and tail ESS >= {effort.ess:g}"
+    where: dict[str, list[str]] = {}
+    for c in failed:
+        if c.check in SAMPLING:
+            where.setdefault(c.test, []).append(f"{c.check} of {c.feature}")
+    if not where:
+        tests = "The calibrated test" if calibrated == 1 else f"All {calibrated} calibrated tests"
+        return Message(f"{tests} and the laws converged ({limits}).")
+    names = ", ".join(
+        f"{test} ({first}{f' and {len(more)} more' if more else ''})"
+        for test, (first, *more) in sorted(where.items())
+    )
+    return Message(
+        f"The sampling did not reach its targets ({limits}, and chains that are long enough) in "
+        f"{{names}}: do not use these figures, but {advice}.",
+        {"names": names},
     )
 
 
-def _truths(manifest: Manifest) -> dict[str, dict[str, float | None]]:
-    """True values by subject and name; empty for real tests.
+# --- remarks
 
-    Noise is left out where a record was low-passed: it is not the noise that was added.
+
+def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
+    """Sentences that a reader must know besides the verdict."""
+    texts = []
+    if run.manifest.truth:
+        texts.append(
+            "The tests are synthetic: they were computed from known parameters with known noise. "
+            "Where a record was low-passed for the fit, the true noise of that record is not known."
+        )
+    if SCALED in run.priors.title:
+        texts.append(
+            "The scales of the priors were read off the records of this campaign: the data are "
+            "used there for orders of magnitude, and once more in the calibration."
+        )
+    texts += [
+        f"{name}: the {role} is made of {text}."
+        for name, entry in run.manifest.tests.items()
+        for role, text in entry.derived.items()
+    ]
+    weak = _counted(r.name for view in tests for r in view.rows if r.contraction < INFORMED)
+    if weak:
+        texts.append(f"Parameters that the data do not determine (number of tests): {weak}.")
+    texts += _of_identifiability(tests)
+    apart = _counted(r.name for view in tests for r in view.rows if r.disagrees)
+    if apart:
+        texts.append(
+            "Parameters whose interval in a test alone does not overlap that in the joint "
+            f"posterior of all tests, which predictions use (number of tests): {apart}."
+        )
+    if any(r.name == "gamma1" for view in tests for r in view.rows):
+        texts.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
+    left = [test.id for test in tests if test.rows and not test.noises]
+    if left:
+        more = f" and {len(left) - 3} more" if left[3:] else ""
+        texts.append(
+            f"Not fitted under another noise model: {', '.join(left[:3])}{more}. How far their "
+            "parameters depend on that choice is not known. The effort standard does it; at quick, "
+            "noise_check = true in [campaign] asks for it."
+        )
+    texts += _of_dependence(run)
+    texts += zero_pressure_sentences(run.population.design, run.tests)
+    if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:
+        texts.append(
+            "All calibrated tests are at one actuation: at any other actuation, predictions rest "
+            "only on the form of the laws."
+        )
+    return tuple(Message("{text}", {"text": text}) for text in texts)
+
+
+def _counted(names: Iterable[str], most: int | None = None) -> str:
+    """Names with how often each is there, the most frequent first."""
+    return ", ".join(f"{name} ({times})" for name, times in Counter(names).most_common(most))
+
+
+def _of_dependence(run: Run) -> list[str]:
+    """Quantities that predict held-out tests better if they followed speed or stroke."""
+    design = run.population.design.dependence
+    return [
+        f"Tests that were held out are predicted better if {s.quantity} depends on {s.covariate} "
+        f"(elpd {s.difference:+.1f} ± {s.se:.1f} over tests): try it under [dependence]."
+        for s in run.manifest.dependence_scores
+        if s.covariate
+        and s.covariate not in design.get(s.quantity, ())
+        and s.difference > max(s.se, 1.0)
+    ]
+
+
+def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
+    """How many directions the data inform, and which parameters trade off most often."""
+    known = [view.identifiability for view in tests if view.identifiability is not None]
+    if not known:
+        return []
+    informed = sorted({f.directions.informed for f in known})
+    span = f"{informed[0]} to {informed[-1]}" if len(informed) > 1 else f"{informed[0]}"
+    texts = [
+        f"The model has {len(known[0].directions.names)} parameters for each test, but a test "
+        f"determines only {span} combinations of them better than the prior does."
+    ]
+    pairs = [f"{pair.first} and {pair.second}" for f in known for pair in f.pairs]
+    if pairs:
+        texts.append(
+            "Parameters that trade off, so that their combination is known better than each of "
+            f"them (number of tests): {_counted(pairs, 4)}"
+            f"{', and others' if len(set(pairs)) > 4 else ''}."
+        )
+    return texts
+
+
+def zero_pressure_sentences(design: Design, tests: Iterable[str]) -> list[str]:
+    """Sentences about tests at zero actuation: what informs no law, and why.
+
+    `tests` are the ids of the calibrated tests, in the design's order.
     """
-    truth = manifest.truth
-    if not truth:
-        return {}
-    known = {"population": dict(truth.population)}
-    for name, values in truth.tests.items():
-        filtered = manifest.tests[name].filtered
-        known[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
-        if filtered:
-            for noise in ("scatter_noise_sd", "scatter_noise_time"):
-                known["population"].pop(noise, None)
-    return known
-
-
-def _provenance(manifest: Manifest) -> dict[str, str]:
-    effort = manifest.effort
-    facts = {
-        "command": manifest.command,
-        "started": manifest.started,
-        "finished": manifest.finished,
-        "seed": str(manifest.seed),
-        "effort": f"{effort.name}: {effort.ensembles} ensembles, at most {effort.limit} steps each",
-        "model and noise": f"{manifest.settings.model}, {manifest.settings.noise}",
-        "priors": manifest.settings.priors,
-        "platform": manifest.platform,
-        "versions": ", ".join(f"{k} {v}" for k, v in manifest.versions.items()),
-    }
-    for number, machine in enumerate(manifest.machines):
-        name = f"machine {number + 1}" if number else "machine"
-        facts[name] = ", ".join(f"{part} {words}" for part, words in machine.items())
-    for name, digest in manifest.inputs.items():
-        facts[f"SHA-256 of {name}"] = digest
-    return facts
+    settings = zip(tests, design.settings, strict=False)
+    zeros = ", ".join(name for name, setting in settings if setting.actuation == 0)
+    out = [n for n, known in zip(design.names, design.informs.T, strict=True) if not known.all()]
+    if not zeros or not out:
+        return []
+    laws = ", ".join(f"{name} ({design.laws[name]})" for name in out)
+    return [
+        f"A law without an intercept has no value at zero actuation: from {zeros} nothing is "
+        f"learned about {laws}. The laws affine and residual_power would learn from it."
+    ]

@@ -21,23 +21,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import psi
 
-from mfd_bayes.friction.banks import State, SteppedModel
 from mfd_bayes.friction.columns import named_columns
 from mfd_bayes.friction.lugre import of_direction
-from mfd_bayes.friction.model import Array, Columns, check_start, through_vertices
-from mfd_bayes.friction.parameters import BACKLASH_QUANTITIES
+from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
+from mfd_bayes.friction.parameters import BACKLASH, quantities_in_order
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import scratch, solve
+from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.friction.spring import Spring
 from mfd_bayes.records.trace import Trace
 
 Index = NDArray[np.intp]
 
-ACTUATED = ("Fc_fwd", "Fc_bwd")
-"""The parameters that follow the actuation. Stiffness does not: the spring is steel."""
-
-FLOOR = 1e-6
-"""Least share of the slip force that is left at zero actuation, so that nothing divides by zero."""
+ACTUATED = ("Fc_fwd", "Fc_bwd")  # they follow the actuation; the spring is steel, and does not
+FLOOR = 1e-6  # least share of the slip force that is left at zero actuation
 
 LITTLE = 0.2
 """Share of the slip force that a device at rest without load bears at most.
@@ -47,68 +43,24 @@ twice as much, since the corners of fitted springs are not exact: at the start o
 cell shows 0.02, some of these springs bear 0.1.
 """
 
-RESOLVED = (2.0, 0.4)
-"""Longest step near a turn: over the length in which slip sets in, and over n times that length.
-Random walks and real records are then within 0.07 % of steps a tenth as long.
-"""
+# How a motion is cut into steps. Lengths are over the one in which slip sets in.
+RESOLVED = (2.0, 0.4)  # longest step near a turn, and n times it: 0.07 % off steps a tenth as long
+SURE = 7.0  # way after which it surely slips
+FAR, MOST_FAR = 2.0, 8  # in slip a step may be longer by FAR, and a sample has so many at most
+MOST = 128  # a way that would have more is not cut: slip then sets in within a small part of it
+STIFF = 8.0  # a longer step ends in slip, or slides none
 
-SURE = 7.0
-"""Lengths over which slip sets in, after which it surely has."""
+# Newton's method
+OVER = 1.0  # largest n ln(G/g) at which a step begins: what is above goes at once
+TINY = 1e-12  # force, kip, that stands for one that does not push against friction
+ITERATIONS = 100  # most steps; three are the rule
+CUTS = 6  # most times that deflections are cut at what friction can hold
+CLOSE, CLOSE_BLUNT = 8e-7, 2e-7  # a step is solved when Newton moves it less; where n < 2
+PATIENCE = 7  # steps after which vectors that are not solved go on without the others
+FAR_OFF = 1e13  # error, over its limit, from which Newton may be beyond what friction can hold
 
-FAR = 2.0
-"""In slip a step may be longer than near a turn by this factor."""
-
-MOST_FAR = 8
-"""Most steps into which a sample's way is cut in slip: in slip more of them change nothing."""
-
-MOST = 128
-"""A sample's way that would be cut into more steps is not cut: slip then sets in at once, within a
-small part of it.
-"""
-
-STIFF = 8.0
-"""A step longer than this many lengths over which slip sets in ends in slip, or slides none."""
-
-OVER = 1.0
-"""Largest n ln(G/g) at which a step begins: what is above, after friction fell, goes at once."""
-
-TINY = 1e-12
-"""Force, kip, that stands for one that does not push against friction."""
-
-PIECE = 1 << 15
-"""Size of a piece's arrays, in numbers: they stay in the cache."""
-
-WORTH = 2000
-"""Numbers of an array whose computation takes as long as one more call for few vectors does."""
-
-ITERATIONS = 100
-"""Most of Newton's steps; three are the rule."""
-
-CUTS = 6
-"""Most times that deflections are cut at what friction can hold."""
-
-CLOSE = 8e-7
-"""A step is solved when Newton moves it by less than this share of the length over which slip sets
-in: its next step would be a thousandth of that."""
-
-CLOSE_BLUNT = 2e-7
-"""The same where n < 2, and Newton's method is slower.
-"""
-
-NEAR = 1e10
-"""Error, over its limit, below which Newton's method converges fast everywhere."""
-
-FEWER = 0.8
-"""Newton goes on with the unsolved steps alone when they are fewer than this share, but where slip
-sets in at once: what the others do may then change."""
-
-PATIENCE = 7
-"""Steps after which vectors that are not solved go on without the others."""
-
-FAR_OFF = 1e13
-"""Error, over its limit and on average over the vectors, from which on Newton's method may have
-gone beyond what friction can hold: it is cut.
-"""
+PIECE = 1 << 15  # numbers of a piece's arrays: they stay in the cache
+WORTH = 2000  # numbers of an array whose computation takes as long as one more call
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,16 +253,6 @@ class Steps:
     length: Array
     slip: Array | None = None
 
-    def some(self, rows: Index) -> Steps:
-        """Some of them."""
-
-        def of(column: Array) -> Array:
-            return column if len(column) == 1 else column[rows]
-
-        slip = None if self.slip is None else of(self.slip)
-        motion = of(self.way), of(self.sign)
-        return Steps(*motion, of(self.level), of(self.bound), of(self.length), slip)
-
     def of(self, vectors: Index) -> Steps:
         """Those of some vectors."""
         columns = (self.way, self.sign, self.level, self.bound, self.length)
@@ -318,14 +260,11 @@ class Steps:
         way, sign, level, bound, length = some
         return Steps(way, sign, level, bound, length)
 
-    def breaks(self, rows: Index) -> tuple[Index, Index]:
-        """Which of them turn or do not follow the one before them, by their numbers `rows`.
-
-        Second, those that do not follow it.
-        """
-        apart = np.append(True, np.diff(rows) != 1)
-        turned = np.append(True, (self.sign[1:] != self.sign[:-1]).any(axis=1))
-        return np.flatnonzero(apart | turned), np.flatnonzero(apart)
+    @property
+    def turns(self) -> Index:
+        """The first step, and those that turn, (B,)."""
+        turned = (self.sign[1:] != self.sign[:-1]).any(axis=1)
+        return np.flatnonzero(np.append(True, turned))
 
 
 def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
@@ -333,50 +272,33 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
 
     Both are NaN for vectors that Newton's method cannot solve. `first` is the deflection before.
     """
-    n, rate = damper.columns["n"], damper.rate
+    n, turns = damper.columns["n"], steps.turns
     steps = replace(steps, slip=_at_once(damper, steps))
-    every = kept = np.arange(len(steps.level))
-    part, (breaks, apart) = steps, steps.breaks(every)
-    z = np.empty((every.size + 1, n.size))
-    z[0], z[1:] = first, guess(damper, steps, breaks, first)
-    error = np.square(rate / np.where(n < 2.0, CLOSE_BLUNT, CLOSE))
+    z = np.concatenate([first[None], guess(damper, steps, turns, first)])
+    error = np.square(damper.rate / np.where(n < 2.0, CLOSE_BLUNT, CLOSE))
     lost = np.zeros(n.size, dtype=bool)
-    force = np.empty(steps.level.shape)
+    force, now = np.empty(steps.level.shape), z[1:]
     for done in range(ITERATIONS):
-        whole = kept.size == every.size
-        now = z[1:] if whole else z[kept + 1]
-        found, slope, decay, drive = newton(damper, part, (breaks, apart), z[kept[breaks]], now)
+        held, slope, decay, drive = newton(damper, steps, turns, z)
         step = solve(decay, drive, np.zeros(n.size))
         moved = np.square(step) @ error
         if not np.isfinite(moved.sum()):
             lost |= ~np.isfinite(step).all(axis=0)
-            step[:, lost], z[:, lost], now[:, lost] = 0.0, 0.0, 0.0
-            error = np.where(lost, 0.0, error)
+            step[:, lost], z[:, lost], error[lost] = 0.0, 0.0, 0.0
             moved = np.square(step) @ error
         now += step
         slope *= step
-        found += slope
+        np.add(held, slope, out=force)
         if moved.max() > FAR_OFF * n.size and done < CUTS:
-            held = np.minimum(part.sign * now, part.bound + 2.0 * part.length)
-            np.multiply(part.sign, held, out=now, where=part.way > 0.0)  # at rest more may be left
-        force[kept] = found
-        if not whole:
-            z[kept + 1] = now
-        # what is left goes on to the steps that follow, as far as it does not decay
-        passed = np.cumsum(np.log(np.minimum(np.maximum(decay.max(axis=1), 1e-20), 1.0)))
-        own = np.log(np.maximum(moved, 1e-300)) - passed
-        moving = np.flatnonzero(passed + np.maximum.accumulate(own) > 0.0)
-        if not moving.size:
+            most = np.minimum(steps.sign * now, steps.bound + 2.0 * steps.length)
+            np.multiply(steps.sign, most, out=now, where=steps.way > 0.0)  # at rest more may stay
+        if moved.max() <= 1.0:
             break
         hard = (np.square(step) * error > 1.0).any(axis=0)
         if done == PATIENCE and 0 < hard.sum() < 0.5 * n.size:
             rows = np.flatnonzero(hard)
             force[:, rows], z[-1, rows] = advance(damper.of(rows), steps.of(rows), first[rows])
             break
-        if steps.slip is None and moved.max() < NEAR and moving.size < FEWER * kept.size:
-            kept = kept[moving]
-            part = steps.some(kept)
-            breaks, apart = part.breaks(kept)
     else:
         lost |= (np.square(step) * error > 1.0).any(axis=0)
     force[:, lost] = np.nan
@@ -384,111 +306,86 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
 
 
 def newton(
-    damper: Damper, steps: Steps, breaks: tuple[Index, Index], held: Array, z: Array
+    damper: Damper, steps: Steps, turns: Index, ends: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Force and stiffness at z, and Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k for z + δ.
+    """Force and stiffness, and Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k of deflections.
 
     With p = (G/g)ⁿ, f = 1 − p and c = −h f′ = b p, b = n h G′/G, the rule times 12 is
 
         12 (ζ₁ − ζ₀) = h [(6 − c₀) f₀ + (6 + c₁) f₁],
 
-    and its derivatives neglect the bend of the spring. They are valid until the next call.
+    and its derivatives neglect the bend of the spring.
 
-    Parameters
-    ----------
-    breaks : two of (B,), int
-        See `Steps.breaks`.
-    held : (B, n), in
-        Deflection before the first of those.
-    z : (R, n), in
-        Deflection after each step.
+    `turns` are those of `Steps`, and `ends`, (R + 1, n), in, the deflections before and after
+    each step.
     """
     n, way, sign = damper.columns["n"], steps.way, steps.sign
-    starts, apart = breaks
-    room = scratch(14, *z.shape)
-    force, slope = damper.spring.evaluate(z, room[:4])
+    z, begun, bend = ends[1:], ends[:-1], 1.0 - 1.0 / n
+    force, slope = damper.spring.evaluate(z)
     # ln Gⁿ and n G′/G where G pushes against the motion, after each step
-    log, share, log0, share0, b, before, p0, p1, t, gain, limit = room[2:13]
-    np.multiply(n, steps.level, out=limit)
-    _push(np.multiply(sign, force, out=log), slope, n, share)
-    # before it the same, but for the first ones
-    log0[1:], share0[1:], before[1:] = log[:-1], share[:-1], z[:-1]
-    ahead, stiff = damper.spring.evaluate(held)
-    ahead, at_start = sign[starts] * ahead, np.empty(held.shape)
-    _push(ahead, stiff, n, at_start)
-    log0[starts], share0[starts], before[starts] = ahead, at_start, held
-    if steps.slip is not None:
-        row, column = np.nonzero(np.isfinite(steps.slip))
-        ways, signs = (np.broadcast_to(a, z.shape)[row, column] for a in (way, sign))
-        free, slip = signs * before[row, column] + ways, steps.slip[row, column]
-    before -= z
-    np.subtract(log0, limit, out=p0)
+    log, share = _push(sign * force, slope, n)
+    # before it the same, but for those that turn
+    log0, share0 = np.empty_like(log), np.empty_like(share)
+    log0[1:], share0[1:] = log[:-1], share[:-1]
+    held, stiff = damper.spring.evaluate(ends[turns])
+    log0[turns], share0[turns] = _push(sign[turns] * held, stiff, n)
+    limit = n * steps.level
+    log0 -= limit
     over = None
-    if p0.max() > OVER:
-        over = (p0 > OVER) & (way > 0.0)  # at rest nothing is let go
-        _let_go(damper, steps, over, (share0, before), z)
-        np.minimum(p0, OVER, out=p0)
+    if log0.max() > OVER:
+        over = (log0 > OVER) & (way > 0.0)  # at rest nothing is let go
+        begun = begun.copy()
+        _let_go(damper, steps, over, share0, begun)
+        np.minimum(log0, OVER, out=log0)
     # the end of each step
-    np.subtract(log, limit, out=p1)
-    np.exp(np.minimum(p1, STIFF, out=p1), out=p1)
-    np.multiply(share, way, out=b)
-    c = np.multiply(b, p1, out=log)
-    f = np.subtract(1.0, p1, out=p1)
-    np.add(c, 6.0, out=t)
-    np.multiply(f, t, out=gain)
-    b *= f
-    b *= 1.0 - 1.0 / n
-    t -= b
-    t *= c
-    t += 12.0
+    log -= limit
+    p = np.exp(np.minimum(log, STIFF, out=log), out=log)
+    f, b = 1.0 - p, np.multiply(share, way, out=share)
+    c = b * p
+    gain = f * (6.0 + c)
+    t = c * (6.0 + c - bend * b * f) + 12.0
     # its beginning
-    np.exp(p0, out=p0)
-    np.multiply(share0, way, out=b)
-    c = np.multiply(b, p0, out=log)
-    f = np.subtract(1.0, p0, out=p0)
-    decay = np.subtract(6.0, c, out=share)
-    gain += np.multiply(f, decay, out=log0)
-    b *= f
-    b *= 1.0 - 1.0 / n
-    decay += b
-    decay *= c
-    np.subtract(12.0, decay, out=decay)
+    p = np.exp(log0, out=log0)
+    f, b = 1.0 - p, np.multiply(share0, way, out=share0)
+    c = b * p
+    gain += f * (6.0 - c)
+    decay = (12.0 - c * (6.0 - c + bend * b * f)) / t
     gain *= sign * way
-    before *= 12.0
-    gain += before
-    decay /= t
+    gain += 12.0 * (begun - z)
     gain /= t
     if over is not None:
         decay[over] = 0.0
     if steps.slip is not None:
+        row, column = np.nonzero(np.isfinite(steps.slip))
+        ways, signs = (np.broadcast_to(a, z.shape)[row, column] for a in (way, sign))
+        free, slip = signs * ends[row, column] + ways, steps.slip[row, column]
         decay[row, column] = free < slip
         gain[row, column] = signs * np.minimum(free, slip) - z[row, column]
-    decay[apart] = 0.0
+    decay[0] = 0.0
     return force, slope, decay, gain
 
 
-def _push(ahead: Array, slope: Array, n: Array, share: Array) -> None:
-    """Overwrite s G by ln Gⁿ and `share` by n G′/G, where G pushes against the motion."""
-    np.multiply(slope, n, out=share)
+def _push(ahead: Array, slope: Array, n: Array) -> tuple[Array, Array]:
+    """Logarithm ln Gⁿ and n G′/G of s G, where it pushes against the motion."""
+    share = slope * n
     if n.min() < 2.0:  # else it vanishes with (G/g)ⁿ
         share *= ahead > 0
-    np.maximum(ahead, TINY, out=ahead)
+    ahead = np.maximum(ahead, TINY, out=ahead)
     share /= ahead
     np.log(ahead, out=ahead)
     ahead *= n
+    return ahead, share
 
 
 def _let_go(
-    damper: Damper, steps: Steps, over: NDArray[np.bool_], start: tuple[Array, Array], z: Array
+    damper: Damper, steps: Steps, over: NDArray[np.bool_], share: Array, begun: Array
 ) -> None:
-    """Let steps that begin beyond slip begin where n ln(G/g) is `OVER`; `start` is changed."""
-    (_, column), (share, moved) = np.nonzero(over), start
+    """Let steps that begin beyond slip begin where n ln(G/g) is `OVER`; the last two change."""
+    _, column = np.nonzero(over)
     spring, n = damper.spring.of(column), damper.columns["n"][column]
-    sign = np.broadcast_to(steps.sign, over.shape)[over]
     level = np.exp(steps.level[over] + OVER / n)
-    begun = spring.deflection(sign * level)
-    share[over] = n * spring.evaluate(begun)[1] / level
-    moved[over] = begun - z[over]
+    begun[over] = spring.deflection(np.broadcast_to(steps.sign, over.shape)[over] * level)
+    share[over] = n * spring.evaluate(begun[over])[1] / level
 
 
 def _at_once(damper: Damper, steps: Steps) -> Array | None:
@@ -547,7 +444,7 @@ def _corner(room: Array, late: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class BacklashLuGre(SteppedModel):
+class BacklashLuGre(Model):
     """LuGre friction in series with a spring that has a gap (model.md section 9).
 
         G(z) = k_f ℓ ln(1 + e^((z − D/2)/ℓ)) − k_b ℓ ln(1 + e^(−(z + D/2)/ℓ)) + k_0 z
@@ -560,7 +457,7 @@ class BacklashLuGre(SteppedModel):
     """
 
     name: ClassVar[str] = "backlash"
-    quantities: ClassVar[tuple[Quantity, ...]] = BACKLASH_QUANTITIES
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_in_order(BACKLASH)
     positive: ClassVar[frozenset[str]] = frozenset(
         {"k_fwd", "k_bwd", "ell", "Fc_fwd", "Fc_bwd", "v_s"}
     )
@@ -568,29 +465,20 @@ class BacklashLuGre(SteppedModel):
     laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
     slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
 
-    def force(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """Force of every parameter vector, (n, 12), (n, T), kip; see `Model.force`.
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """Force at the samples, (T, n), kip.
 
         Fc_fwd and Fc_bwd follow the actuation. `start` is the place between slip backward, 0,
         and slip forward, 1.
         """
-        damper = Damper(self.columns(theta))
-        force, _ = self._along(damper, trace, check_start(start, damper.size), scales)
-        force += damper.columns["sigma2"] * trace.velocity[:, None]
-        return force.T
+        force, _ = self._along(Damper(c), trace, start, factors)
+        force += c["sigma2"] * trace.velocity[:, None]
+        return force
 
     def _along(
-        self, damper: Damper, trace: Trace, start: Array, scales: Mapping[str, Array] | None
+        self, damper: Damper, trace: Trace, start: Array, factors: Columns
     ) -> tuple[Array, Array]:
         """Spring force at the samples, (T, n), kip, and the deflection z at the last, (n,), in."""
-        factors = self.factors(trace, damper.size, scales)
         time, x, nearest, samples = through_vertices(trace)
         factors = {name: factor.take(nearest, axis=0) for name, factor in factors.items()}
         first, moves = damper.begin(start), np.diff(x)
@@ -604,22 +492,15 @@ class BacklashLuGre(SteppedModel):
             force[1:, rows] = found[samples[1:] - 1]
         return force, last
 
-    def end(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
+    def compute_end(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Place of the deflection z at the last sample in the range of `start`, (n,), 1.
 
         A motion that begins there has the whole state of the device, but for a deflection beyond
         that range, which static friction, or an actuation above the reference, may hold: it is
         taken as the end of the range.
         """
-        damper = Damper(self.columns(theta))
-        return damper.place(self._along(damper, trace, check_start(start, damper.size), scales)[1])
+        damper = Damper(c)
+        return damper.place(self._along(damper, trace, start, factors)[1])
 
     def start_at(
         self,
@@ -687,12 +568,11 @@ class BacklashLuGre(SteppedModel):
         stage = np.select([loads & (share < 0.5), inside, loads], [1, 4, 3], 2)
         return stage.T.astype(np.int8)
 
-    def constants(self, theta: ArrayLike) -> dict[str, Any]:
-        """See `SteppedModel`."""
-        columns = self.columns(theta)
-        damper = Damper(columns)
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """Columns, and what is searched for once."""
+        damper = Damper(c)
         step, window = damper.steps
-        return columns | {"onset": damper.onset, "step": step, "window": window}
+        return c | {"onset": damper.onset, "step": step, "window": window}
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """A deflection in its range; no direction has to be known before the motion."""

@@ -12,11 +12,10 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from mfd_bayes.friction.banks import State, SteppedModel
-from mfd_bayes.friction.model import Array, Columns, check_start, through_vertices
-from mfd_bayes.friction.parameters import BOUC_WEN_QUANTITIES
+from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
+from mfd_bayes.friction.parameters import BOUC_WEN, quantities_in_order
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
@@ -24,27 +23,13 @@ Rows = NDArray[np.intp]
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")
 
-FLOOR = 1e-6
-"""Least share of F_y that is left at zero actuation, so that nothing divides by zero."""
-
-PIECE = 1 << 15
-"""Size of a piece's arrays, in numbers: small enough for the cache."""
-
-NEAR = 2e-9
-"""Distance from w = 1 at which z has reached F_y."""
-
-REACH = 4.0
-"""The curve is resolved down to w = −`REACH` times the ratio of the two F_y."""
-
-FAR = 1e7
-"""Factor by which w may go below that range after friction has fallen."""
-
-CELLS = 96
-"""Cells of each part of the curve, where it is evaluated."""
-
-QUADRATURE = 128
-"""Cells of each part of the curve, where it is integrated."""
-
+FLOOR = 1e-6  # least share of F_y that is left at zero actuation, so that nothing divides by zero
+PIECE = 1 << 15  # size of a piece's arrays, in numbers: small enough for the cache
+NEAR = 2e-9  # distance from w = 1 at which z has reached F_y
+REACH = 4.0  # the curve is resolved down to w = −`REACH` times the ratio of the two F_y
+FAR = 1e7  # factor by which w may go below that range after friction has fallen
+CELLS = 96  # cells of each part of the curve, where it is evaluated
+QUADRATURE = 128  # cells of each part of the curve, where it is integrated
 _NODES = np.array([-(0.6**0.5), 0.0, 0.6**0.5])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 9.0  # Gauss-Legendre on [-1, 1]
 
@@ -268,7 +253,7 @@ def total_force(c: Mapping[str, Any], z: Array, x: Array, v: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class BoucWen(SteppedModel):
+class BoucWen(Model):
     """Bouc-Wen hysteresis, a spring and a dashpot side by side.
 
         F = α k (x − x_0) + (1 − α) z + c v
@@ -285,7 +270,7 @@ class BoucWen(SteppedModel):
     """
 
     name: ClassVar[str] = "bouc_wen"
-    quantities: ClassVar[tuple[Quantity, ...]] = BOUC_WEN_QUANTITIES
+    quantities: ClassVar[tuple[Quantity, ...]] = quantities_in_order(BOUC_WEN)
     positive: ClassVar[frozenset[str]] = frozenset({"k", "Fy_fwd", "Fy_bwd"})
     laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
     laws_from: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -293,23 +278,11 @@ class BoucWen(SteppedModel):
     )
     slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
 
-    def force(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """Force of every parameter vector (n, 7), (n, T), kip; see `Model.force`.
-
-        Fy_fwd and Fy_bwd follow the actuation.
-        """
-        c: dict[str, Any] = dict(self.columns(theta))
-        n = c["k"].size
-        check_start(start, n)
-        factors = self.factors(trace, n, scales)
-        c["curve"], row = Curve.of(c, wide=bool(factors)), np.arange(n)
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """Force at the samples, (T, n), kip."""
+        n = start.size
+        given: dict[str, Any] = {**c, "curve": Curve.of(c, wide=bool(factors))}
+        row = np.arange(n)
         _, x, nearest, samples = through_vertices(trace)
         z = np.zeros((x.size, n))
         for begin, end, forward in _stretches(x, PIECE // max(n, 1), each=bool(factors)):
@@ -318,13 +291,12 @@ class BoucWen(SteppedModel):
                 {name: f[nearest[i]] for name, f in factors.items()} for i in (begin - 1, begin)
             )
             strength = strength_of(c, forward, before, after)
-            z[begin:end] = advanced(c, row, strength, z[begin - 1], way)
+            z[begin:end] = advanced(given, row, strength, z[begin - 1], way)
         moved = trace.displacement[:, None] - trace.displacement[0]
-        return total_force(c, z[samples], moved, trace.velocity[:, None]).T
+        return total_force(c, z[samples], moved, trace.velocity[:, None])
 
-    def constants(self, theta: ArrayLike) -> dict[str, Any]:
-        """See `SteppedModel`."""
-        c = self.columns(theta)
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """Columns and the curve of z."""
         return c | {"curve": Curve.of(c, wide=True), "row": np.arange(c["k"].size)}
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:

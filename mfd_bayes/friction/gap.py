@@ -9,7 +9,7 @@ parameters (n,), or a step's (n,) against (n,).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,14 +23,9 @@ from mfd_bayes.records.motion import MotionPath
 SATURATED = 26.0
 """Transition lengths after which a transition is taken as complete: exp(−26) is 5e-12."""
 
-SHARP = 150.0
-"""Gap width, in transition lengths, above which each transition has an exponential of its own.
-
-Up to it exp(u/ℓ) serves all three. Exponents are limited to it there, and to `FARTHEST` else, so
-that the product of three exponentials is a number.
-"""
-
-FARTHEST = 200.0
+FARTHEST = 150.0
+"""Exponents are limited to it, so that the product of three exponentials is a number. Up to a gap
+of as many transition lengths one exponential serves all three transitions."""
 
 Constants = Mapping[str, Any]
 
@@ -45,9 +40,8 @@ def gap_of(columns: Mapping[str, Array]) -> dict[str, Any]:
     width, ell = d2 + columns["d3"], columns["gamma2"] / columns["gamma1"]
     early, late = d2 / ell, width / ell
     found = {"k2": k2, "k3": k3, "width": width, "ell": ell, "early": early, "late": late}
-    found |= {"build_up": expit(late) * expit(-early), "jump": (k2 - k3) * d2, "per_ell": 1.0 / ell}
-    found |= {"after_early": np.exp(-early), "after_late": np.exp(-late)}
-    return found | {"sharp": bool(np.any(late > SHARP))}
+    found |= {"build_up": expit(late) * expit(-early), "jump": (k2 - k3) * d2}
+    return found | {"after": np.exp(-np.stack([early, late])), "sharp": bool(late.max() > FARTHEST)}
 
 
 class Gap(NamedTuple):
@@ -71,14 +65,7 @@ class Gap(NamedTuple):
         return cls.at(c, direction, edge, np.zeros(edge.shape))
 
 
-def blend(
-    c: Constants,
-    side: Array,
-    y: Array,
-    carry: Array | None,
-    slip: Array,
-    room: Sequence[Array | None] = (None, None, None, None),
-) -> Array:
+def blend(c: Constants, side: Array, y: Array, carry: Array | float, slip: Array) -> Array:
     """Force of the three stages, kip, of the force F1 in slip (paper Eqs. 1 and 2).
 
     With R = exp(u/ℓ) the weights (model.md section 4) are m12 = (R − 1)/(R + 1) for u ≥ 0,
@@ -93,47 +80,37 @@ def blend(
     ----------
     y : in
         Displacement from the origin, so that F2 = k2 y and F3 = k3 y + side (k2 − k3) d2.
-    carry : kip, or None
-        The jump ΔF at the last turn; None for none.
-    room : four arrays
-        Memory to work in; the force is the first of them.
+    carry : kip
+        The jump ΔF at the last turn.
     """
-    q = np.multiply(side, y, out=room[1])
-    back = bool((q < 0.0).any())
-    q *= c["per_ell"]
+    u = side * y
+    u /= c["ell"]
     if c["sharp"]:
-        a = np.exp(np.minimum(q - c["early"], SHARP), out=room[2])
-        b = np.exp(np.minimum(q - c["late"], SHARP), out=room[3])
-        np.exp(np.clip(q, -SATURATED, SHARP, out=q), out=q)
-    else:
-        np.minimum(q, FARTHEST, out=q)
-        if back:
-            np.maximum(q, -SATURATED, out=q)
-        np.exp(q, out=q)
-        a = np.multiply(q, c["after_early"], out=room[2])
-        b = np.multiply(q, c["after_late"], out=room[3])
-    if back and carry is not None:
-        fading = 2.0 / (np.maximum(q, 1.0 / q) + 1.0)
-    if back:
-        np.maximum(q, 1.0, out=q)
+        a, b = (np.exp(np.minimum(u - c[at], FARTHEST)) for at in ("early", "late"))
+    r = np.maximum(np.minimum(u, FARTHEST, out=u), -SATURATED, out=u)
+    np.exp(r, out=r)
+    if not c["sharp"]:
+        a, b = r * c["after"][0], r * c["after"][1]
+    fading = np.maximum(r, 1.0 / r)
+    fading += 1.0
+    q = np.maximum(r, 1.0, out=r)
     q += 1.0
     q *= 0.5
-    force = np.multiply(side, c["jump"], out=room[0])
-    force += y * c["k3"]
+    stick = c["k2"] * y
+    stick -= slip
+    force = c["k3"] * y
+    force += side * c["jump"]
     force -= slip
     force *= a
-    a += 1.0
-    b += 1.0
-    b *= a
-    stick = np.multiply(y, c["k2"], out=a)
-    stick -= slip
     force += stick
     force *= q
     force -= stick
-    b *= q
-    force /= b
-    if carry is not None:
-        force += np.multiply(carry, fading, out=q) if back else np.divide(carry, q, out=q)
+    a += 1.0
+    b += 1.0
+    a *= b
+    a *= q
+    force /= a
+    force += 2.0 * carry / fading
     force += slip
     return np.asarray(force)
 
@@ -155,8 +132,8 @@ def left_over(
     left = c["build_up"] * (slip - direction * c["jump"])
     soon = u < c["width"] + SATURATED * c["ell"]
     if soon.any():
-        left = np.where(soon, left + (blend(c, before.side, y, None, slip) - slip), left)
-    return left, 1.0 - np.tanh(np.abs(u) * (0.5 * c["per_ell"]))
+        left = np.where(soon, left + (blend(c, before.side, y, 0.0, slip) - slip), left)
+    return left, 1.0 - np.tanh(np.abs(u) / (2.0 * c["ell"]))
 
 
 def turned(c: Constants, before: Gap, at: Array, slip: Array, direction: Array) -> Gap:

@@ -15,20 +15,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.banks import State, SteppedModel
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
-from mfd_bayes.friction.model import Array, Columns, check_start
+from mfd_bayes.friction.model import Array, Columns, Model, State
 from mfd_bayes.friction.parameters import PARAMETERS, STATIC, quantities_of
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import Blocks, scratch
+from mfd_bayes.friction.recurrence import solve
 from mfd_bayes.records.motion import MotionPath
 from mfd_bayes.records.trace import Trace
 
 FLOOR = 1e-9
 """Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
 
-PIECE = 1 << 16
-"""Size of a piece's arrays, in numbers: they stay in the cache."""
+PIECE = 1 << 15  # size of a piece's arrays, in numbers: they stay in the cache
 
 
 class Curve(NamedTuple):
@@ -55,49 +53,33 @@ def curve_of(c: Mapping[str, Array]) -> Curve:
     )
 
 
-def steady_of(
-    curve: Curve, rate: Array, out: Array | None = None, work: Array | None = None
-) -> Array:
+def steady_of(curve: Curve, rate: Array) -> Array:
     """Deflection sgn(v) g(v)/σ0, in, that the bristles tend to at a mean velocity, in/s."""
     backward = rate < 0.0
-    steady = np.multiply(np.square(rate), curve.rate, out=out)
+    steady: Array = np.square(rate) * curve.rate
     np.exp(steady, out=steady)
-    steady *= of_direction(backward, curve.excess, work)
-    steady += of_direction(backward, curve.kinetic, work)
-    return np.asarray(steady)
+    steady *= of_direction(backward, curve.excess)
+    steady += of_direction(backward, curve.kinetic)
+    return steady
 
 
-def of_direction(backward: NDArray[np.bool_], pair: Array, work: Array | None = None) -> Array:
+def of_direction(backward: NDArray[np.bool_], pair: Array) -> Array:
     """What belongs to the direction of each motion, of what is forward and backward."""
     if backward.ndim == pair.ndim and backward.shape[1] == 1:  # as np.where, in a fifth of the time
-        return np.asarray(pair.take(backward[:, 0], axis=0, out=work, mode="clip"))
+        return pair[backward[:, 0].astype(np.intp)]
     return np.asarray(np.where(backward, pair[1], pair[0]))
 
 
-def decay_of(way: Array, steady: Array, out: Array | None = None) -> Array:
-    """A = exp(−σ0 |Δx|/g): share of their distance to `steady` that the bristles keep."""
-    decay = np.divide(-way, steady, out=out)
-    return np.asarray(np.exp(decay, out=decay))
-
-
-def damping_of(velocity: Array, rate: Array, steady: Array, out: Array | None = None) -> Array:
-    """σ0 |v|/g, 1/s, with the direction of the mean velocity."""
-    return np.asarray(np.divide(np.copysign(velocity, rate), steady, out=out))
-
-
-def slip_force(
-    c: Mapping[str, Array], damping: Array, z: Array, velocity: Array, work: Array | None = None
-) -> Array:
+def slip_force(c: Mapping[str, Array], damping: Array, z: Array, velocity: Array) -> Array:
     """F1 = σ0 z + σ1 ż + σ2 v with ż = v − σ0 |v| z/g(v), kip (paper Eqs. 3 and 4).
 
-    `damping`, σ0 |v|/g, is overwritten.
+    `damping` is σ0 |v|/g, 1/s, with the direction of the mean velocity, and is overwritten.
     """
-    force = damping
-    force *= -c["sigma1"]
-    force += c["sigma0"]
-    force *= z
-    force += np.multiply(c["sigma1"] + c["sigma2"], velocity, out=work)
-    return force
+    damping *= -c["sigma1"]
+    damping += c["sigma0"]
+    damping *= z
+    damping += (c["sigma1"] + c["sigma2"]) * velocity
+    return damping
 
 
 def limit_of(c: Mapping[str, Array], z: Array, steady: Array) -> Array:
@@ -130,34 +112,27 @@ def force_along(c: Columns, factors: Columns, path: MotionPath) -> Array:
         Factors along the path of those that follow the actuation; empty where it is constant.
     """
     samples, n = path.step.size, c["v_s"].size
-    length, varying = max(PIECE // max(n, 1), 1), bool(factors)
-    force, z = np.empty((samples, n)), np.zeros(n)
-    now, curve = c, curve_of(c)
+    length = max(PIECE // max(n, 1), 1)
+    force, z, now, curve = np.empty((samples, n)), np.zeros(n), c, curve_of(c)
     for begin in range(0, samples, length):
-        end = min(begin + length, samples)
-        blocks = Blocks.of(end - begin)
-        rows = begin + blocks.order
-        if varying:
-            last = np.maximum(rows - 1, 0)
-            now = c | {k: f[rows] * c[k] for k, f in factors.items()}
-            curve = curve_of(c | {k: 0.5 * (f[last] + f[rows]) * c[k] for k, f in factors.items()})
+        rows = slice(begin, begin + length)
+        if factors:
+            at = np.arange(samples)[rows]
+            last = np.maximum(at - 1, 0)
+            now = c | {k: f[at] * c[k] for k, f in factors.items()}
+            curve = curve_of(c | {k: 0.5 * (f[last] + f[at]) * c[k] for k, f in factors.items()})
         way, rate, velocity = (a[rows, None] for a in (path.step, path.rate, path.velocity))
-        room = scratch(5, rows.size, n)
-        steady = steady_of(curve, rate, room[0], room[1])
-        decay = decay_of(way, steady, room[1])
-        damping = damping_of(velocity, rate, steady, room[2])
-        state, work = room[3:] if varying else (steady, room[3])
-        np.subtract(steady, np.multiply(decay, steady, out=work), out=state)
-        blocks.solve(decay, state, z)
-        z = state[blocks.place[-1]].copy()
-        if varying:
+        steady = steady_of(curve, rate)
+        decay = np.exp(-way / steady)
+        state = solve(decay, steady - decay * steady, z)
+        damping = np.copysign(velocity, rate) / steady
+        if factors:
             damping *= limit_of(now, state, steady)
-        part = slip_force(now, damping, state, velocity, work)
-        part.take(blocks.place, axis=0, out=force[begin:end], mode="clip")
+        force[rows], z = slip_force(now, damping, state, velocity), state[-1]
     return force
 
 
-class PaperModel(SteppedModel):
+class PaperModel(Model):
     """What LuGre and the three stages have in common: the paper's friction."""
 
     positive: ClassVar[frozenset[str]] = frozenset({"sigma0", "gamma1", "gamma2", "v_s"})
@@ -200,18 +175,14 @@ class PaperModel(SteppedModel):
         """Static friction, where its excess is sampled."""
         return tuple(static for static, (_, excess) in STATIC.items() if excess in names)
 
-    def slip_along(
-        self, columns: Columns, trace: Trace, scales: Mapping[str, Array] | None
-    ) -> Array:
+    def slip_along(self, columns: Columns, trace: Trace, factors: Columns) -> Array:
         """F1 at every sample of the trace's path, (P, n), kip."""
-        factors = self.factors(trace, columns["v_s"].size, scales)
         factors = {name: f.take(trace.path.nearest, axis=0) for name, f in factors.items()}
         return force_along(columns, factors, trace.path)
 
-    def constants(self, theta: ArrayLike) -> dict[str, Any]:
-        """See `SteppedModel`."""
-        columns = self.columns(theta)
-        return columns | curve_of(columns)._asdict()
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """Columns and the Stribeck curve."""
+        return c | curve_of(c)._asdict()
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """Undeflected bristles; of a direction that is not known, the first velocity's is taken."""
@@ -239,8 +210,8 @@ class PaperModel(SteppedModel):
             curve = Curve(c["kinetic"], c["excess"], c["rate"])
         rate = way / dt
         steady = steady_of(curve, rate)
-        z = steady + decay_of(way, steady) * (memory["z"] - steady)
-        damping = damping_of(velocity, rate, steady)
+        z = steady + np.exp(-way / steady) * (memory["z"] - steady)
+        damping = np.copysign(velocity, rate) / steady
         if varying:
             damping *= limit_of(now, z, steady)
         slip = slip_force(now, damping, z, velocity)
@@ -262,7 +233,10 @@ def _at(c: Mapping[str, Any], scales: Columns) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class LuGre(PaperModel):
-    """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4)."""
+    """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4).
+
+    theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
+    """
 
     name: ClassVar[str] = "lugre"
     parameters: ClassVar[tuple[str, ...]] = (
@@ -270,19 +244,6 @@ class LuGre(PaperModel):
     )
     quantities: ClassVar[tuple[Quantity, ...]] = quantities_of(parameters)
 
-    def force(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """Force of every parameter vector, (n, T), kip; see `Model.force`.
-
-        theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
-        """
-        columns = self.columns(theta)
-        check_start(start, columns["v_s"].size)
-        force = self.slip_along(columns, trace, scales)
-        return force.take(trace.path.samples, axis=0).T
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """F1 at the samples, (T, n), kip."""
+        return self.slip_along(c, trace, factors).take(trace.path.samples, axis=0)

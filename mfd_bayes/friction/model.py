@@ -1,39 +1,79 @@
-"""What every friction model is: its quantities, and the force that they give."""
+"""What every model is: its quantities, the force of a record, and the force step by step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import wraps
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, MfdError, UnitError
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
-from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.records.motion import vertices
-from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.friction.quantity import LAW_NAMES, LIMITS, Parameter, Quantity
+from mfd_bayes.records.motion import vertex_of_turn, vertices
+from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.units import convert
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
+Rows = NDArray[np.intp]
+Scales = Mapping[str, Array]
 
 _NONE: Mapping[str, str] = MappingProxyType({})
 
 
+class Axis(NamedTuple):
+    """What a model's input or output is, and its unit."""
+
+    name: str
+    unit: str
+
+
 class Model:
-    """A friction model. One of one's own gives `name`, `quantities` and `force`.
+    r"""A force model. A user's own gives `name`, `parameters` and `force`; the rest has defaults.
+
+        class Viscous(mb.Model):
+            name = "viscous"
+            parameters = (
+                mb.Parameter("c", "kip", follows_actuation=True),
+                mb.Parameter("alpha", symbol=r"\alpha"),
+            )
+
+            def force(self, theta, trace, scales):
+                c, alpha = theta[:, :1] * scales["c"], theta[:, 1:]
+                return c * np.sign(trace.velocity) * np.abs(trace.velocity) ** alpha
+
+    `force` takes theta, (n, p), in the units of `parameters`, and a `Trace`, and gives (n, T) in
+    the unit of `response`. Where it takes `scales` too, these are the factors of the parameters
+    that follow the actuation, (n, T) or (1, T) each by name: without it, only a constant actuation
+    can be computed. Where it takes `start`, that is the place in the gap at the first sample, (n,).
+
+    To stand in a building it gives `start(theta)`, a dict of arrays (…, n), and
+    `step(state, displacement, velocity, dt)`, which gives the force, (n,), and the new dict, and
+    leaves the old one as it is; `scales` may be taken as well. The step to the first sample has
+    dt = 0.
 
     Attributes
     ----------
     name : str
         In campaign files.
+    parameters : tuple of Parameter
+        Of a class; of an object, their names, which are theta's columns.
+    motion, response : str or Axis
+        What the model takes and gives, with units, such as "strain" and "stress, MPa".
+    rate_independent : bool
+        Whether time does not matter, so that a record needs none.
     quantities : tuple of Quantity
         All that it knows by name. Those that are sampled are so in this order.
-    parameters : tuple of str
-        Names of theta's columns; those of all quantities where not given.
     positive : frozenset of str
         Parameters that must not be 0.
     has_gap : bool
@@ -48,10 +88,16 @@ class Model:
         Names whose law in a campaign must be that of one of `laws`, since they follow it.
     slip_forces : tuple of str
         Parameters that are the friction force in slip, forward and backward.
+    source : str
+        "file.py:Class" of a model that `models.find_model` has read from a file.
     """
 
     name: ClassVar[str]
-    quantities: ClassVar[tuple[Quantity, ...]]
+    parameters: ClassVar[Any]
+    motion: ClassVar[Any] = Axis("displacement", "in")
+    response: ClassVar[Any] = Axis("force", "kip")
+    rate_independent: ClassVar[bool] = False
+    quantities: ClassVar[tuple[Quantity, ...]] = ()
     positive: ClassVar[frozenset[str]] = frozenset()
     has_gap: ClassVar[bool] = False
     keeps_prior: ClassVar[tuple[str, ...]] = ()
@@ -59,23 +105,45 @@ class Model:
     laws_from: ClassVar[Mapping[str, str]] = _NONE
     tied_laws: ClassVar[Mapping[str, str]] = _NONE
     slip_forces: ClassVar[tuple[str, ...]] = ()
+    source: ClassVar[str] = ""
+
+    own: ClassVar[Mapping[str, Callable[..., Any]]] = MappingProxyType({})
+    """The `force`, `start` and `step` of a user's own class, which this class's own call."""
 
     def __init_subclass__(cls) -> None:
-        """Let what every model computes of a trace take empty batches, and give numbers alone."""
+        """Read what the class declares; its `force`, `start` and `step` are called by ours."""
         super().__init_subclass__()
-        for name in ("force", "travel", "end"):
-            if name in cls.__dict__:
-                setattr(cls, name, _checked(cls.__dict__[name]))
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of theta's columns."""
-        return tuple(quantity.name for quantity in self.quantities)
+        given = cls.__dict__
+        if "parameters" in given and not _are_names(given["parameters"]):
+            _declare(cls, given["parameters"])
+        elif "quantities" in given and "parameters" not in given:
+            cls.parameters = tuple(quantity.name for quantity in cls.quantities)
+        for key, default in (("motion", "in"), ("response", "kip")):
+            if key in given:
+                setattr(cls, key, _axis(cls, key, given[key], default))
+        names = [name for name in ("force", "start", "step") if name in given]
+        parent: type[Any] = cls.__mro__[1]
+        built_in = parent.compute_force is not Model.compute_force
+        if names and (built_in or not all(callable(given[name]) for name in names)):
+            raise FitError(
+                f"{where_of(cls)}: {names[0]} must be a function of a class on top of Model; one "
+                f"on top of {parent.__name__} gives compute_force, begin, advance and total"
+            )
+        cls.own = {**cls.own, **{name: given[name] for name in names}}
+        for name in names:
+            delattr(cls, name)
 
     @property
     def actuated(self) -> tuple[str, ...]:
         """Parameters that `scales` may hold: those that follow the actuation."""
         return (*self.laws, *self.tied_laws)
+
+    @property
+    def where(self) -> str:
+        """The class and its file, for messages."""
+        return where_of(type(self))
+
+    # --- a record
 
     def force(
         self,
@@ -83,7 +151,7 @@ class Model:
         trace: Trace,
         start: ArrayLike | None = None,
         *,
-        scales: Mapping[str, Array] | None = None,
+        scales: Mapping[str, ArrayLike] | None = None,
     ) -> Array:
         """Force of every parameter vector, (n, T), kip.
 
@@ -103,7 +171,7 @@ class Model:
         FitError
             When a shape, a name or a value does not fit, or the force is too large for a number.
         """
-        raise NotImplementedError
+        return self._finite("force", self.force_unbounded, theta, trace, start, scales=scales)
 
     def force_unbounded(
         self,
@@ -111,22 +179,22 @@ class Model:
         trace: Trace,
         start: ArrayLike | None = None,
         *,
-        scales: Mapping[str, Array] | None = None,
+        scales: Mapping[str, ArrayLike] | None = None,
     ) -> Array:
         """As `force`, but infinite or NaN where it is too large for a number: for densities."""
-        own = getattr(type(self).force, "__wrapped__", type(self).force)
-        found: Array = own(self, theta, trace, start, scales=scales)
-        return found
+        c, w0, factors = self._arguments(theta, trace, start, scales)
+        if not w0.size:
+            return np.empty((0, trace.samples))
+        return self.compute_force(c, trace, w0, factors).T
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
-        check_trace("trace", trace, FitError)
-        n = _count(self.columns(theta))
-        check_start(start, n)
-        path = trace.path
-        turns = np.concatenate([path.displacement[:1], path.displacement[path.turning_points]])
-        since_turn = np.abs(trace.displacement - turns[path.stretch])
-        return np.broadcast_to(since_turn, (n, trace.samples))
+
+        def compute() -> Array:
+            c, w0, _ = self._arguments(theta, trace, start, None)
+            return self.compute_travel(c, trace, w0).T if w0.size else np.empty((0, trace.samples))
+
+        return self._finite("travel", compute)
 
     def end(
         self,
@@ -134,7 +202,7 @@ class Model:
         trace: Trace,
         start: ArrayLike | None = None,
         *,
-        scales: Mapping[str, Array] | None = None,
+        scales: Mapping[str, ArrayLike] | None = None,
     ) -> Array:
         """Place in the gap at the last sample of every parameter vector, (n,), 1.
 
@@ -151,13 +219,21 @@ class Model:
         FitError
             When a shape or a value does not fit, or the model has a gap and does not say this.
         """
-        if self.has_gap:
-            raise FitError(f"the model {self.name} does not say where in its gap a motion ends")
-        check_trace("trace", trace, FitError)
-        n = _count(self.columns(theta))
-        check_start(start, n)
-        self.factors(trace, n, scales)
-        return np.full(n, 0.5)
+
+        def compute() -> Array:
+            c, w0, factors = self._arguments(theta, trace, start, scales)
+            return self.compute_end(c, trace, w0, factors) if w0.size else np.empty(0)
+
+        return self._finite("end", compute)
+
+    def stages(
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
+    ) -> NDArray[np.int8] | None:
+        """Stage of every parameter vector at each sample, (n, T); None without a gap.
+
+        1 slip, 2 stick, 3 build-up, 4 in the gap, where the model tells it from stick.
+        """
+        return None
 
     def start_at(
         self,
@@ -179,14 +255,36 @@ class Model:
         """
         return place
 
-    def stages(
-        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
-    ) -> NDArray[np.int8] | None:
-        """Stage of every parameter vector at each sample, (n, T); None without a gap.
+    # --- what a model computes: columns (n,), place in the gap (n,), factors (T, n) or (T, 1)
 
-        1 slip, 2 stick, 3 build-up, 4 in the gap, where the model tells it from stick.
-        """
-        return None
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """Force along a record, (T, n), kip; of a user's own class, that of its `force`."""
+        if "force" not in self.own:
+            raise FitError(f"{self.where} has no force")
+        theta = np.stack([c[name] for name in self.parameters], axis=1)
+        along = {name: factors.get(name, np.ones((1, 1))).T for name in self.actuated}
+        if factors and not _takes(self.own["force"], "scales"):
+            raise FitError(
+                f"the actuation changes, and the force of {self.where} does not take scales, the "
+                f"factors of {', '.join(self.actuated)}"
+            )
+        force = self._call("force", theta, trace, start=start, scales=along)
+        return self._checked("force", force, (start.size, trace.samples)).T
+
+    def compute_travel(self, c: Columns, trace: Trace, start: Array) -> Array:
+        """Travel since the last turn along a record, (T, n), in."""
+        path = trace.path
+        turns = np.concatenate([path.displacement[:1], path.displacement[path.turning_points]])
+        since_turn = np.abs(trace.displacement - turns[path.stretch])
+        return np.broadcast_to(since_turn[:, None], (trace.samples, start.size))
+
+    def compute_end(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """Place in the gap at the last sample, (n,)."""
+        if self.has_gap:
+            raise FitError(f"the model {self.name} does not say where in its gap a motion ends")
+        return np.full(start.size, 0.5)
+
+    # --- quantities
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p), of values by name, (n,) each."""
@@ -257,60 +355,442 @@ class Model:
             raise FitError(f"parameter {name} must be {words}, got {values[row, vector]}")
         return columns
 
-    def factors(self, trace: Trace, n: int, scales: Mapping[str, ArrayLike] | None) -> Columns:
-        """Factors of the parameters that follow the actuation, by name; none where it is constant.
+    def proportional(self, actuation: Array, reference: float | None) -> Columns:
+        """Factors of the parameters that are in proportion to the actuation, by name.
 
-        (T, n) or (T, 1) each, at the samples. Without `scales` those whose law is proportional
-        follow it, and what is tied to them: one test cannot tell the slope of another law.
+        Those whose law is proportional follow it, and what is tied to them: one test cannot tell
+        the slope of another law.
+        """
+        names = [n for n in self.actuated if self.laws.get(n, "proportional") == "proportional"]
+        return dict.fromkeys(names, actuation / (reference or 1.0))
+
+    # --- step by step
+
+    def start(
+        self,
+        theta: ArrayLike,
+        start: ArrayLike | None = None,
+        *,
+        direction: ArrayLike | None = None,
+        reference_actuation: float | None = None,
+    ) -> State:
+        """State of every parameter vector before the first sample of a motion.
+
+        Parameters
+        ----------
+        theta, start
+            As in `force`.
+        direction : int or (n,), optional
+            +1 or -1, that of the first motion; by default that of the first velocity.
+        reference_actuation : float, ksi or kip, optional
+            Actuation to which theta belongs; by default that of the first step with one.
 
         Raises
         ------
         FitError
-            When a name, a shape or a value in `scales` does not fit.
+            When a shape or a value does not fit, or the model cannot be stepped in time.
         """
+        if type(self).advance is Model.advance and "step" not in self.own:
+            raise FitError(f"the model {self.name} has no step in time, which a building needs")
+        constants, n = self.constants(self.columns(theta)), len(self.vectors(theta))
+        memory = {"start": check_start(start, n)}
+        if direction is not None:
+            way = np.asarray(direction)
+            signs = way.dtype.kind in "iuf" and way.shape in ((), (n,))
+            if not (signs and np.all(np.abs(way) == 1)):
+                raise FitError(f"direction must be 1 or -1, got {direction}")
+            memory["direction"] = np.broadcast_to(way.astype(np.float64), (n,))
+        reference = reference_actuation
+        if reference is not None:
+            reference = real_number(
+                "reference_actuation", reference, FitError, (0.0, inf), inside=True
+            )
+        nowhere = np.full(n, np.nan)
+        return State(self, constants, memory, nowhere, np.zeros(n), {}, reference)
+
+    def step(
+        self,
+        state: State,
+        displacement: float,
+        velocity: float,
+        dt: float,
+        actuation: float | None = None,
+        *,
+        scales: Mapping[str, ArrayLike] | None = None,
+    ) -> tuple[Array, State]:
+        """Force of every parameter vector at the next sample of one motion, and the state there.
+
+        It equals `force` on the same samples, velocities and actuation if the trace has no
+        reversal smaller than its hysteresis (`hysteresis=0` makes it so): while a reversal
+        happens, it is not known whether it will stay that small.
+
+        Parameters
+        ----------
+        state : State
+            From `start` or the previous step; it is not changed and may be used again.
+        displacement, velocity : float, in, in/s
+        dt : float, s
+            Time since the previous sample; any number at the first, where it does not matter.
+        actuation : float, ksi or kip, optional
+            Friction is proportional to it; when left out, theta is used unchanged. To get
+            a record's `force`, give the record's `reference_actuation` to `start`.
+        scales : mapping of (n,), (1,) or a number, optional
+            Factors of the parameters that follow the actuation, used instead of it.
+
+        Returns
+        -------
+        (n,), kip, and the new state
+
+        Raises
+        ------
+        FitError
+            When a number is not finite, dt not positive, the actuation negative, or a name
+            or a value in `scales` does not fit.
+        """
+        if not (isinstance(state, State) and state.model == self):
+            kind = type(state).__name__
+            raise FitError(
+                f"state must come from start or step of {self.name}; this {kind} does not"
+            )
+        n = state.displacement.size
+        x = np.full(n, real_number("displacement of a step", displacement, FitError))
+        v = np.full(n, real_number("velocity of a step", velocity, FitError))
+        dt = real_number("dt of a step", dt, FitError, (0.0, inf), inside=state.begun)
+        factors: Columns = {}
+        if actuation is not None:
+            level = real_number("actuation of a step", actuation, FitError, (0.0, inf))
+            state = replace(state, reference=state.reference or level or None)
+            if level != state.reference:
+                factors = self.proportional(np.full(n, level), state.reference)
+        if scales is not None:
+            own = check_scales(scales, ((), (1,), (n,)), self.actuated)
+            factors = {name: np.broadcast_to(f, (n,)).copy() for name, f in own.items()}
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            state = state.step(x, v, dt, factors)
+            return state.force, state
+
+    # --- what a model computes of a step; all arrays have the n dampers as their last axis
+
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """What theta's columns give: `State.constants`."""
+        return dict(c)
+
+    def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
+        """Memory of the dampers of a state at its first sample.
+
+        `start` is their place in the gap, (n,), and `direction` ±1, (n,), where that is known.
+        """
+        theta = np.stack([state.constants[name] for name in self.parameters], axis=1)
+        memory = self._call("start", theta) if "start" in self.own else {}
+        state = replace(state, memory=self._memory(memory, start.size))
+        return self.advance(
+            state, state.displacement, state.velocity, np.zeros(start.size), state.scales
+        )
+
+    def advance(
+        self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
+    ) -> Columns:
+        """Memory after a straight way of each damper to a sample, all (n,)."""
+        n = displacement.size
+        if scales and not _takes(self.own["step"], "scales"):
+            raise FitError(f"the actuation changes, and the step of {self.where} takes no scales")
+        factors = {name: scales.get(name, np.ones(n)) for name in self.actuated}
+        before = {name: value for name, value in state.memory.items() if name != _FORCE}
+        answer = self._call("step", before, displacement, velocity, dt, scales=factors)
+        if not (isinstance(answer, tuple) and len(answer) == 2):
+            raise FitError(f"the step of {self.where} must give the force and the new state")
+        force = self._checked("step", answer[0], (n,))
+        return self._memory(answer[1], n) | {_FORCE: force}
+
+    def total(self, state: State) -> Array:
+        """Force of each damper of a state, (n,), kip."""
+        return state.memory[_FORCE]
+
+    # --- checks
+
+    def _arguments(
+        self,
+        theta: ArrayLike,
+        trace: Trace,
+        start: ArrayLike | None,
+        scales: Mapping[str, ArrayLike] | None,
+    ) -> tuple[Columns, Array, Columns]:
+        """Columns and place in the gap, (n,), and factors, (T, n) or (T, 1); none if constant."""
+        check_trace("trace", trace, FitError)
+        c = self.columns(theta)
+        n = next(iter(c.values())).size if c else len(np.atleast_2d(np.asarray(theta)))
+        w0 = check_start(start, n)
         if scales is not None:
             shapes = ((n, trace.samples), (1, trace.samples))
-            return {k: f.T for k, f in check_scales(scales, shapes, self.actuated).items()}
+            return c, w0, {k: f.T for k, f in check_scales(scales, shapes, self.actuated).items()}
         if not trace.varying:
-            return {}
-        return self.proportional(np.asarray(trace.actuation)[:, None], trace.reference_actuation)
+            return c, w0, {}
+        level = np.asarray(trace.actuation)[:, None]
+        return c, w0, self.proportional(level, trace.reference_actuation)
 
-    def proportional(self, actuation: Array, reference: float | None) -> Columns:
-        """Factors of the parameters that are in proportion to the actuation, by name."""
-        names = [n for n in self.actuated if self.laws.get(n, "proportional") == "proportional"]
-        return dict.fromkeys(names, actuation / (reference or 1.0))
-
-
-def _count(columns: Columns) -> int:
-    """Number of vectors n of some columns."""
-    return next(iter(columns.values())).size
-
-
-def _checked(compute: Callable[..., Array]) -> Callable[..., Array]:
-    """A model's method of theta and a trace that takes no vector too, and gives finite numbers.
-
-    The method itself is its `__wrapped__`.
-    """
-
-    @wraps(compute)
-    def found(model: Any, theta: ArrayLike, trace: Trace, *args: Any, **options: Any) -> Array:
-        vectors = columns_in_order("theta", theta, model.parameters)
-        check_trace("trace", trace, FitError)
-        if vectors.ndim == 2 and len(vectors) == 0:
-            return compute(model, np.ones((1, vectors.shape[1])), trace)[:0]
+    def _finite(
+        self, what: str, compute: Callable[..., Array], *args: Any, **options: Any
+    ) -> Array:
+        """What is computed, (n, …), if all of it is finite."""
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                values = compute(model, vectors, trace, *args, **options)
+                values = compute(*args, **options)
         except (ArithmeticError, IndexError) as error:  # of a place that is not a number
-            what = f"the {compute.__name__} is no finite number for these parameters"
-            raise FitError(what) from error
+            message = f"the {what} is no finite number for these parameters"
+            raise FitError(message) from error
         finite = np.isfinite(values)
         if not finite.all():
             at = int(np.argmin(finite.reshape(len(values), -1).all(axis=1)))
-            raise FitError(f"the {compute.__name__} of parameter vector {at} is no finite number")
+            of = f" of {self.where}" if self.own else ""
+            raise FitError(f"the {what}{of} of parameter vector {at} is no finite number")
         return values
 
-    return found
+    def _call(self, name: str, *args: Any, **options: Any) -> Any:
+        """What a function of a user's own class gives, with the options that it takes."""
+        function = self.own[name]
+        taken = {key: value for key, value in options.items() if _takes(function, key)}
+        try:
+            return function(self, *args, **taken)
+        except MfdError:
+            raise
+        except Exception as error:
+            kind = type(error).__name__
+            raise FitError(f"the {name} of {self.where} failed with {kind}: {error}") from error
+
+    def _checked(self, name: str, values: Any, shape: tuple[int, ...]) -> Array:
+        """Numbers of a shape that a function of a user's own class has given."""
+        numbers = real_numbers(f"the {name} of {self.where}", values, FitError)
+        if numbers.shape != shape:
+            raise FitError(
+                f"the {name} of {self.where} must give an array of shape {shape}, one force for "
+                f"each vector{' and sample' * (len(shape) - 1)}; got {numbers.shape}"
+            )
+        return numbers
+
+    def _memory(self, memory: Any, n: int) -> Columns:
+        """State of a user's own class, a dict of (…, n)."""
+        if not isinstance(memory, Mapping):
+            raise FitError(f"the state of {self.where} must be a dict of arrays (…, {n})")
+        checked = {}
+        for key, values in memory.items():
+            numbers = real_numbers(f"{key} in the state of {self.where}", values, FitError)
+            if not numbers.ndim or numbers.shape[-1] != n:
+                raise FitError(
+                    f"{key} in the state of {self.where} must have {n} values on its last axis, "
+                    f"one for each damper; got the shape {numbers.shape}"
+                )
+            checked[str(key)] = numbers
+        return checked
+
+
+_FORCE = " force"
+"""Where the memory of a user's own model keeps the force; no name of theirs begins so."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """n dampers at a sample of their motions; a step makes a new state and leaves this one.
+
+    Attributes
+    ----------
+    model : Model
+    constants : dict
+        What theta gives, by name: arrays whose last axis is the dampers, and what all share.
+    memory : dict of (..., n)
+        What the dampers remember between two samples.
+    displacement, velocity : (n,), in, in/s
+        At the sample; displacements are NaN before the first.
+    scales : dict of (n,)
+        Factors at the sample of the parameters that follow the actuation; 1 where there is none.
+    reference : float, ksi or kip, or None
+        Actuation that theta belongs to.
+    """
+
+    model: Model
+    constants: dict[str, Any]
+    memory: Columns
+    displacement: Array
+    velocity: Array
+    scales: Columns
+    reference: float | None = None
+
+    @cached_property
+    def force(self) -> Array:
+        """Force of each damper, (n,), kip."""
+        return self.model.total(self)
+
+    @property
+    def begun(self) -> bool:
+        """Whether there was a sample."""
+        return not np.isnan(self.displacement[:1]).all()
+
+    def step(
+        self, displacement: Array, velocity: Array, dt: float, scales: Scales | None = None
+    ) -> Self:
+        """State at the next sample of each damper's motion; all arguments but dt are (n,).
+
+        A motion that turns before the sample goes there through its vertex, as in `Trace.path`.
+        This state may be stepped again: that is what equilibrium iterations do.
+
+        Parameters
+        ----------
+        displacement, velocity : (n,), in, in/s
+        dt : float, s
+        scales : mapping of (n,), optional
+            Factors of the parameters that follow the actuation.
+        """
+        later = dict(scales or {})
+        if not self.begun:
+            first = self._at(self.memory, displacement, velocity, later)
+            memory = self.model.begin(first, self.memory["start"], self.memory.get("direction"))
+            return self._at(memory, displacement, velocity, later)
+        state, left = self, np.full(displacement.size, dt)
+        (rows,) = (self.velocity * velocity < 0).nonzero()
+        if rows.size:
+            ends = self.displacement[rows], displacement[rows]
+            share, vertex, regular = vertex_of_turn(dt, *ends, self.velocity[rows], velocity[rows])
+            if not regular.all():
+                rows, share, vertex = rows[regular], share[regular], vertex[regular]
+        if rows.size:
+            part = self.chosen(rows)
+            near = {
+                name: np.where(share < 0.5, part.scales.get(name, 1.0), factor[rows])
+                for name, factor in later.items()
+            }
+            part = part._moved(vertex, np.zeros(rows.size), share * dt, near)
+            state = self.replaced(rows, part)
+            left[rows] *= 1.0 - share
+        return state._moved(displacement, velocity, left, later)
+
+    def _moved(self, displacement: Array, velocity: Array, dt: Array, scales: Columns) -> Self:
+        """State after a straight way of each damper, in its own time, (n,) s."""
+        memory = self.model.advance(self, displacement, velocity, dt, scales)
+        return self._at(memory, displacement, velocity, scales)
+
+    def _at(self, memory: Columns, displacement: Array, velocity: Array, scales: Columns) -> Self:
+        """The same dampers at a sample."""
+        return type(self)(
+            self.model, self.constants, memory, displacement, velocity, scales, self.reference
+        )
+
+    def chosen(self, rows: Rows) -> Self:
+        """The state of some of the dampers."""
+        constants, memory, scales = (
+            {k: v[..., rows] if isinstance(v, np.ndarray) else v for k, v in part.items()}
+            for part in (self.constants, self.memory, self.scales)
+        )
+        place = self.displacement[rows], self.velocity[rows]
+        return type(self)(self.model, constants, memory, *place, scales, self.reference)
+
+    def replaced(self, rows: Rows, part: Self) -> Self:
+        """The same with the state of some of the dampers replaced, after the same samples.
+
+        That is how only those are stepped again that are not in equilibrium yet.
+        """
+        one = np.ones(self.displacement.size)
+        old = {name: self.scales.get(name, one) for name in {**self.scales, **part.scales}}
+        scales = {k: _with_rows(v, rows, part.scales.get(k, 1.0)) for k, v in old.items()}
+        memory = {k: _with_rows(v, rows, part.memory[k]) for k, v in self.memory.items()}
+        displacement = _with_rows(self.displacement, rows, part.displacement)
+        velocity = _with_rows(self.velocity, rows, part.velocity)
+        return self._at(memory, displacement, velocity, scales)
+
+
+def _with_rows(whole: Array, rows: Rows, part: Array | float) -> Array:
+    """A copy, (..., n), with the values of some rows of its last axis replaced."""
+    whole = whole.copy()
+    whole[..., rows] = part
+    return whole
+
+
+# --- a user's own class
+
+
+def where_of(cls: type) -> str:
+    """A class and its file, for messages: "class Viscous of my_damper.py"."""
+    try:
+        return f"class {cls.__name__} of {Path(inspect.getfile(cls)).name}"
+    except (OSError, TypeError):  # of a notebook
+        return f"class {cls.__name__}"
+
+
+def _are_names(parameters: Any) -> bool:
+    """Whether these are the names of a built-in model's parameters, and declare nothing."""
+    return isinstance(parameters, property) or (
+        isinstance(parameters, tuple)
+        and bool(parameters)
+        and all(isinstance(name, str) for name in parameters)
+    )
+
+
+def _declare(cls: type[Model], declared: Any) -> None:
+    """Turn a class's parameters into quantities, laws and names.
+
+    Raises
+    ------
+    FitError
+        When one cannot be used.
+    """
+    listed = isinstance(declared, Sequence) and not isinstance(declared, str)
+    if not (listed and declared and all(isinstance(p, Parameter) for p in declared)):
+        raise FitError(
+            f"{where_of(cls)}: parameters must be a tuple of Parameter, such as "
+            f"(Parameter('k', 'kip/in'),), got {declared!r:.60}"
+        )
+    for parameter in declared:
+        where = f"{where_of(cls)}, parameter {parameter.name!r}"
+        if not (isinstance(parameter.name, str) and re.fullmatch(r"[A-Za-z]\w*", parameter.name)):
+            raise FitError(f"{where}: the name must be a word of letters, digits and _")
+        if parameter.name in ("start", "offset") or parameter.name.startswith("noise_"):
+            raise FitError(f"{where}: the name is that of a quantity of every record")
+        if parameter.prior not in LIMITS:
+            raise FitError(
+                f"{where}: prior must be {' or '.join(LIMITS)}, got {parameter.prior!r:.60}"
+            )
+        if parameter.law not in ("", *LAW_NAMES):
+            raise FitError(
+                f"{where}: follows_actuation must be True, False or one of {', '.join(LAW_NAMES)}, "
+                f"got {parameter.law!r:.60}"
+            )
+        if not isinstance(parameter.symbol, str) or not isinstance(parameter.meaning, str):
+            raise FitError(f"{where}: symbol and meaning must be text")
+        _check_unit(where, parameter.unit)
+    names = tuple(parameter.name for parameter in declared)
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise FitError(f"{where_of(cls)}: there are two parameters {twice[0]!r}")
+    cls.parameters = names
+    cls.quantities = tuple(parameter.quantity for parameter in declared)
+    cls.laws = {parameter.name: parameter.law for parameter in declared if parameter.law}
+
+
+def _axis(cls: type[Model], key: str, given: Any, default: str) -> Axis:
+    """Name and unit of a class's motion or response, of "stress, MPa" or of a pair."""
+    parts = given if isinstance(given, tuple) else str(given).split(",", 1)
+    name = str(parts[0]).strip()
+    own = {"displacement": "in", "force": "kip"}.get(name, "1")
+    unit = str(parts[1]).strip() if len(parts) > 1 else own
+    if not name or len(parts) > 2:
+        raise FitError(f"{where_of(cls)}: {key} must be such as 'stress, MPa', got {given!r:.60}")
+    _check_unit(f"{where_of(cls)}, {key}", unit)
+    if name in ("displacement", "force") and unit != default:
+        raise FitError(f"{where_of(cls)}, {key}: a {name} is in {own} here, got {unit!r}")
+    return Axis(name, unit)
+
+
+def _check_unit(where: str, unit: Any) -> None:
+    try:
+        convert(unit, unit)
+    except UnitError as error:
+        raise FitError(f"{where}: {error}") from error
+
+
+def _takes(function: Callable[..., Any], name: str) -> bool:
+    """Whether a function takes an argument of that name."""
+    taken = inspect.signature(function).parameters
+    return name in taken or any(p.kind is p.VAR_KEYWORD for p in taken.values())
+
+
+# --- arguments
 
 
 def check_start(start: ArrayLike | None, n: int) -> Array:
@@ -356,9 +836,7 @@ def check_scales(
     return factors
 
 
-def through_vertices(
-    trace: Trace,
-) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:
+def through_vertices(trace: Trace) -> tuple[Array, Array, Rows, Rows]:
     """Motion of a trace with the vertex of every turn, however small: no hysteresis matters.
 
     Returns

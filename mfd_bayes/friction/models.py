@@ -1,11 +1,18 @@
-"""The friction models that a campaign can name: a new one is registered here, by one line."""
+"""Models by name: those of the package, of a user's file, and of installed packages."""
 
 from __future__ import annotations
 
+import importlib.util
+import re
+import sys
 from collections.abc import Mapping
+from hashlib import sha256
+from importlib.metadata import entry_points
+from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, MfdError
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.lugre import LuGre
@@ -15,17 +22,116 @@ from mfd_bayes.friction.three_stage import ThreeStage
 MODELS: Mapping[str, Model] = MappingProxyType(
     {model.name: model for model in (ThreeStage(), LuGre(), BoucWen(), BacklashLuGre())}
 )
-"""Every model by its name in campaign files."""
+"""The package's models by their names in campaign files."""
+
+GROUP = "mfd_bayes.models"  # entry points by which an installed package offers models
 
 
-def find_model(name: str) -> Model:
-    """Model of that name.
+def find_model(name: str, folder: Path | None = None) -> Model:
+    """Model of a name: one of ours, ``"file.py:Class"``, or an entry point of `GROUP`.
+
+    A file is run. With a `folder`, its path is relative to it and, with links resolved, must lie
+    in it.
 
     Raises
     ------
     FitError
-        When there is none; the names that there are are listed.
+        When there is none, or it is no model; the file and the class are named.
     """
-    if not (isinstance(name, str) and name in MODELS):
-        raise FitError(f"unknown model {name!r}: expected one of {', '.join(MODELS)}")
-    return MODELS[name]
+    if isinstance(name, str) and name in MODELS:
+        return MODELS[name]
+    if isinstance(name, str) and re.search(r"\.py(:|$)", name):
+        return _of_file(name, folder)
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    if isinstance(name, str) and name in points:
+        try:
+            return _made(points[name].load(), f"the entry point {name!r}", points[name].value)
+        except MfdError:
+            raise
+        except Exception as error:
+            kind = type(error).__name__
+            raise FitError(f"the model {name!r} cannot be loaded: {kind}: {error}") from error
+    raise FitError(
+        f"unknown model {name!r}: expected one of {', '.join([*MODELS, *points])}, or "
+        "my_file.py:MyClass"
+    )
+
+
+def _of_file(name: str, folder: Path | None) -> Model:
+    """Model of "file.py:Class"."""
+    file, _, wanted = name.rpartition(":") if not name.endswith(".py") else (name, "", "")
+    path = (folder or Path()) / file
+    try:
+        inside = folder is None or path.resolve().is_relative_to(folder.resolve())
+        there = path.is_file()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise FitError(f"the model's file {file!r} cannot be found: {error}") from error
+    if not inside:
+        raise FitError(f"the model's file {file!r} lies outside the campaign's folder, {folder}")
+    if not there:
+        raise FitError(f"there is no file {path} for the model {name!r}")
+    path = path.resolve()
+    module_name = f"{path.stem}_{sha256(str(path).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    if spec is None or spec.loader is None:
+        raise FitError(f"the model's file {path} cannot be read as Python")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # dataclasses look for it there
+    try:
+        spec.loader.exec_module(module)
+    except MfdError as error:
+        text = str(error)
+        raise FitError(text if path.name in text else f"{path.name}: {text}") from error
+    except (Exception, SystemExit) as error:
+        kind, line = type(error).__name__, _line(error, path)
+        raise FitError(f"the model's file {path.name} failed{line} with {kind}: {error}") from error
+    own = [
+        key
+        for key, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, Model) and value.__module__ == module_name
+    ]
+    if not wanted or not hasattr(module, wanted):
+        lack = f"there is no class {wanted} in" if wanted else "say which class of"
+        has = f"it has {', '.join(own)}" if own else "it has no subclass of mfd_bayes.Model"
+        raise FitError(f"{lack} {path.name}: expected {path.name}:MyClass; {has}")
+    return _made(getattr(module, wanted), f"{wanted} in {path.name}", f"{path}:{wanted}")
+
+
+def _made(cls: Any, where: str, source: str) -> Model:
+    """The model of a class, checked."""
+    if not (isinstance(cls, type) and issubclass(cls, Model) and cls is not Model):
+        raise FitError(f"{where} must be a class on top of mfd_bayes.Model")
+    for name, example in (("name", "'viscous'"), ("quantities", "(Parameter('k', 'kip/in'),)")):
+        if not getattr(cls, name, ""):
+            what = "parameters" if name == "quantities" else name
+            raise FitError(f"{where} needs {what}, such as {example}")
+    if not (isinstance(cls.name, str) and re.fullmatch(r"[A-Za-z]\w*", cls.name)):
+        raise FitError(f"{where}: its name must be a word, got {cls.name!r:.60}")
+    if cls.name in MODELS and type(MODELS[cls.name]) is not cls:
+        raise FitError(f"{where}: its name {cls.name!r} is that of a model of mfd_bayes")
+    if "force" not in cls.own and cls.compute_force is Model.compute_force:
+        raise FitError(f"{where} needs a function force(self, theta, trace)")
+    cls.source = source
+    if ".py:" in source:
+        setattr(cls, "__reduce__", _reduced)  # noqa: B010  # another process reads the file again
+    try:
+        return cls()
+    except Exception as error:
+        kind = type(error).__name__
+        raise FitError(f"{where} cannot be made without arguments: {kind}: {error}") from error
+
+
+def _reduced(model: Model) -> tuple[Any, ...]:
+    """How a model of a file is made in another process."""
+    return find_model, (model.source,)
+
+
+def _line(error: BaseException, path: Path) -> str:
+    """Line of the file at which it failed, in words; empty where that is not known."""
+    line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
+    trace = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return f" in line {line}" if line else ""

@@ -10,14 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-INVERSIONS = 60
-"""Most steps of the inverse."""
-
-FEW = 4
-"""Most steps of a first guess."""
-
-LEAST = -690.0
-"""Exponent of e below which a number loses digits."""
+INVERSIONS = 60  # most steps of the inverse
+FEW = 4  # most steps of a first guess
+LEAST = -690.0  # exponent of e below which a number loses digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,48 +29,33 @@ class Spring:
     k_0: Array
 
     @cached_property
-    def _constants(self) -> tuple[Array, ...]:
-        scale = 1.0 / self.ell
-        ends = self.k_fwd * self.ell, self.k_bwd * self.ell
-        steepest = self.k_fwd + self.k_bwd + self.k_0
-        return scale, 0.5 * self.gap * scale, np.exp(-self.gap * scale), *ends, steepest
+    def corners(self) -> tuple[Array, Array]:
+        """Forces k_f ℓ and k_b ℓ of the rounded corners, (n,) each, kip."""
+        return self.k_fwd * self.ell, self.k_bwd * self.ell
 
     def of(self, rows: NDArray[np.intp]) -> Spring:
         """Spring of some of the vectors, by their number; one may come several times."""
         parts = (self.k_fwd, self.k_bwd, self.gap, self.ell, self.k_0)
         return Spring(*(part[rows] for part in parts))
 
-    def evaluate(self, z: Array, room: list[Array] | None = None) -> tuple[Array, Array]:
-        """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in.
-
-        With `room`, four arrays of z's shape, they are the first two of those.
-        """
-        force, a, b, work = room or [np.empty(z.shape) for _ in range(4)]
-        scale, half, ratio, fwd, bwd, steepest = self._constants
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in."""
+        a, half, (fwd, bwd) = z / self.ell, 0.5 * self.gap / self.ell, self.corners
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            np.multiply(z, scale, out=a)
-            a -= half
-            least = a.min(initial=0.0)
-            np.exp(a, out=a)  # one exponential serves both sides
-            np.divide(ratio, a, out=b)
-            a += 1.0
-            b += 1.0
-            np.log(a, out=force)
-            force *= fwd
-            np.log(b, out=work)
-            work *= bwd
-            force -= work
-            force += np.multiply(self.k_0, z, out=work)
-            np.divide(self.k_fwd, a, out=a)
-            np.divide(self.k_bwd, b, out=b)
-            a += b
-            np.subtract(steepest, a, out=a)
-            if not (least > LEAST and np.isfinite(force.sum())):
-                forward, forward_slope = _softplus((z - 0.5 * self.gap) * scale)
-                backward, backward_slope = _softplus((z + 0.5 * self.gap) * -scale)
-                force[...] = fwd * forward - bwd * backward + self.k_0 * z
-                a[...] = self.k_fwd * forward_slope + self.k_bwd * backward_slope + self.k_0
-        return force, a
+            e = np.exp(a - half)  # one exponential serves both sides
+            other = np.exp(-2.0 * half) / e
+            e += 1.0
+            other += 1.0
+            force = fwd * np.log(e)
+            force -= bwd * np.log(other)
+            force += self.k_0 * z
+            slope = (self.k_fwd + self.k_bwd + self.k_0) - self.k_fwd / e - self.k_bwd / other
+        if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
+            forward, forward_slope = _softplus(a - half)
+            backward, backward_slope = _softplus(-a - half)
+            force = fwd * forward - bwd * backward + self.k_0 * z
+            slope = self.k_fwd * forward_slope + self.k_bwd * backward_slope + self.k_0
+        return force, slope
 
     def deflection(self, force: Array, close: float = 1e-13) -> Array:
         """Deflection at which the force is G, (..., n): the inverse of G.

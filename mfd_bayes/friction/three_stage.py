@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.friction.banks import State
 from mfd_bayes.friction.columns import named_columns
 from mfd_bayes.friction.gap import (
     SATURATED,
@@ -22,14 +21,12 @@ from mfd_bayes.friction.gap import (
     turned,
 )
 from mfd_bayes.friction.lugre import PaperModel
-from mfd_bayes.friction.model import Array, Columns, check_start
+from mfd_bayes.friction.model import Array, Columns, State
 from mfd_bayes.friction.parameters import PARAMETERS, quantities_of
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import scratch
 from mfd_bayes.records.trace import Trace
 
-PIECE = 1 << 15
-"""Size of the arrays that are blended at a time, in numbers: they stay in the cache."""
+PIECE = 1 << 15  # size of the arrays that are blended at a time, in numbers: they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -42,20 +39,12 @@ class ThreeStage(PaperModel):
     has_gap: ClassVar[bool] = True
     keeps_prior: ClassVar[tuple[str, ...]] = ("gamma1",)  # only ℓ = γ2/γ1 reaches the force
 
-    def force(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
-        """Force of every parameter vector (n, 14), (n, T), kip; see `Model.force`."""
-        columns, path = self.columns(theta), trace.path
-        n = columns["k2"].size
-        w0, c = check_start(start, n), gap_of(columns)
-        slip = self.slip_along(columns, trace, scales)
-        gap = along(c, path, w0, slip[path.turning_points])
+    def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
+        """Force at the samples, (T, n), kip."""
+        path, n = trace.path, start.size
+        slip = self.slip_along(c, trace, factors)
+        c = gap_of(c)
+        gap = along(c, path, start, slip[path.turning_points])
         force, x, stretch = slip.take(path.samples, axis=0), trace.displacement, path.stretch
         # elsewhere the force is F1: the carried force has faded, and the gap is crossed
         far = SATURATED * c["ell"]
@@ -64,34 +53,20 @@ class ThreeStage(PaperModel):
         length = max(PIECE // max(n, 1), 1)
         for begin in range(0, near.size, length):
             rows = near[begin : begin + length]
-            room = scratch(8, rows.size, n)
-            for table, out in zip((gap.side, gap.origin, gap.carry), room, strict=False):
-                table.take(stretch[rows], axis=0, out=out, mode="clip")
-            side, y, carry, slip = room[:4]
-            force.take(rows, axis=0, out=slip, mode="clip")
-            np.subtract(x[rows, None], y, out=y)
-            force[rows] = blend(c, side, y, carry, slip, room[4:])
-        return force.T
+            side, origin, carry = (a[stretch[rows]] for a in (gap.side, gap.origin, gap.carry))
+            force[rows] = blend(c, side, x[rows, None] - origin, carry, force[rows])
+        return force
 
-    def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
-        """Travel u since the last slip of every parameter vector, (n, T), in.
+    def compute_travel(self, c: Columns, trace: Trace, start: Array) -> Array:
+        """Travel u since the last slip, (T, n), in.
 
         From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
         """
-        columns = self.columns(theta)
-        w0 = check_start(start, columns["k2"].size)
-        gap, *_ = edges_along(gap_of(columns), trace.path, w0)
+        gap, *_ = edges_along(gap_of(c), trace.path, start)
         own = trace.path.stretch
-        return (gap.side[own] * (trace.displacement[:, None] - gap.origin[own])).T
+        return gap.side[own] * (trace.displacement[:, None] - gap.origin[own])
 
-    def end(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Mapping[str, Array] | None = None,
-    ) -> Array:
+    def compute_end(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Place in the gap at the last sample, ½ + y/D, (n,), 1; see `Model.end`.
 
         A motion that begins there does not know the deflection of the bristles, the force that
@@ -99,10 +74,8 @@ class ThreeStage(PaperModel):
         takes the side that its first direction leads away from. All that is forgotten at its
         first turn after slip.
         """
-        columns = self.columns(theta)
-        w0, c = check_start(start, columns["k2"].size), gap_of(columns)
-        self.factors(trace, w0.size, scales)
-        gap, *_ = edges_along(c, trace.path, w0)
+        c = gap_of(c)
+        gap, *_ = edges_along(c, trace.path, start)
         last = trace.path.displacement[-1]
         width, edge = c["width"], dragged(c, gap.edge[-1], last)
         place = np.divide(last - edge, width, out=np.full(edge.shape, 0.5), where=width > 0)
@@ -131,10 +104,9 @@ class ThreeStage(PaperModel):
         d2, d3 = columns["d2"][:, None], columns["d3"][:, None]
         return np.select([travel >= d2 + d3, travel >= d2], [1, 3], 2).astype(np.int8)
 
-    def constants(self, theta: ArrayLike) -> dict[str, Any]:
-        """See `SteppedModel`."""
-        own = super().constants(theta)
-        return own | gap_of(own)
+    def constants(self, c: Columns) -> dict[str, Any]:
+        """Those of LuGre, and of the gap."""
+        return super().constants(c) | gap_of(c)
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """Undeflected bristles, and the gap at a share of its width."""

@@ -27,27 +27,6 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True)
-class Step:
-    """News of a piece of work: that it waits, what it is at, or that it has ended."""
-
-    id: str
-    stage: str
-    """A `State`; in between what the work is at, such as "sampling"."""
-    progress: Progress | None = None
-    message: str = ""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a piece of work ended: `State.DONE`, or `State.FAILED` with an error."""
-
-    id: str
-    status: State
-    seconds: float
-    error: str = ""
-
-
-@dataclass(frozen=True)
 class Progress:
     """Progress of a sampling: steps done, the limit, and the worst diagnostics so far.
 
@@ -68,6 +47,32 @@ class Progress:
     def measured(self) -> bool:
         """Whether R̂ and effective sample size are known."""
         return not (math.isnan(self.r_hat) and math.isnan(self.ess))
+
+    @property
+    def rate(self) -> float:
+        """Steps per second."""
+        return max(self.steps, 1) / max(self.seconds, 1e-9)
+
+
+@dataclass(frozen=True)
+class Step:
+    """News of a piece of work: that it waits, what it is at, or that it has ended."""
+
+    id: str
+    stage: str
+    """A `State`; in between what the work is at, such as "sampling"."""
+    progress: Progress | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a piece of work ended: `State.DONE`, or `State.FAILED` with an error."""
+
+    id: str
+    status: State
+    seconds: float
+    error: str = ""
 
 
 class Job(Protocol):

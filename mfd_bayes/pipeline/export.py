@@ -13,12 +13,11 @@ from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.response.building import Building, Device
 from mfd_bayes.response.device_draws import Choice, draw_dampers
-from mfd_bayes.response.opensees import Equivalent, equivalents
+from mfd_bayes.response.opensees import equivalents
 from mfd_bayes.response.schema import Limits
-from mfd_bayes.runs.folder import POPULATION
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.tested import Span, far_sentences, leaving
+from mfd_bayes.runs.paths import POPULATION
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.tested_range import Span, departures, far_sentences
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 from mfd_bayes.units import actuation_kind, parse_actuation
 
@@ -29,8 +28,6 @@ FITS = 24
 
 ABOUT = "about.json"
 _MADE_BY = "mfd_bayes export"
-_OF_FITS = ("misfit", "best", "amplitude_in")
-"""Keys of what is said about materials."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +47,11 @@ class Export:
 class Exported:
     """Sentences that say what was written, and reasons to trust it less."""
 
-    said: list[str]
+    sentences: list[str]
     remarks: list[str]
 
 
-def export(out: Path, asked: Export) -> Exported:
+def export(out: Path, request: Export) -> Exported:
     """Write the samples of a new device.
 
     Raises
@@ -63,53 +60,34 @@ def export(out: Path, asked: Export) -> Exported:
         When the run or the actuation cannot be used, the actuation lies far outside of what was
         tested and is not asked for expressly, or the folder is not this command's.
     """
-    folder = asked.folder
-    check_folder(folder, force=asked.force)
+    folder = request.folder
+    check_folder(folder, force=request.force)
     run = open_run(out)
-    level = _level(run, asked.actuation)
-    remarks = _remarks(run, level, asked)
-    names, units, theta, start = _samples(run, level, asked)
+    level = _level(run, request.actuation)
+    outside = departures(run.tested, [Span("actuation", run.actuation_unit, level, level)])
+    far = far_sentences(outside, run.system)
+    if far and not request.extrapolate:
+        raise CampaignError(f"{far}; give --extrapolate to export it all the same")
+    remarks = [departure.sentence(run.system) for departure in outside]
+    units, samples = _samples(run, level, request)
     about = {
         "made_by": _MADE_BY,
         "actuation": {"value": level, "unit": run.actuation_unit},
-        "variables": dict(zip(names, units, strict=True)),
-        "draws": asked.draws,
-        "seed": asked.seed,
+        "variables": units,
+        "draws": request.draws,
+        "seed": request.seed,
         "kind": "new_test",
         "population_sha256": (run.manifest.files or {}).get(POPULATION),
     } | ({"remarks": remarks} if remarks else {})
-    about = _tidied(folder, about)
-    writers = {"csv": _write_csv, "quofem": _write_quofem}
-    if asked.to in writers:
-        said = writers[asked.to](folder, names, units, np.column_stack([theta, start]))
+    about = _without_others(folder, about)
+    if request.to == "csv":
+        sentences = _write_csv(folder, units, samples)
+    elif request.to == "quofem":
+        sentences = _write_quofem(folder, list(units), samples)
     else:
-        said = _write_opensees(folder, run, theta[:FITS], start[:FITS], about)
+        sentences = _write_opensees(folder, run, samples[:FITS], about)
     write_json(folder / ABOUT, about)
-    return Exported(said, remarks)
-
-
-def _tidied(folder: Path, about: dict[str, object]) -> dict[str, object]:
-    """What is said about the samples, of all their forms in the folder.
-
-    Where an earlier export is of other samples, its files are removed: nothing would say what they
-    are.
-    """
-    try:
-        earlier = read_json(folder / ABOUT)
-    except StoreError:  # there is none
-        return about
-    if earlier.get("made_by") != _MADE_BY:
-        return about
-    if all(earlier.get(key) == value for key, value in about.items()):
-        return about | {key: earlier[key] for key in _OF_FITS if key in earlier}
-    names = ["samples.csv", "randomVariables.json", "dakotaTab.out"]
-    for key, kind in (("variables", "txt"), ("misfit", "tcl")):
-        found = earlier.get(key)
-        words = found if isinstance(found, dict) else {}
-        names += [f"{word}.{kind}" for word in words if re.fullmatch(r"\w+", word)]
-    for name in names:
-        remove_file(folder / name)
-    return about
+    return Exported(sentences, remarks)
 
 
 def _level(run: Run, actuation: str) -> float:
@@ -123,49 +101,61 @@ def _level(run: Run, actuation: str) -> float:
     return level
 
 
-def _remarks(run: Run, level: float, asked: Export) -> list[str]:
-    """Where the actuation leaves what was tested."""
-    span = Span("actuation", run.actuation_unit, level, level)
-    outside = leaving(run.tested, [span])
-    far = far_sentences(outside, run.system)
-    if far and not asked.extrapolate:
-        raise CampaignError(f"{far}; give --extrapolate to export it all the same")
-    return [one.sentence(run.system) for one in outside]
-
-
-def _samples(run: Run, level: float, asked: Export) -> tuple[list[str], list[str], Array, Array]:
-    """Names, units and draws (n, p) of the parameters of a new device, and its starts (n,)."""
+def _samples(run: Run, level: float, request: Export) -> tuple[dict[str, str], Array]:
+    """Units of a new device's parameters and start, by name, and their draws (n, p + 1)."""
     model = next(iter(run.tests.values())).posterior.model
-    one = np.ones((1, 1))
-    device = Device("device", 1, 0, level, run.actuation_unit)
+    matrix, vector = np.ones((1, 1)), np.ones(1)
     building = Building(
-        *("one device", one, one, one, np.ones(1), one, np.ones(1), np.ones(1), np.ones(1)),
-        (device,),
+        *("one device", matrix, matrix, matrix, vector, matrix, vector, vector, vector),
+        (Device("device", 1, 0, level, run.actuation_unit),),
         Limits(),
     )
-    found = draw_dampers(
-        run.population, model, building, Choice("new_test", asked.draws, asked.seed)
-    )
+    choice = Choice("new_test", request.draws, request.seed)
+    dampers = draw_dampers(run.population, model, building, choice)
     known = {q.name: q.unit for q in model.quantities}
-    names = [*model.parameters, "start"]
-    units = [*(known.get(name, "1") for name in model.parameters), "1"]
-    return names, units, found.theta[:, 0], found.start[:, 0]
+    units = {name: known.get(name, "1") for name in model.parameters} | {"start": "1"}
+    return units, np.column_stack([dampers.theta[:, 0], dampers.start[:, 0]])
 
 
-def _write_csv(folder: Path, names: list[str], units: list[str], values: Array) -> list[str]:
+def _without_others(folder: Path, about: dict[str, object]) -> dict[str, object]:
+    """What is said about the samples, of all their forms in the folder.
+
+    Where an earlier export is of other samples, its files are removed: nothing would say what they
+    are.
+    """
+    try:
+        earlier = read_json(folder / ABOUT)
+    except StoreError:  # there is none
+        return about
+    if earlier.get("made_by") != _MADE_BY:
+        return about
+    if all(earlier.get(key) == value for key, value in about.items()):
+        of_fits = ("misfit", "best", "amplitude_in")
+        return about | {key: earlier[key] for key in of_fits if key in earlier}
+    names = ["samples.csv", "randomVariables.json", "dakotaTab.out"]
+    for key, kind in (("variables", "txt"), ("misfit", "tcl")):
+        words = earlier.get(key)
+        if isinstance(words, dict):
+            names += [f"{word}.{kind}" for word in words if re.fullmatch(r"\w+", word)]
+    for name in names:
+        remove_file(folder / name)
+    return about
+
+
+def _write_csv(folder: Path, units: dict[str, str], samples: Array) -> list[str]:
     """One table with a header."""
     head = [
-        n if u == "1" else f"{n}_{u.replace('*', '_').replace('/', '_per_')}"
-        for n, u in zip(names, units, strict=True)
+        name if unit == "1" else f"{name}_{unit.replace('*', '_').replace('/', '_per_')}"
+        for name, unit in units.items()
     ]
-    lines = [",".join(head), *(",".join(f"{v:.9g}" for v in row) for row in values)]
+    lines = [",".join(head), *(",".join(f"{v:.9g}" for v in row) for row in samples)]
     write_text(folder / "samples.csv", "\n".join(lines) + "\n")
-    return [f"{len(values)} joint samples of {len(names)} variables: {folder / 'samples.csv'}"]
+    return [f"{len(samples)} joint samples of {len(units)} variables: {folder / 'samples.csv'}"]
 
 
-def _write_quofem(folder: Path, names: list[str], units: list[str], values: Array) -> list[str]:
+def _write_quofem(folder: Path, names: list[str], samples: Array) -> list[str]:
     """A column per variable without a header, the group of all, and dakotaTab.out."""
-    for name, column in zip(names, values.T, strict=True):
+    for name, column in zip(names, samples.T, strict=True):
         write_text(folder / f"{name}.txt", "\n".join(f"{v:.12g}" for v in column) + "\n")
     variables = [
         {
@@ -184,42 +174,36 @@ def _write_quofem(folder: Path, names: list[str], units: list[str], values: Arra
         folder / "randomVariables.json", {"randomVariables": variables, "RVdataGroup": group}
     )
     lines = ["%eval_id interface " + " ".join(names)]
-    for i, row in enumerate(values, start=1):
+    for i, row in enumerate(samples, start=1):
         lines.append(f"{i} NO_ID " + " ".join(f"{v:.12g}" for v in row))
     write_text(folder / "dakotaTab.out", "\n".join(lines) + "\n")
     return [
-        f"{len(values)} joint samples of {len(names)} variables: a file each in {folder}",
+        f"{len(samples)} joint samples of {len(names)} variables: a file each in {folder}",
         f"their group, which keeps the correlation: {folder / 'randomVariables.json'}; "
         f"all in one: {folder / 'dakotaTab.out'}",
     ]
 
 
-def _write_opensees(
-    folder: Path, run: Run, theta: Array, start: Array, about: dict[str, object]
-) -> list[str]:
-    """Materials fitted to each draw's loops."""
+def _write_opensees(folder: Path, run: Run, samples: Array, about: dict[str, object]) -> list[str]:
+    """Materials fitted to each draw's loops; their misfits are added to `about`."""
     model = next(iter(run.tests.values())).posterior.model
     stroke = max((s.highest for s in run.tested if s.name == "stroke"), default=2.0)
-    fits = equivalents(model, theta, start, 0.5 * stroke)
-    said = []
-    for name, found in fits.items():
-        lines = [f"# {name} fitted to the predicted loops of draw i; kip, in, s", *found.commands]
+    fits = equivalents(model, samples[:, :-1], samples[:, -1], 0.5 * stroke)
+    sentences = []
+    for name, fit in fits.items():
+        lines = [f"# {name} fitted to the predicted loops of draw i; kip, in, s", *fit.commands]
         write_text(folder / f"{name}.tcl", "\n".join(lines) + "\n")
-        said.append(_sentence(name, found, folder))
+        low, middle, high = np.quantile(fit.misfit, [0.05, 0.5, 0.95])
+        sentences.append(
+            f"{name}: misfit (rms over the rms force of the predicted loop) {100 * middle:.3g} % "
+            f"({100 * low:.3g} to {100 * high:.3g} %) over {fit.misfit.size} draws: "
+            f"{folder / (name + '.tcl')}"
+        )
     best = min(fits, key=lambda name: float(np.median(fits[name].misfit)))
-    about["misfit"] = {name: [float(m) for m in found.misfit] for name, found in fits.items()}
+    about["misfit"] = {name: [float(m) for m in fit.misfit] for name, fit in fits.items()}
     about["best"] = best
     about["amplitude_in"] = 0.5 * stroke
-    said.append(
-        f"the best of them: {best}; a gap and its retracing cannot be modelled by one material"
-    )
-    return said
-
-
-def _sentence(name: str, found: Equivalent, folder: Path) -> str:
-    low, middle, high = np.quantile(found.misfit, [0.05, 0.5, 0.95])
-    return (
-        f"{name}: misfit (rms over the rms force of the predicted loop) {100 * middle:.3g} % "
-        f"({100 * low:.3g} to {100 * high:.3g} %) over {found.misfit.size} draws: "
-        f"{folder / (name + '.tcl')}"
-    )
+    return [
+        *sentences,
+        f"the best of them: {best}; a gap and its retracing cannot be modelled by one material",
+    ]

@@ -7,10 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.campaign.file import Test
-from mfd_bayes.evaluation.zeros import zero_sentences
+from mfd_bayes.campaign.campaign import Test
+from mfd_bayes.campaign.schema import CampaignFile
+from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
+from mfd_bayes.messages import Message
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.inference import swings
 from mfd_bayes.population.laws import complete_laws
@@ -20,8 +22,7 @@ from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.spikes import without_spikes
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.settings import Settings
+from mfd_bayes.runs.verdict import Finding
 
 WIDE, NARROW = 6.0, 1.0 / 12.0
 """A gap wider or narrower than the priors' typical one by these factors is in another unit."""
@@ -57,7 +58,7 @@ def findings_together(
 
 def findings_of(
     faults: Sequence[tuple[str, Fault]],
-    settings: Settings,
+    settings: CampaignFile,
     design: Design,
     calibrated: Mapping[str, Trace],
 ) -> tuple[Finding, ...]:
@@ -67,47 +68,44 @@ def findings_of(
     zero actuation do not tell.
     """
     every = [*faults, *_of_settings(settings, design, calibrated)]
-    found = [Finding(name, fault.name, fault.sentence) for name, fault in every]
-    told = [Finding("laws", "zero actuation", s) for s in zero_sentences(design, [*calibrated])]
+    found = [Finding(name, fault.name, fault.message) for name, fault in every]
+    told = [
+        Finding("laws", "zero actuation", Message("{text}", {"text": sentence}))
+        for sentence in zero_pressure_sentences(design, [*calibrated])
+    ]
     return (*found, *told)
 
 
 def _of_settings(
-    settings: Settings, design: Design, tests: Mapping[str, Trace]
+    settings: CampaignFile, design: Design, tests: Mapping[str, Trace]
 ) -> Iterator[tuple[str, Fault]]:
     """What a campaign asks for that the calibration of its tests does not do."""
     model = models.find_model(settings.model)
     if lacking := laws_without(model, settings.laws):
-        yield (
+        unused_laws = Fault.of(
             "laws",
-            Fault(
-                "laws",
-                f"[laws] names {' and '.join(lacking)}, which the model {model.name} does not "
-                "have: it is not used",
-            ),
+            f"[laws] names {' and '.join(lacking)}, which the model {model.name} does not have: it "
+            "is not used",
         )
-    unused = [name for name in settings.dependence or {} if name not in design.names]
+        yield "laws", unused_laws
+    unused = [name for name in settings.dependence if name not in design.names]
     if unused:
-        yield (
-            "laws",
-            Fault(
-                "dependence",
-                f"[dependence] names {' and '.join(unused)}, which the tests of the model "
-                f"{model.name} do not share: it is not used",
-            ),
+        dependence = Fault.of(
+            "dependence",
+            f"[dependence] names {' and '.join(unused)}, which the tests of the model "
+            f"{model.name} do not share: it is not used",
         )
+        yield "laws", dependence
     other = [name for name in model.slip_forces if design.laws.get(name) != "proportional"]
-    swinging = [name for name, trace in tests.items() if swings(design, model, trace)]
-    for name in swinging:
-        yield (
-            name,
-            Fault(
+    for name, trace in tests.items():
+        if swings(design, model, trace):
+            changes = Fault.of(
                 "actuation history",
                 "its actuation changes: its own posterior takes friction in proportion to it, "
                 f"whatever the law of {' and '.join(other)}; the laws learn from it only the slip "
                 "force at its mean actuation",
-            ),
-        )
+            )
+            yield name, changes
 
 
 def laws_without(model: Model, laws: Mapping[str, str]) -> list[str]:
@@ -130,19 +128,22 @@ def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Faul
         return
     hint = "check its unit, or give priors that fit the device"
     if gap is not None and np.isfinite(read.gap) and not NARROW < read.gap / gap < WIDE:
-        yield Fault(
+        yield Fault.of(
             "beyond the priors",
-            f"the loop's gap of {read.gap:.3g} in is {read.gap / gap:.2g} times the one that the "
-            f"priors expect ({gap:.2g} in): the displacement is probably in another unit; {hint}",
+            f"the loop's gap of {{value}} is {read.gap / gap:.2g} times the one that the priors "
+            f"expect ({{expected}}): the displacement is probably in another unit; {hint}",
+            value=(read.gap, "in"),
+            expected=(gap, "in"),
         )
     prior = priors.parameters.get("Fc_fwd")
     if prior is None or prior.family != "lognormal" or not read.plateau > 0.0:
         return
-    away = np.log(read.plateau / prior.figures["median"]) / prior.figures["spread"]
-    if abs(away) > FAR and test.level > 0.0:
-        yield Fault(
+    ratio = read.plateau / prior.figures["median"]
+    if abs(np.log(ratio)) > FAR * prior.figures["spread"] and test.level > 0.0:
+        yield Fault.of(
             "beyond the priors",
-            f"the loop's slip force of {read.plateau:.3g} kip is "
-            f"{read.plateau / prior.figures['median']:.2g} times the one that the priors expect "
-            f"({prior.figures['median']:.2g} kip): the force is probably in another unit; {hint}",
+            f"the loop's slip force of {{value}} is {ratio:.2g} times the one that the priors "
+            f"expect ({{expected}}): the force is probably in another unit; {hint}",
+            value=(read.plateau, "kip"),
+            expected=(prior.figures["median"], "kip"),
         )

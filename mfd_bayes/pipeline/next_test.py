@@ -16,23 +16,19 @@ from mfd_bayes.evaluation.next_test import (
     together_words,
 )
 from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.regular import why_no_file
 from mfd_bayes.reporting.tables import next_csv
-from mfd_bayes.runs.folder import ADVICE
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.manifest import unchanged
+from mfd_bayes.runs.paths import ADVICE
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text, write_bytes, write_text
 
 SHOWN = 10
 """Candidates that are shown on a terminal."""
 
-_DRAFT = "# Drafted by mfd-bayes next"
-_OF_FILES = (".txt", ".csv", ".toml", ".lst")
 _LARGEST = 2**20  # bytes of a file of candidates
 
 
@@ -54,7 +50,7 @@ class Wish:
     draws, seed : int
     units : {"", "us", "si"}
     force : bool
-        Whether files of other programs are replaced.
+        Whether files that exist are replaced.
     """
 
     goal: str = ""
@@ -70,7 +66,7 @@ class Wish:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class Recommendation:
     """Advice on the next test, in words.
 
     Attributes
@@ -92,7 +88,7 @@ class Told:
     files: list[Path]
 
 
-def next_test(out: Path, wish: Wish) -> Told:
+def next_test(out: Path, wish: Wish) -> Recommendation:
     """Which test to make next; the table, its JSON and a picture are written.
 
     Raises
@@ -104,10 +100,16 @@ def next_test(out: Path, wish: Wish) -> Told:
     if wish.tests > 1 and wish.draft is None:
         raise CampaignError("--tests says how many tests --write drafts: give --write too")
     table = out / ADVICE[0] if wish.table is None else wish.table
-    files = _files(table, wish)
+    if table.suffix.lower() in (".json", ".png"):
+        raise StoreError(f"{table} must not end in {table.suffix}: JSON and PNG go beside it")
+    files = [table, table.with_suffix(".json"), table.with_suffix(".png")]
+    drafts = [] if wish.draft is None else [wish.draft]
+    inputs = [Path(wish.candidates)] if _is_path(wish.candidates) else []
+    own = [] if wish.table is None else files  # else they are the run's own
+    check_outputs([*own, *drafts], inputs, force=wish.force)
     candidates = _candidates(wish.candidates)
     run = replace(open_run(out), units=wish.units)
-    with reading(run.folder, run.manifest):
+    with unchanged(run.folder, run.manifest):
         advice = run.next_test(
             wish.goal or None,
             candidates,
@@ -115,44 +117,30 @@ def next_test(out: Path, wish: Wish) -> Told:
             draws=wish.draws,
             seed=wish.seed,
         )
-    system = run.system
     if wish.table is None:
         with alone_in(out):
-            _write(run, advice, files, system)
+            _write(run, advice, files)
     else:
-        _write(run, advice, files, system)
-    if wish.draft is not None:
-        write_text(wish.draft, _drafted(advice, wish, system, run.actuation_unit))
-    units = system, run.actuation_unit
-    return Told(
+        _write(run, advice, files)
+    units = run.system, run.actuation_unit
+    for draft in drafts:
+        write_text(draft, _drafted(advice, wish.tests, *units))
+    return Recommendation(
         advice,
         advice_sentence(advice, *units),
         together_words(advice, *units),
         list(shown_rows(advice, *units, SHOWN)),
-        [*files, *([wish.draft] if wish.draft else [])],
+        [*files, *drafts],
     )
-
-
-def _files(table: Path, wish: Wish) -> list[Path]:
-    """CSV, JSON and PNG, which must be free to be written."""
-    if table.suffix.lower() in (".json", ".png"):
-        raise StoreError(f"{table} must not end in {table.suffix}: JSON and PNG go beside it")
-    files = [table, table.with_suffix(".json"), table.with_suffix(".png")]
-    inputs = [Path(wish.candidates)] if _is_path(wish.candidates) else []
-    if wish.table is not None:  # else they are the run's own
-        check_outputs(files, inputs, force=wish.force)
-    if wish.draft is not None:
-        check_outputs([wish.draft], inputs, force=wish.force)
-    return files
 
 
 def _candidates(text: str) -> str | list[str] | None:
     """Candidates of a text, or of the lines of a file."""
+    path = Path(text)
     if not _is_path(text):
-        if Path(text).suffix in _OF_FILES:
+        if path.suffix in (".txt", ".csv", ".toml", ".lst"):
             raise CampaignError(f"--candidates: there is no file {text}")
         return text or None
-    path = Path(text)
     if reason := why_no_file(path):
         raise CampaignError(f"--candidates: {path} {reason}")
     try:
@@ -161,14 +149,14 @@ def _candidates(text: str) -> str | list[str] | None:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         raise CampaignError(f"--candidates: cannot read {path}: {error}") from error
-    found = [line for line in (line.partition("#")[0].strip() for line in lines) if line]
-    if not found:
+    tests = [test for test in (line.partition("#")[0].strip() for line in lines) if test]
+    if not tests:
         raise CampaignError(f"--candidates: {path} has no test; one a line is expected")
-    return found
+    return tests
 
 
 def _is_path(text: str) -> bool:
-    """Whether candidates are the name of a file: one that exists, or a text without any comma."""
+    """Whether candidates are the name of a file that exists."""
     if not text.strip() or len(text) > 1000 or "|" in text or "\0" in text:
         return False
     try:
@@ -177,36 +165,32 @@ def _is_path(text: str) -> bool:
         return False
 
 
-def _write(run: Run, advice: Advice, files: list[Path], system: System) -> None:
+def _write(run: Run, advice: Advice, files: list[Path]) -> None:
     """Write table, JSON and picture."""
     from mfd_bayes.reporting.figures import draw_next, to_png
 
-    units = system, run.actuation_unit
+    units = run.system, run.actuation_unit
     write_text(files[0], next_csv(advice, *units))
     write_text(files[1], json_text(advice_content(advice, *units), indent=2) + "\n")
     title = f"Next test: {candidate_words(advice[0].candidate, *units)}"
-    write_bytes(files[2], to_png(draw_next(advice, system, run.actuation_unit, title)))
+    write_bytes(files[2], to_png(draw_next(advice, *units, title)))
 
 
-def _drafted(advice: Advice, wish: Wish, system: System, unit: str) -> str:
+def _drafted(advice: Advice, number: int, system: System, unit: str) -> str:
     """Entries of a campaign file for the best tests."""
-    chosen = advice.together[min(wish.tests, len(advice.together)) - 1]
-    if wish.tests == 1:
-        tests: tuple[Candidate, ...] = (advice[0].candidate,)
-    else:
-        tests = chosen.candidates
-    lines = [f"{_DRAFT}: add these to campaign.toml once the tests are made."]
-    for number, test in enumerate(tests, 1):
+    together = advice.together[min(number, len(advice.together)) - 1]
+    tests = (advice[0].candidate,) if number == 1 else together.candidates
+    lines = ["# Drafted by mfd-bayes next: add these to campaign.toml once the tests are made."]
+    for k, test in enumerate(tests, 1):
         words = candidate_words(test, system, unit)
-        name = f"next{number}_" + re.sub(r"[^A-Za-z0-9.]+", "_", words)
-        level = words.split(",", maxsplit=1)[0]
+        name = f"next{k}_" + re.sub(r"[^A-Za-z0-9.]+", "_", words)
         lines += [
             "",
             commented(f"motion: {words}, {test.cycles:g} cycles ({test.waveform})"),
             "[[test]]",
             f"id = {quoted(name)}",
             f"file = {quoted(f'{name}.csv')}  # the record, once it is there",
-            f"actuation = {quoted(level)}",
+            f"actuation = {quoted(words.split(',', maxsplit=1)[0])}",
             'role = "calibrate"',
         ]
     return "\n".join(lines) + "\n"

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs.folder import MANIFEST, is_of_run, name_in_run
+from mfd_bayes.runs.paths import MANIFEST, is_file_of_a_run
 from mfd_bayes.store.files import check_place
 
 
@@ -28,7 +28,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
         When an output names no file, is an input, a file of a run, a device, a pipe or a link out
         of its folder; or exists, and `force` is not given.
     """
-    read = list(inputs)
+    inputs = list(inputs)
     for path in outputs:
         if path.name in ("", ".."):
             raise StoreError(f"cannot write {path}: give the name of a file")
@@ -36,12 +36,13 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
         try:
             if path.is_dir():
                 raise StoreError(f"cannot write {path}: it is a folder; give the name of a file")
-            for one in read:
-                both = path.exists() and one.exists()
-                if path.resolve() == one.resolve() or (both and path.samefile(one)):
-                    raise StoreError(f"cannot write {path}: it is an input of this command, {one}")
-            name = name_in_run(path)
-            if name is not None and is_of_run(name):
+            for source in inputs:
+                linked = path.exists() and source.exists() and path.samefile(source)
+                if linked or path.resolve() == source.resolve():
+                    raise StoreError(
+                        f"cannot write {path}: it is an input of this command, {source}"
+                    )
+            if is_file_of_a_run(path):
                 raise StoreError(f"cannot write {path}: it is a file of the run in that folder")
             if path.exists() and not force:
                 raise StoreError(f"{path} exists: give another name, or --force to replace it")

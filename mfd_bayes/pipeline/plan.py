@@ -5,39 +5,41 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mfd_bayes.calibration.diagnostics import find_effort
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import Task
-from mfd_bayes.campaign.file import Campaign, Test, load_campaign
-from mfd_bayes.campaign.schema import NoiseName
+from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
+from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.friction import models
-from mfd_bayes.jobs.dispatch import Workplace
 from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
 from mfd_bayes.population.design import Design, design_of
-from mfd_bayes.population.laws import default_laws
 from mfd_bayes.population.settings import setting_of
-from mfd_bayes.records.channels import Source
-from mfd_bayes.records.cross_checks import Tested
-from mfd_bayes.records.data_quality import Fault
+from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import posterior_of
-from mfd_bayes.runs.machine import this_machine
-from mfd_bayes.runs.manifest import FORMAT, Entry, Manifest, Status, check_readable
-from mfd_bayes.runs.resumption import with_keys
-from mfd_bayes.runs.settings import Settings, TestSettings
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.manifest import (
+    FORMAT,
+    Entry,
+    Manifest,
+    Status,
+    check_readable,
+    read_begun,
+    this_machine,
+    with_keys,
+)
+from mfd_bayes.runs.paths import MANIFEST, posterior_of
+from mfd_bayes.runs.tested_range import conditions_of
+from mfd_bayes.runs.unit_system import System
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -74,6 +76,19 @@ class Options(Workplace):
     noises: tuple[str, ...] = ()
 
 
+def effort_of(out: Path, effort: str | None, *, resume: bool) -> str:
+    """The given effort, else that of the run which is resumed, else "standard".
+
+    `out` is a run folder, or one that holds a run folder for each model.
+    """
+    if effort is not None:
+        return effort
+    for path in [out / MANIFEST, *sorted(out.glob(f"*/{MANIFEST}"))] if resume else ():
+        if path.is_file():
+            return read_begun(path.parent).effort.name
+    return "standard"
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A campaign, read and checked, before anything is written.
@@ -98,17 +113,11 @@ class Plan:
     @property
     def system(self) -> System:
         """System of units of the records, of the size of their forces."""
-        traces = [*(task.trace for task in self.tasks), *self.held_out.values()]
-        return self.manifest.system_of(traces)
+        return self.manifest.system
 
 
 def plan_campaign(path: Path, options: Options) -> Plan:
     """Plan of a campaign, after all checks; nothing is written.
-
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
 
     Raises
     ------
@@ -117,93 +126,45 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     """
     campaign = load_campaign(path, options.model, options.noise)
     priors = load_priors(campaign.priors, campaign.folder)
-    effort = find_effort(options.effort)
-    settings = _settings(campaign, priors)
+    settings = campaign.settings
     inputs = {campaign.path.name: hash_file(campaign.path)}
     inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
-    traces, entries = {}, {}
-    faults: list[tuple[str, Fault]] = []
-    tested: list[Tested] = []
+    tasks, held_out, entries, faults, tested = [], {}, {}, [], []
     for test in campaign.tests:
         record = _read(campaign, test)
-        traces[test.id] = trace = record.trace(campaign.rate, gap=priors.gap)
+        trace, whole = record.trace(campaign.rate, gap=priors.gap), record.trace()
         entries[test.id] = _entry(campaign, test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
-        whole = record.trace()
         faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
-        tested += [found] if (found := tested_of(test, record, whole)) else []
-    checks_noise = settings.checks_noise(options.effort)
-    tasks = tuple(
-        _task(campaign, priors, test, traces[test.id], options, checks_noise=checks_noise)
-        for test in campaign.tests
-        if test.role == "calibrate"
-    )
+        compared = tested_of(test, record, whole)
+        tested += [compared] if compared else []
+        if test.role == "validate":
+            held_out[test.id] = trace
+        else:
+            tasks.append(_task(campaign, priors, test, trace, options))
     faults += findings_together(tested, priors, campaign.model)
     design = planned_design(tasks, settings)
-    held_out = {t.id: traces[t.id] for t in campaign.tests if t.role == "validate"}
     manifest = Manifest(
         title=campaign.title,
-        effort=effort,
+        status=Status.RUNNING,
+        format=FORMAT,
+        effort=find_effort(options.effort),
+        priors=f"{priors.title} ({priors.path.name})",
         settings=settings,
         inputs=inputs,
         tests=entries,
         warnings=findings_of(faults, settings, design, {task.id: task.trace for task in tasks}),
-        **_session(options),
+        command=options.command.encode(errors="backslashreplace").decode(),  # any path's name
+        started=datetime.now(UTC).isoformat(timespec="seconds"),
+        seed=options.seed,
+        versions={"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
+        platform=platform.platform(),
+        machines=(this_machine(),),
+        files={},
     )
     manifest = with_keys(manifest, priors)
     check_readable(manifest)
-    return Plan(campaign, options, priors, tasks, held_out, manifest)
-
-
-def _session(options: Options) -> dict[str, Any]:
-    """Keys of the manifest about this session of the program."""
-    return {
-        "status": Status.RUNNING,
-        "format": FORMAT,
-        "command": options.command.encode(errors="backslashreplace").decode(),  # any path's name
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seed": options.seed,
-        "versions": {"python": platform.python_version()} | {n: version(n) for n in _VERSIONED},
-        "platform": platform.platform(),
-        "machines": (this_machine(),),
-        "files": {},
-    }
-
-
-def _settings(campaign: Campaign, priors: PriorFile) -> Settings:
-    tests = {
-        test.id: TestSettings(
-            file=_inside(campaign, test),
-            actuation=test.actuation,
-            fit=test.window,
-            session=test.session,
-            columns={role: _stored(source) for role, source in test.columns.items()},
-            **({"after": test.after} if test.after else {}),
-        )
-        for test in campaign.tests
-    }
-    asked = campaign.noise_check
-    return Settings(
-        **({} if asked is None else {"noise_check": asked}),
-        model=campaign.model,
-        noise=campaign.noise,
-        start=campaign.start,
-        priors=f"{priors.title} ({priors.path.name})",
-        laws=_laws(campaign),
-        dependence=campaign.dependence,
-        tolerances=campaign.tolerances,
-        rate=campaign.rate,
-        area=campaign.area,
-        actuation_unit=campaign.actuation_unit,
-        tests=tests,
-    )
-
-
-def _stored(source: Source) -> list[Any]:
-    """A column and its unit, then what is done to it, if anything."""
-    parts = [source.column, source.unit]
-    done = {k: v for k, v in asdict(source).items() if v and (k, v) != ("sign", 1)}
-    return parts if source.plain else [*parts, done]
+    return Plan(campaign, options, priors, tuple(tasks), held_out, manifest)
 
 
 def _inside(campaign: Campaign, test: Test) -> str:
@@ -211,7 +172,7 @@ def _inside(campaign: Campaign, test: Test) -> str:
     return test.path.relative_to(campaign.folder).as_posix()
 
 
-def planned_design(tasks: Sequence[Task], settings: Settings) -> Design:
+def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
     """Design of the population of the tests to calibrate.
 
     Raises
@@ -228,19 +189,6 @@ def planned_design(tasks: Sequence[Task], settings: Settings) -> Design:
         )
     under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
     return design_of(some.priors, names, under, settings.laws, settings.dependence)
-
-
-def _laws(campaign: Campaign) -> dict[str, str]:
-    """Law of each quantity that follows the actuation."""
-    laws = campaign.laws
-    for model in models.MODELS.values():
-        for name, followed in model.tied_laws.items():
-            if laws[name] != laws[followed]:
-                raise CampaignError(
-                    f"laws.{name} in {campaign.path} must be that of {followed} "
-                    f"({laws[followed]!r}), since {name} follows {followed}; got {laws[name]!r}"
-                )
-    return {name: laws[name] for name in default_laws()}
 
 
 def _read(campaign: Campaign, test: Test) -> Record:
@@ -263,7 +211,10 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
+        conditions=conditions_of(trace),
+        peak_force=float(np.max(np.abs(np.asarray(trace.force)))),
         derived=record.derived,
+        measured=measured.to_content() if (measured := measured_cycles(record)) else {},
     )
     return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 
@@ -274,9 +225,8 @@ def _task(
     test: Test,
     trace: Trace,
     options: Options,
-    *,
-    checks_noise: bool,
 ) -> Task:
+    """Job that calibrates a test, of whose prior some draws must give a usable force."""
     digest = hashlib.sha256(test.id.encode()).digest()
     task = Task(
         id=test.id,
@@ -285,10 +235,10 @@ def _task(
         priors=priors,
         model=campaign.model,
         noise=campaign.noise,
-        start=campaign.start,
+        start=campaign.settings.campaign.start,
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
-        checks_noise=checks_noise,
+        checks_noise=campaign.settings.checks_noise(options.effort),
     )
     posterior = task.posterior()
     drawn = posterior.draw_prior(np.random.default_rng(0), 64)

@@ -1,4 +1,4 @@
-"""The report of a run, and its checks."""
+"""The report of a run, its checks, and the table of its draws."""
 
 from __future__ import annotations
 
@@ -6,27 +6,23 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.evaluation import assess, verdicts
-from mfd_bayes.evaluation.views import (
-    IDENTIFIABILITY,
-    CampaignView,
-    LeftOutView,
-)
-from mfd_bayes.jobs.dispatch import Workplace
+from mfd_bayes.errors import MfdError, ReportError
+from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
+from mfd_bayes.evaluation.properties import stored_peaks
+from mfd_bayes.evaluation.summary import assess, verdicts
+from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.pipeline.ready import get_ready
-from mfd_bayes.reporting.conversion import in_tables, in_words, shown_in
-from mfd_bayes.reporting.forms import PLAIN, Forms
-from mfd_bayes.reporting.tables import (
-    CROSSVALIDATION,
-)
+from mfd_bayes.jobs.local import Workplace, get_ready
+from mfd_bayes.reporting.conversion import convert_scores, system_of
+from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
+from mfd_bayes.reporting.publish import PLAIN, Forms
+from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import check_places
 from mfd_bayes.runs.lock import alone_in
-from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import SI, named_system
+from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.paths import draws_as
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
 
 Observe = Callable[[Step], None]
@@ -65,7 +61,7 @@ def report(
     """
     forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
     if Workplace(jobs).processes > 1:
-        get_ready()
+        get_ready("mfd_bayes.pipeline.preload")
     with alone_in(out):
         check_places(out)
         return write_report(open_run(out), observe, jobs=jobs, forms=forms, units=units)
@@ -75,27 +71,34 @@ def write_report(
     run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
 ) -> CampaignView:
     """Write the tables, figures and report of an open run, whose folder must be locked."""
-    from mfd_bayes.reporting.publication import publish
+    from mfd_bayes.reporting.publish import publish
 
-    system = named_system(units, run.system)
-    observe(Step("report", "checks and bands"))
+    try:
+        at = [parse_condition(text, run.actuation_unit) for text in forms.at]
+    except MfdError as error:
+        raise ReportError(f"--at: {error}") from error
     processes = Workplace(jobs).processes
+    observe(Step("report", "checks and bands"))
+    system = named_system(units, run.system)
     view = replace(assess(run, processes), metric=system.name == SI.name)
     if forms.next_test:
         observe(Step("report", "which test next"))
         view = replace(view, next_test=run.next_test())
-    run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
+    run = run.rewrite(
+        verdicts=verdicts(view), warnings=view.warnings, peak_factors=stored_peaks(run)
+    )
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
-    view = in_words(view)
-    publish(view, run.folder, processes, observe, forms)
+    observe(Step("report", "data sheet"))
+    sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
+    publish(view, run.folder, processes, observe, forms, sheet)
     return view
 
 
 def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
     """Scores of what was left out in the units of the campaign, and its unit of force."""
-    system = shown_in(view)
-    return in_tables(view, system).left_out, system.force
+    system, found = system_of(view), view.left_out
+    return found and convert_scores(found, system.factor("kip")), system.force
 
 
 def check(out: Path, units: str = "") -> CampaignView:
@@ -104,8 +107,36 @@ def check(out: Path, units: str = "") -> CampaignView:
     Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
     """
     run = open_run(out)
-    system = named_system(units, run.system)
-    with reading(run.folder, run.manifest):
+    metric = named_system(units, run.system).name == SI.name
+    with unchanged(run.folder, run.manifest):
         view = assess(run)
-    told = [c for c in view.checks if c.name not in IDENTIFIABILITY or c.verdict != Verdict.PASS]
-    return in_words(replace(view, metric=system.name == SI.name, checks=tuple(told)))
+    checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
+    return replace(view, metric=metric, checks=tuple(checks))
+
+
+def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:
+    """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder.
+    to : {"csv", "parquet"}
+    units : {"", "us", "si"}
+        By default those of the campaign.
+    most : int
+        Most draws of a test, evenly taken out of all of them; 0 for all.
+
+    Raises
+    ------
+    MfdError
+        When the folder is no finished run, or pyarrow is missing; nothing is written then.
+    """
+    if to == "parquet":
+        check_parquet()
+    read_manifest(out)  # a folder that is no finished run is refused before it is locked
+    with alone_in(out):
+        check_places(out)
+        run = open_run(out)
+        path, write = out / draws_as(to), write_parquet if to == "parquet" else write_csv
+        return path, write(path, frames_of(run, named_system(units, run.system), most))

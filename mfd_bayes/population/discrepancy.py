@@ -163,10 +163,10 @@ class Residual:
 
 
 def slip_force_of(model: Model, values: Mapping[str, Array]) -> Array:
-    """Mean of the forward and backward slip forces, (n,), kip."""
+    """Mean of the forward and backward slip forces, (n,), kip; 1 where the model names none."""
     theta = model.theta(values)
     columns = [model.parameters.index(name) for name in model.slip_forces]
-    return np.asarray(theta[:, columns].mean(axis=1))
+    return np.asarray(theta[:, columns].mean(axis=1)) if columns else np.ones(len(theta))
 
 
 def lag_one_of(standard: Sequence[Array]) -> float:

@@ -209,8 +209,7 @@ def place_left(
     The medians of these, (n,) each by name, are taken. The device goes straight back to the first
     displacement. None for a model without a gap, or one that does not say where a motion ends.
     """
-    own = type(model).end
-    if not model.has_gap or getattr(own, "__wrapped__", own) is Model.end:
+    if not model.has_gap or type(model).compute_end is Model.compute_end:
         return None
     theta = model.theta({name: np.array([np.median(value)]) for name, value in values.items()})
     ended = Ending("", theta, model.end(theta, trace, scales=scales))

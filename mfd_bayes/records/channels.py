@@ -29,16 +29,8 @@ from mfd_bayes.units import (
 
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
 _ORDER = 3  # of the polynomial of the differentiator
-_PARTS = ("force", "displacement")  # roles of which something may be taken off
+DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
 ORDERS = ("day first", "month first")  # of dates such as 05/03/2024
-_MINUS = "Subtracted('pressure', times='518.7 mm^2')"
-_EXAMPLES = {
-    "minus_mass": "3 kg",
-    "tare": "12 N",
-    "arm": "4 in",
-    "measured_at": "4 in",
-    "times": "518.7 mm^2",
-}
 
 
 @dataclass(frozen=True)
@@ -97,24 +89,28 @@ class Source:
 
     def check(self, role: str, path: object) -> None:
         """Refuse parts that a role cannot have."""
-        of = f"the {role} of {path}"
-        minus = self.minus
+        of, minus = f"the {role} of {path}", self.minus
         if not isinstance(minus, Subtracted | None):
             raise RecordError(
-                f"minus of {of} must be a Subtracted, such as {_MINUS}, got {minus!r}"
+                f"minus of {of} must be a Subtracted, such as "
+                f"Subtracted('pressure', times='518.7 mm^2'), got {minus!r}"
             )
-        given = {name: getattr(self, name) for name in _EXAMPLES if name != "times"}
-        given |= {} if minus is None else {"times": minus.times}
-        for name, value in given.items():
+        times = minus.times if minus is not None else ""
+        quantities = {
+            "minus_mass": (self.minus_mass, "3 kg"),
+            "tare": (self.tare, "12 N"),
+            "arm": (self.arm, "4 in"),
+            "measured_at": (self.measured_at, "4 in"),
+            "times": (times, "518.7 mm^2"),
+        }
+        for name, (value, example) in quantities.items():
             if not isinstance(value, str):
-                raise UnitError(
-                    f"{name} of {of} must be text such as {_EXAMPLES[name]!r}, got {value!r}"
-                )
+                raise UnitError(f"{name} of {of} must be text such as {example!r}, got {value!r}")
         if (self.rate or self.dates) and role != "time":
             raise RecordError(f"rate and dates belong to the time of {path}, not to the {role}")
         if (self.column is None) != bool(self.rate):
             raise RecordError(
-                f"the {role} of {path} needs a column"
+                f"{of} needs a column"
                 + (", or a rate such as '100 Hz' and no column" if role == "time" else "")
             )
         if self.dates not in ("", *ORDERS):
@@ -122,78 +118,70 @@ class Source:
                 f"dates of {path} must be {' or '.join(map(repr, ORDERS))}, got {self.dates!r}"
             )
         if self.sign not in (1, -1) or isinstance(self.sign, bool):
-            raise RecordError(f"sign of the {role} of {path} must be 1 or -1, got {self.sign!r}")
+            raise RecordError(f"sign of {of} must be 1 or -1, got {self.sign!r}")
         if self.sign != 1 and role in ("time", "actuation"):
             raise RecordError(
                 f"sign of {path} belongs to force, displacement or velocity, not to the {role}"
             )
-        if self == Source(self.column, self.unit, sign=self.sign, rate=self.rate, dates=self.dates):
-            return
-        if role not in _PARTS:
-            raise RecordError(
-                f"{role} of {path} is a column alone: only force and displacement "
-                "may have minus, minus_mass, tare and arm"
-            )
-        if self.minus_mass and role != "force":
-            raise RecordError(f"minus_mass of {path} belongs to the force, not to the {role}")
-        if self.measured_at and not self.arm:
-            raise RecordError(
-                f"measured_at of the {role} of {path} needs an arm, the radius at "
-                "which it is wanted"
-            )
+        if minus is not None or any(value for value, _ in quantities.values()):
+            if role not in ("force", "displacement"):
+                raise RecordError(
+                    f"{role} of {path} is a column alone: only force and displacement "
+                    "may have minus, minus_mass, tare and arm"
+                )
+            if self.minus_mass and role != "force":
+                raise RecordError(f"minus_mass of {path} belongs to the force, not to the {role}")
+            if self.measured_at and not self.arm:
+                raise RecordError(
+                    f"measured_at of {of} needs an arm, the radius at which it is wanted"
+                )
 
-    def words(self, name: str, unit: str) -> str:
-        """What the signal is, in words, from the name and the unit that its column has."""
-        text = f"{'-1 × ' if self.sign < 0 else ''}{name} [{unit}]"
+    def words(self) -> str:
+        """What the signal is, in words."""
+        text = f"{'-1 × ' if self.sign < 0 else ''}{self.column} [{self.unit}]"
         if self.measured_at:
             text += f" measured at a radius of {self.measured_at}, wanted at {self.arm}"
         elif self.arm:
-            angle = measure(unit) == "ratio"
-            text += f" × an arm of {self.arm}" if angle else f" ÷ an arm of {self.arm}"
+            text += f" {'×' if measure(str(self.unit)) == 'ratio' else '÷'} an arm of {self.arm}"
         if self.minus is not None:
             times = f" × {self.minus.times}" if self.minus.times else ""
             text += f" − {self.minus.column}{times}"
         if self.minus_mass:
             text += f" − {self.minus_mass} × acceleration"
         if self.tare:
-            is_window = " to " in self.tare
-            text += f" − its mean over {self.tare}" if is_window else f" − {self.tare}"
+            text += f" − {'its mean over ' if ' to ' in self.tare else ''}{self.tare}"
         return text
 
+    def scale(self, role: str, unit: str, of: str) -> tuple[float, str]:
+        """Factor from a unit of the column to the internal one of its role, and a unit of the role.
 
-def wanted_of(table: Table, sources: Mapping[str, Source]) -> list[str]:
+        `of` is what has the unit, for messages.
+        """
+        if not self.arm:
+            return self.sign * factor(unit, role, of=of), unit
+        arm, length = split_quantity(self.arm, of=f"arm of {of}")
+        radius = _radius(self.arm, f"arm of {of}")
+        if self.measured_at:
+            ratio = radius / _radius(self.measured_at, f"measured_at of {of}")
+            scale = ratio if role == "displacement" else 1 / ratio
+            return self.sign * factor(unit, role, of=of) * scale, unit
+        if role == "displacement" and measure(unit) == "ratio":
+            return self.sign * factor(unit, "dimensionless", of=of) * radius, length
+        if role == "displacement":
+            raise UnitError(
+                f"unit {unit!r} of {of} is no angle: with an arm it must be one such as 'deg' or "
+                "'rad', or a length with measured_at, the radius at which it was measured"
+            )
+        scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
+        parts = [part.strip() for part in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
+        return self.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
+
+
+def used_columns(table: Table, sources: Mapping[str, Source]) -> list[str]:
     """Names of all columns that the sources need, each once."""
     columns = [source.column for source in sources.values() if source.column is not None]
     columns += [s.minus.column for s in sources.values() if s.minus is not None]
     return list(dict.fromkeys(table.name_of(column) for column in columns))
-
-
-def scale_of(source: Source, role: str, unit: str, of: str) -> tuple[float, str]:
-    """Factor from a column to the internal unit of its role, and a unit of that role.
-
-    Raises
-    ------
-    UnitError
-        When a unit or a radius is none, or does not lead to what the role needs.
-    """
-    if not source.arm:
-        return source.sign * factor(unit, role, of=of), unit
-    arm, length = split_quantity(source.arm, of=f"arm of {of}")
-    radius = _radius(source.arm, f"arm of {of}")
-    if source.measured_at:
-        ratio = radius / _radius(source.measured_at, f"measured_at of {of}")
-        scale = ratio if role == "displacement" else 1 / ratio
-        return source.sign * factor(unit, role, of=of) * scale, unit
-    if role == "displacement" and measure(unit) == "ratio":
-        return source.sign * factor(unit, "dimensionless", of=of) * radius, length
-    if role == "displacement":
-        raise UnitError(
-            f"unit {unit!r} of {of} is no angle: with an arm it must be one such as 'deg' or "
-            "'rad', or a length with measured_at, the radius at which it was measured"
-        )
-    scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
-    parts = [part.strip() for part in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
-    return source.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
 
 
 def step_of(rate: str, of: str) -> float:
@@ -206,20 +194,12 @@ def step_of(rate: str, of: str) -> float:
     return 1.0 / (value * factor(unit, "rate", of=of))
 
 
-def take_off(
+def _take_off(
     table: Table, role: str, source: Source, signals: Mapping[str, Array], raw: Mapping[str, Array]
 ) -> Array:
     """Signal of a role, internal units, less all that its source takes off.
 
-    Parameters
-    ----------
-    table : Table
-    role : str
-    source : Source
-    signals : mapping
-        Role to signal, internal units: time, displacement and this one.
-    raw : mapping
-        Name to column, in the file's units.
+    `signals` has time, displacement and this one; `raw` the columns in the file's units, by name.
     """
     signal = signals[role]
     of = f"the {role} of {table.path}"
@@ -251,10 +231,9 @@ def take_off(
     elif source.tare:
         number, unit = split_quantity(source.tare, of=f"tare of {of}")
         try:  # what the column reads at zero, or what the signal does
-            zero = number * scale_of(source, role, unit, f"tare of {of}")[0]
+            signal = signal - number * source.scale(role, unit, f"tare of {of}")[0]
         except UnitError:
-            zero = parse_quantity(source.tare, role, of=f"tare of {of}")
-        signal = signal - zero
+            signal = signal - parse_quantity(source.tare, role, of=f"tare of {of}")
     return signal
 
 
@@ -267,7 +246,7 @@ def acceleration(time: Array, displacement: Array) -> Array:
     """
     from scipy.signal import savgol_filter
 
-    found = np.zeros(time.size)
+    result = np.zeros(time.size)
     for piece in np.split(np.arange(time.size), after_gaps(time)):
         if piece.size < SAMPLES:
             continue
@@ -278,8 +257,8 @@ def acceleration(time: Array, displacement: Array) -> Array:
         window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), t.size - 1 + t.size % 2)
         smooth = np.interp(even, t, x)
         smooth = savgol_filter(smooth, window, _ORDER, deriv=2, delta=even[1] - even[0])
-        found[piece] = np.interp(t, even, smooth)
-    return found
+        result[piece] = np.interp(t, even, smooth)
+    return result
 
 
 def _radius(text: str, of: str) -> float:
@@ -287,9 +266,6 @@ def _radius(text: str, of: str) -> float:
     if not radius > 0.0:
         raise UnitError(f"{of}: expected a radius above 0, got {text!r}")
     return radius
-
-
-DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
 
 
 def sources_of(
@@ -303,52 +279,48 @@ def sources_of(
     for name, mapping in (("columns", columns), ("units", units)):
         if mapping is not None and not isinstance(mapping, Mapping):
             raise RecordError(f"{name} must be a mapping such as {examples[name]}, got {mapping!r}")
-    columns, units = columns or {}, units or {}
-    given = {r: c if isinstance(c, Source) else Source(c) for r, c in columns.items()}
-    stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units)
+    given = {r: c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()}
+    stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units or {})
     for role, source in given.items():
         source.check(role, table.path)
-    named = {r: s.column for r, s in given.items() if s.column is not None}
+    by_column = {r: s.column for r, s in given.items() if s.column is not None}
     rated = "time" in given and bool(given["time"].rate)
-    roles = roles_of(table, named, stated, actuation=actuation, timed=not rated)
-    found = {"time": given["time"]} if rated else {}
+    roles = roles_of(table, by_column, stated, actuation=actuation, timed=not rated)
+    sources = {"time": given["time"]} if rated else {}
     for role, name in roles.items():
         source = given.get(role, Source(name))
-        found[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
-    return found
+        sources[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
+    return sources
 
 
 def signals_of(
     table: Table, sources: Mapping[str, Source]
 ) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
     """Role to signal, internal units, and to name and unit; unit of a measured actuation."""
-    raw = table.columns(wanted_of(table, sources), sources["time"].dates)
+    raw = table.columns(used_columns(table, sources), sources["time"].dates)
     signals: dict[str, Array] = {}
-    named: dict[str, tuple[str, str]] = {}
+    columns: dict[str, tuple[str, str]] = {}
     internal: ActuationUnit | None = None
     for role, source in sources.items():
         name, unit = str(source.column), str(source.unit)
         of = f"column {name!r} of {table.path}"
         if role == "time":
             signals[role] = _times(table, source, raw)
-            named[role] = (f"sample number at {source.rate}", "s") if source.rate else (name, unit)
-            check_size(of, role, signals[role])
-            continue
-        if role == "actuation":
-            scale, internal = actuation_factor(unit, of=of)
+            name, unit = (f"sample number at {source.rate}", "s") if source.rate else (name, unit)
         else:
-            scale, unit = scale_of(source, role, unit, of)
-        named[role] = name, unit
-        with np.errstate(over="ignore"):  # check_magnitude refuses infinity
-            signals[role] = raw[name] * scale
+            if role == "actuation":
+                scale, internal = actuation_factor(unit, of=of)
+            else:
+                scale, unit = source.scale(role, unit, of)
+            with np.errstate(over="ignore"):  # check_size refuses infinity
+                signals[role] = raw[name] * scale
         check_size(of, role, signals[role])
-    seen: dict[str, str] = {}
-    for role, (name, _) in named.items():
-        if (other := seen.setdefault(name, role)) != role:
+        if other := next((r for r, (taken, _) in columns.items() if taken == name), ""):
             raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
+        columns[role] = name, unit
     for role, source in sources.items():
         if not source.plain and source.column is not None:
-            signals[role] = take_off(table, role, source, signals, raw)
+            signals[role] = _take_off(table, role, source, signals, raw)
             check_size(f"the {role} of {table.path}", role, signals[role])
     if "actuation" in signals:
         if np.mean(signals["actuation"]) < 0:
@@ -357,7 +329,7 @@ def signals_of(
         signals["actuation"] = np.maximum(signals["actuation"], 0.0)
     for signal in signals.values():
         signal.flags.writeable = False
-    return signals, named, internal
+    return signals, columns, internal
 
 
 def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
@@ -368,17 +340,17 @@ def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
     if source.rate:
         rows = next(iter(raw.values())).size
         return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows, dtype=np.float64)
-    name, unit = str(source.column), str(source.unit)
-    scale, values = scale_of(source, "time", unit, f"column {name!r} of {table.path}")[0], raw[name]
-    start = values[np.argmax(np.isfinite(values))]
+    name = str(source.column)
+    scale, _ = source.scale("time", str(source.unit), f"column {name!r} of {table.path}")
+    start = raw[name][np.argmax(np.isfinite(raw[name]))]
     with np.errstate(over="ignore", invalid="ignore"):  # check_size refuses infinity
-        times: Array = (values - start if start * scale >= DATE else values) * scale
+        times: Array = (raw[name] - start if start * scale >= DATE else raw[name]) * scale
     return times
 
 
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
     """The table, or the rows about a window, s, where cells outside it hold no numbers."""
-    raw = table.values(wanted_of(table, sources), sources["time"].dates)
+    raw = table.values(used_columns(table, sources), sources["time"].dates)
     good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
     if good.all():
         return table

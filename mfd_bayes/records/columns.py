@@ -86,10 +86,10 @@ def roles_of(
     roles = {role: table.name_of(column) for role, column in columns.items()}
     chosen = bool({"time", "displacement"} & columns.keys())  # then what is not named is not used
     used: tuple[str, ...] = ("time", "displacement") if chosen else ROLES
-    wanted = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
+    unnamed = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
     if not timed:
-        wanted = [role for role in wanted if role != "time"]
-    roles |= {role: name for role in wanted if (name := _guess(table, role)) is not None}
+        unnamed = [role for role in unnamed if role != "time"]
+    roles |= {role: name for role in unnamed if (name := _guess(table, role)) is not None}
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
     needed = ("time", "displacement") if timed else ("displacement",)
@@ -134,10 +134,10 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
 def _guess(table: Table, role: str) -> str | None:
     """Name of the column that is called like the role, with or without a unit."""
     pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
-    found = [name for name in table.names if pattern.fullmatch(own_name(name))]
-    if len(found) > 1:
+    matches = [name for name in table.names if pattern.fullmatch(own_name(name))]
+    if len(matches) > 1:
         raise RecordError(
-            f"{table.path} has several columns for {role}, {', '.join(found)}; say which, as "
-            f"{role} = {{ column = {table.number_of(found[0])} }}"
+            f"{table.path} has several columns for {role}, {', '.join(matches)}; say which, as "
+            f"{role} = {{ column = {table.number_of(matches[0])} }}"
         )
-    return found[0] if found else None
+    return matches[0] if matches else None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.lag import estimate_lag
 from mfd_bayes.records.loop_features import read_off
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops
@@ -18,33 +19,30 @@ from mfd_bayes.records.trace import Trace
 
 Samples = NDArray[np.intp]
 
-
-FAST = 400.0  # a speed, in/s, that no damper reaches
+FASTEST = 400.0  # in/s, a speed that no damper reaches
 CROSSING = 10  # fewest samples, and steps of the sensor, across the gap
-DROPPED = 1.5  # after a step of time longer than this many median steps, samples are missing
+DROPPED = 1.5  # median steps; after a longer one samples are missing
 REPEATED = 0.01  # share of samples equal to the one before, above which it is not by chance
 AT_REST = 10  # in a longer run of equal samples the actuator is at rest
 SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
-CLIPPED = 5  # fewest samples in a row at the extreme of the force that show a load cell's limit
-LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075
-"""A lag is reported above all three: s, samples, and share of a cycle."""
-
-ALIKE, SCALE = 0.9, 1.25
-"""Least correlation, and largest factor, between a displacement and its velocity's integral."""
-
+CLIPPED = 5  # fewest equal samples at the extreme of the force that show a load cell's limit
+LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075  # s, samples, cycles: a lag is above all three
+CORRELATION, SCALE = (
+    0.9,
+    1.25,
+)  # least, and most, between a displacement and its velocity's integral
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
-NOISE = 0.05  # most noise of a displacement, by its share of the travel of the build-up
-DRIFT = 0.25  # a force that drifts by this share of its half range has lost its zero,
-STEADY_DRIFT, CHANCE, STEADY = 0.07, 0.01, 5
-"""and so has one of at least `STEADY` loops at full stroke, by a share of its slip force, if such a
-trend has so small a probability by chance."""
+NOISE = 0.05  # most noise of a displacement, as a share of the travel of the build-up
+DRIFT = 0.25  # drift of the force, as a share of its half range, that shows a lost zero
+STEADY_DRIFT, P_VALUE, STEADY = 0.07, 0.01, 5
+"""A trend is a drift from this share of the slip force on, with so small a probability by chance,
+in a record of at least so many loops at full stroke."""
 JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
 ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
-HELD, LONGER = 5, 4.0
-"""Fewest equal samples of a channel that is frozen, and how many times longer than usual."""
+HELD, LONGER = 5, 4.0  # equal samples of a frozen channel: the fewest, and times longer than usual
 TRAVEL, SWING, FEW = 0.05, 0.6, 0.05
-"""A frozen force holds while the motion goes on by this share of the stroke; a frozen displacement
-while the force goes through this share of its range, or else it jumps when it comes back. Where the
+"""A frozen force holds while the motion goes on by this share of the stroke, a frozen displacement
+while the force goes through this share of its range (or it jumps when it comes back). Where the
 noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
 
 
@@ -52,32 +50,46 @@ noise of a force stops, fewer samples than the last share equal the one before e
 class Fault:
     """A fault of a record that would spoil its fit.
 
-    `samples`, (K,), are those at which it was found; empty for the whole record.
+    Attributes
+    ----------
+    name : str
+        As in "force sign", by which `runs.findings` knows what spoils a test.
+    message : Message
+        The finding with its figures, and its possible cause.
+    samples : (K,), int
+        Those at which it was found; empty for the whole record.
     """
 
-    name: str  # one of `NAMES`
-    sentence: str  # the finding, with figures and units, and its possible cause
+    name: str
+    message: Message
     samples: Samples = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
-
-def spread(starts: Samples, lengths: Samples) -> Samples:
-    """All samples of runs, with the one before each."""
-    pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
-    return np.concatenate(pieces or [np.empty(0)]).astype(np.intp)
-
-
-def count(number: int, thing: str) -> str:
-    """Number and noun: "3 steps"."""
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        template: str,
+        samples: Samples | None = None,
+        /,
+        **values: str | tuple[float, str],
+    ) -> Fault:
+        """Fault whose message has these texts, and quantities as (value, internal unit)."""
+        quantities = {
+            key: v if isinstance(v, str) else Quantity.of(v[0], unit=v[1])
+            for key, v in values.items()
+        }
+        none = np.empty(0, dtype=np.intp)
+        return cls(name, Message(template, quantities), none if samples is None else samples)
 
 
 def time_unit(trace: Trace) -> Iterator[Fault]:
     """A speed that no test of a damper has."""
     speed = float(np.max(np.abs(np.diff(trace.displacement) / np.diff(trace.time))))
-    if np.quantile(np.abs(trace.velocity), 0.9) > FAST:
-        yield Fault(
+    if np.quantile(np.abs(trace.velocity), 0.9) > FASTEST:
+        yield Fault.of(
             "time unit",
-            f"a speed of {speed:.3g} in/s is implausible: check the units of time and displacement",
+            "a speed of {speed} is implausible: check the units of time and displacement",
+            speed=(speed, "in/s"),
         )
 
 
@@ -85,33 +97,38 @@ def short_record(trace: Trace) -> Iterator[Fault]:
     """Too few samples or cycles."""
     turns = trace.cycle_turns.size
     if trace.samples < SAMPLES or turns < 2 * LOOPS:
-        yield Fault(
+        yield Fault.of(
             "short record",
             f"the record is very short, {trace.samples} samples and {turns} turning points; "
             f"{SAMPLES} samples and {LOOPS} cycles are little already",
         )
 
 
-def stroke(trace: Trace, gap: float) -> Iterator[Fault]:
+def stroke(trace: Trace, gap: float | None) -> Iterator[Fault]:
     """A motion that stays within the gap."""
     travel = float(np.ptp(trace.displacement))
-    if travel <= gap:
-        yield Fault(
+    if gap is not None and travel <= gap:
+        yield Fault.of(
             "stroke",
-            f"the stroke of {travel:.3g} in is within the gap of about {gap:.2g} in that the "
-            "priors expect: the device may never slip",
+            "the stroke of {travel} is within the gap of about {gap} that the priors expect: the "
+            "device may never slip",
+            travel=(travel, "in"),
+            gap=(gap, "in"),
         )
 
 
-def rate(trace: Trace, gap: float) -> Iterator[Fault]:
+def rate(trace: Trace, gap: float | None) -> Iterator[Fault]:
     """Too few samples across the gap."""
+    if gap is None:
+        return
     times = crossing_times(trace.time, trace.displacement, trace.turning_points, gap)
     hertz = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
     if times and (crossing := float(np.median(times)) * hertz) < CROSSING:
-        yield Fault(
+        yield Fault.of(
             "rate",
-            f"{hertz:.4g} Hz leave {crossing:.2g} samples in the first {gap:.2g} in after "
-            f"a reversal, where the force builds up; {CROSSING} are needed to resolve it",
+            f"{hertz:.4g} Hz leave {crossing:.2g} samples in the first {{gap}} after a reversal, "
+            f"where the force builds up; {CROSSING} are needed to resolve it",
+            gap=(gap, "in"),
         )
 
 
@@ -121,9 +138,9 @@ def dropped(trace: Trace) -> Iterator[Fault]:
     median = float(np.median(steps))
     at = np.flatnonzero(steps > DROPPED * median)
     if at.size:
-        yield Fault(
+        yield Fault.of(
             "dropped samples",
-            f"{count(at.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
+            f"{_count(at.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
             f"{steps[at].max():.3g} s, median {median:.3g} s), the first at "
             f"{trace.time[at[0]]:.4g} s: samples were dropped",
             at + 1,
@@ -140,11 +157,10 @@ def repeated(trace: Trace) -> Iterator[Fault]:
     inside = (starts > 0) & (starts + lengths < steps.size) & (lengths <= AT_REST)
     starts, lengths = starts[inside], lengths[inside]
     smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
-    beside = np.minimum(steps[starts - 1], steps[starts + lengths])
-    moving = beside > 2 * smallest
-    at = spread(starts[moving] + 1, lengths[moving] - 1)
+    moving = np.minimum(steps[starts - 1], steps[starts + lengths]) > 2 * smallest
+    at = _spread(starts[moving] + 1, lengths[moving] - 1)
     if at.size > REPEATED * trace.samples:
-        yield Fault(
+        yield Fault.of(
             "repeated samples",
             f"{at.size} samples ({at.size / trace.samples:.1%}) repeat the one before while the "
             f"displacement moves, the first at {trace.time[at[0]]:.4g} s: the logger was slower "
@@ -156,10 +172,11 @@ def repeated(trace: Trace) -> Iterator[Fault]:
 def no_force(trace: Trace) -> Iterator[Fault]:
     """A force that never changes."""
     if trace.force is not None and np.ptp(trace.force) == 0.0:
-        yield Fault(
+        yield Fault.of(
             "no force",
-            f"the force is {trace.force[0]:g} kip throughout: was the load cell connected, and "
-            "is it the right column?",
+            "the force is {force} throughout: was the load cell connected, and is it the right "
+            "column?",
+            force=(float(trace.force[0]), "kip"),
         )
 
 
@@ -167,18 +184,18 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
     """Loops in which the force does negative work."""
     energy = find_loops(trace).energy
     if channels_swapped(trace):
-        yield Fault(
+        yield Fault.of(
             "channels",
             "displacement and force seem swapped: the loops have negative work, and the "
             "displacement follows the direction of the force instead of the force that of the "
             "motion; exchange the two columns in [columns]",
         )
     elif energy is not None and energy.size and energy.sum() < 0.0:
-        yield Fault(
+        yield Fault.of(
             "force sign",
-            f"the force does negative work in the loops ({np.median(energy):.3g} kip·in a loop): "
-            "the sign of the force or of the displacement is swapped; write sign = -1 for one of "
-            "them in [columns]",
+            "the force does negative work in the loops ({work} a loop): the sign of the force or "
+            "of the displacement is swapped; write sign = -1 for one of them in [columns]",
+            work=(float(np.median(energy)), "kip·in"),
         )
 
 
@@ -195,12 +212,13 @@ def velocity(trace: Trace) -> Iterator[Fault]:
     moved, integral = (both - basis @ (basis.T @ both)).T
     share = float(integral @ moved / max(moved @ moved, 1e-300))
     size = float(np.sqrt((integral @ integral) * (moved @ moved)))
-    alike = float(integral @ moved) / size if size > 0.0 else 0.0
-    if alike < ALIKE or abs(np.log(share)) > np.log(SCALE):
-        yield Fault(
+    correlation = float(integral @ moved) / size if size > 0.0 else 0.0
+    if correlation < CORRELATION or abs(np.log(share)) > np.log(SCALE):
+        yield Fault.of(
             "velocity",
             f"the velocity is not that of the displacement: its integral moves {share:.3g} times "
-            f"as far (correlation {alike:.2f}); check its column, unit and sign, or leave it out",
+            f"as far (correlation {correlation:.2f}); check its column, unit and sign, or leave it "
+            "out",
         )
 
 
@@ -219,28 +237,29 @@ def clipping(trace: Trace) -> Iterator[Fault]:
         elsewhere = max(lengths[others & moving[starts]], default=0)
         flat = at & moving[starts] & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
         if np.any(flat):
-            longest = int(lengths[flat].max()) + 1
-            yield Fault(
+            yield Fault.of(
                 "clipping",
-                f"the force stays at its {name} value, {extreme:.4g} kip, for up to {longest} "
-                "samples in motion: the load cell or its amplifier is at its limit",
-                spread(starts[flat], lengths[flat]),
+                f"the force stays at its {name} value, {{extreme}}, for up to "
+                f"{lengths[flat].max() + 1} samples in motion: the load cell or its amplifier is "
+                "at its limit",
+                _spread(starts[flat], lengths[flat]),
+                extreme=(float(extreme), "kip"),
             )
 
 
 def lag(trace: Trace) -> Iterator[Fault]:
     """A force that comes too late or too early."""
-    # the sample of a reversal must be known
-    coarse = any(resolution(trace, None)) or any(noise(trace))
-    found = None if coarse else estimate_lag(trace)
-    if found is None:
+    if any(resolution(trace, None)) or any(noise(trace)):
+        return  # the sample of a reversal must be known
+    estimate = estimate_lag(trace)
+    if estimate is None:
         return
-    delay, turns = found
+    delay, turns = estimate
     step = float(np.median(np.diff(trace.time)))
     cycle = 2 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
     if abs(delay) > max(LAG, LAG_SAMPLES * step, LAG_CYCLE * cycle):
         way = "behind" if delay > 0 else "before"
-        yield Fault(
+        yield Fault.of(
             "lag",
             f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
             f"{way} the displacement at reversals: filters or channels are out of step, or this is "
@@ -251,40 +270,40 @@ def lag(trace: Trace) -> Iterator[Fault]:
 
 def spikes(trace: Trace) -> Iterator[Fault]:
     """Single samples, or a few, that differ much from both neighbours; and overflow values."""
-    measured = {"displacement": (trace.displacement, "in")}
+    measured = [("displacement", trace.displacement, spikes_of(trace.displacement), "in")]
     if trace.force is not None:
-        measured["force"] = (trace.force, "kip")
-    for name, (values, unit) in measured.items():
-        at = spikes_of(values) if name == "displacement" else force_spikes(trace)
+        measured.append(("force", trace.force, force_spikes(trace), "kip"))
+    for name, values, at, unit in measured:
         if at.size:
-            height = float(np.max(np.abs(values - interpolated(values, at))))
-            yield Fault(
+            yield Fault.of(
                 "spikes",
-                f"{count(at.size, 'isolated sample')} of the {name} "
-                f"{'stands' if at.size == 1 else 'stand'} out by up to {height:.3g} {unit}, "
-                f"the first at {trace.time[at[0]]:.4g} s: correct or delete these rows of the file "
-                "before a fit; all else is told without them",
+                f"{_count(at.size, 'isolated sample')} of the {name} "
+                f"{'stands' if at.size == 1 else 'stand'} out by up to {{height}}, the first at "
+                f"{trace.time[at[0]]:.4g} s: correct or delete these rows of the file before a "
+                "fit; all else is told without them",
                 at,
+                height=(float(np.max(np.abs(values - interpolated(values, at)))), unit),
             )
 
 
 def jumps(trace: Trace) -> Iterator[Fault]:
-    """Steps of the displacement that the motion beside them does not have."""
-    held = _held_displacement(trace)
-    at = np.array(
-        [n for n in _jumps(trace, trace.displacement) if n - 1 not in held], dtype=np.intp
-    )
+    """Steps of the displacement that the motion before and after does not have."""
+    at = _jumps(trace, trace.displacement)
+    at = at[~np.isin(at - 1, _held_displacement(trace))]
     if at.size:
         x, step = trace.displacement, np.diff(trace.time)
         worst = at[np.argmax(np.abs(x[at] - x[at - 1]) / step[at - 1])]
         moved = float(x[worst] - x[worst - 1])
-        yield Fault(
+        several = f", the largest of {at.size} jumps" if at.size > 1 else ""
+        yield Fault.of(
             "jump",
-            f"the displacement jumps by {moved:+.3g} in within a step of time at "
-            f"{trace.time[worst]:.4g} s ({abs(moved) / step[worst - 1]:.3g} in/s, where the motion "
-            f"beside it is slower){f', the largest of {at.size} jumps' if at.size > 1 else ''}: "
-            "samples were lost and the time numbered anew, or the zero of the sensor has slipped",
+            f"the displacement jumps by {_plus(moved)}{{moved}} within a step of time at "
+            f"{trace.time[worst]:.4g} s ({{speed}}, where the motion beside it is slower)"
+            f"{several}: samples were lost and the time numbered anew, or the zero of the sensor "
+            "has slipped",
             at,
+            moved=(moved, "in"),
+            speed=(float(abs(moved) / step[worst - 1]), "in/s"),
         )
 
 
@@ -294,21 +313,21 @@ def _jumps(trace: Trace, values: Array) -> Samples:
     if steps.size < 9:
         return np.empty(0, dtype=np.intp)
     padded = np.pad(steps, 2, mode="edge")
-    beside = np.array([padded[k : k + steps.size] for k in (0, 1, 3, 4)])
-    off = np.abs(steps - np.median(beside, axis=0))
+    neighbours = np.array([padded[k : k + steps.size] for k in (0, 1, 3, 4)])
+    off = np.abs(steps - np.median(neighbours, axis=0))
     usual = float(np.quantile(np.abs(steps), 0.98, method="lower"))
     large = off * np.diff(trace.time) > JUMP * np.ptp(values)
-    sudden = off > 2.0 * np.abs(beside).max(axis=0)
+    sudden = off > 2.0 * np.abs(neighbours).max(axis=0)
     return np.flatnonzero(large & sudden & (off > 1.5 * usual)) + 1
 
 
 def held(trace: Trace) -> Iterator[Fault]:
     """One channel that does not change while the other goes on."""
-    found = {"displacement": _held_displacement(trace), "force": _held_force(trace)}
-    for name, at in found.items():
+    frozen = {"displacement": _held_displacement(trace), "force": _held_force(trace)}
+    for name, at in frozen.items():
         if at.size:
             last = int(at[np.argmax(np.append(np.diff(at), 2) > 1)])
-            yield Fault(
+            yield Fault.of(
                 "held",
                 f"the {name} holds one value from {trace.time[at[0]]:.4g} s to "
                 f"{trace.time[last]:.4g} s{' and later once more' if last < at[-1] else ''}, while "
@@ -322,15 +341,12 @@ def _held_displacement(trace: Trace) -> Samples:
     if trace.force is None:
         return np.empty(0, dtype=np.intp)
     starts, lengths = _equal(trace.displacement)
-    range_ = float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
-    jumps = set(_jumps(trace, trace.displacement).tolist())
-    frozen = [
-        a + n + 1 in jumps or np.ptp(trace.force[a : a + n + 1]) > SWING * range_ > 0.0
-        for a, n in zip(starts.tolist(), lengths.tolist(), strict=True)
-    ]
+    swing = SWING * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
     long = (lengths >= HELD) & (lengths > LONGER * _usual(trace, starts, lengths))
-    long &= np.array(frozen, dtype=bool)
-    return spread(starts[long], lengths[long])
+    back = np.isin(starts + lengths + 1, _jumps(trace, trace.displacement))
+    for k in np.flatnonzero(long & ~back):
+        long[k] = np.ptp(trace.force[starts[k] : starts[k] + lengths[k] + 1]) > swing > 0.0
+    return _spread(starts[long], lengths[long])
 
 
 def _held_force(trace: Trace) -> Samples:
@@ -341,18 +357,17 @@ def _held_force(trace: Trace) -> Samples:
     if trace.force is None or np.ptp(trace.force) == 0.0:
         return np.empty(0, dtype=np.intp)
     starts, lengths = _equal(trace.force)
-    jumps = _jumps(trace, trace.force)
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(trace.displacement)))])
     travel = path[starts + lengths] - path[starts]
     stroke = np.ptp(trace.displacement)
     long = (lengths >= HELD) & (travel > TRAVEL * stroke)
     limits = (trace.force[starts] == trace.force.max()) | (trace.force[starts] == trace.force.min())
     noisy = lengths.sum() - lengths[long].sum() < FEW * trace.samples
-    back = np.isin(starts + lengths + 1, jumps)
+    back = np.isin(starts + lengths + 1, _jumps(trace, trace.force))
     long &= (travel > 0.5 * stroke) | ((starts > 0) & (starts + lengths + 1 < trace.samples))
     long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
     long &= travel > LONGER * _usual(trace, starts, travel)
-    return spread(starts[long], lengths[long])
+    return _spread(starts[long], lengths[long])
 
 
 def _equal(values: Array) -> tuple[Samples, Samples]:
@@ -369,28 +384,35 @@ def _usual(trace: Trace, starts: Samples, sizes: Array | Samples) -> float:
     return float(np.quantile(longest, 0.8, method="lower"))
 
 
+def _spread(starts: Samples, lengths: Samples) -> Samples:
+    """All samples of runs, with the one before each."""
+    pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
+    return np.concatenate(pieces or [np.empty(0)]).astype(np.intp)
+
+
 def zero_moves(trace: Trace) -> Iterator[Fault]:
     """Both ends of the strokes that move together: the zero of the displacement."""
     loops = find_loops(trace)
     full = loops.amplitude > 0.8 * loops.amplitude.max(initial=0.0)
-    if np.count_nonzero(full) < max(2 * FEWEST, loops.amplitude.size / 2):
+    count = int(np.count_nonzero(full))
+    if count < max(2 * FEWEST, loops.amplitude.size / 2):
         return
-    high, low = (loops.middle + s * loops.amplitude for s in (1.0, -1.0))
-    parts = range(2, int(np.count_nonzero(full)) - 1)
-    moves = [
-        [float(np.median(ends[full][k:]) - np.median(ends[full][:k])) for ends in (high, low)]
-        for k in parts
-    ]
-    k = int(np.argmax([min(abs(a), abs(b)) for a, b in moves]))
-    a, b = moves[k]
-    stroke = 2.0 * float(np.median(loops.amplitude[full]))
-    if a * b > 0.0 and min(abs(a), abs(b)) > ZERO * stroke:
+    ends = np.array([loops.middle + s * loops.amplitude for s in (1.0, -1.0)])[:, full]
+    moves = np.array(
+        [np.median(ends[:, k:], 1) - np.median(ends[:, :k], 1) for k in range(2, count - 1)]
+    )
+    k = int(np.argmax(np.abs(moves).min(axis=1)))
+    high, low = moves[k].tolist()
+    full_stroke = 2.0 * float(np.median(loops.amplitude[full]))
+    if high * low > 0.0 and min(abs(high), abs(low)) > ZERO * full_stroke:
+        moved = 0.5 * (high + low)
         since = float(trace.time[loops.bounds[:-1][full][k + 2]])
-        yield Fault(
+        yield Fault.of(
             "displacement zero",
-            f"both ends of the strokes move by {0.5 * (a + b):+.3g} in at about {since:.4g} s, "
-            f"{abs(0.5 * (a + b)) / stroke:.0%} of the stroke: the zero of the sensor slips or "
+            f"both ends of the strokes move by {_plus(moved)}{{moved}} at about {since:.4g} s, "
+            f"{abs(moved) / full_stroke:.0%} of the stroke: the zero of the sensor slips or "
             "drifts, or the middle of the motion was moved",
+            moved=(moved, "in"),
         )
 
 
@@ -407,47 +429,51 @@ def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
         return  # the signal is not quantised
     across = "" if gap is None else f", {gap / quantum:.2g} in the gap"
     if quantum > stroke / LEVELS or (gap is not None and quantum > gap / CROSSING):
-        yield Fault(
+        yield Fault.of(
             "resolution",
-            f"the displacement moves in steps of {quantum:.3g} in, {stroke / quantum:.0f} in the "
+            f"the displacement moves in steps of {{quantum}}, {stroke / quantum:.0f} in the "
             f"stroke{across}: the sensor or the file is too coarse",
+            quantum=(quantum, "in"),
         )
 
 
 def noise(trace: Trace) -> Iterator[Fault]:
-    """A displacement whose noise is no longer small beside the travel of the build-up.
+    """A displacement whose noise is not small compared with the travel of the build-up.
 
     Errors in what a force follows weaken the relation: a fit takes the force for smaller and
     softer than it is (regression dilution).
     """
-    coarse = any(resolution(trace, None))  # which says it better
-    size = 0.0 if coarse else sensor_noise(trace.displacement)
-    read = read_off(trace)
-    rise = read.plateau / read.slope  # NaN where it cannot be read
+    if any(resolution(trace, None)):  # which says it better
+        return
+    size, loop = sensor_noise(trace.displacement), read_off(trace)
+    rise = loop.plateau / loop.slope  # NaN where it cannot be read
     if size > NOISE * rise > 0.0:
-        yield Fault(
+        yield Fault.of(
             "noise",
-            f"the displacement has noise of about {size:.2g} in, {size / rise:.0%} of the travel "
-            f"over which the force builds up, {rise:.2g} in: stiffness and slip force would come "
-            "out too small; take a smoother channel, or filter it before",
+            f"the displacement has noise of about {{size}}, {size / rise:.0%} of the travel over "
+            "which the force builds up, {rise}: stiffness and slip force would come out too small; "
+            "take a smoother channel, or filter it before",
+            size=(size, "in"),
+            rise=(rise, "in"),
         )
 
 
 def drift(trace: Trace) -> Iterator[Fault]:
     """A mean force that moves from the first strong loops to the last."""
-    known = (find_loops(trace).offset_drift, _drift_of_few(trace))
-    change = max((c for c in known if c is not None), key=abs, default=0.0)
     if trace.force is None:
         return
+    estimates = (find_loops(trace).offset_drift, _drift_of_few(trace))
+    change = max((c for c in estimates if c is not None), key=abs, default=0.0)
     half = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
     if not abs(change) > DRIFT * half > 0.0:
         change, half = _steady_drift(trace)
     if abs(change) > STEADY_DRIFT * half > 0.0:
-        yield Fault(
+        yield Fault.of(
             "drift",
-            f"the force drifts by {change:+.3g} kip from its begin to its end, "
+            f"the force drifts by {_plus(change)}{{change}} from its begin to its end, "
             f"{abs(change) / half:.0%} of the force in slip: the load cell's zero, or a device "
             "that changes",
+            change=(change, "kip"),
         )
 
 
@@ -466,7 +492,7 @@ def _steady_drift(trace: Trace) -> tuple[float, float]:
     middle = 0.5 * (trace.time[loops.bounds[1:]] + trace.time[loops.bounds[:-1]])
     line = linregress(middle[strong], loops.offset[strong])
     change = float(line.slope) * float(trace.time[-1] - trace.time[0])
-    return (change, slip) if line.pvalue < CHANCE else (0.0, 0.0)
+    return (change, slip) if line.pvalue < P_VALUE else (0.0, 0.0)
 
 
 def _drift_of_few(trace: Trace) -> float | None:
@@ -487,17 +513,15 @@ def _drift_of_few(trace: Trace) -> float | None:
     return min(along, ends, key=abs) if along * ends > 0.0 else None
 
 
-NAMES = (
-    *("no force", "force sign", "channels", "velocity", "time unit", "short record", "stroke"),
-    *("clipping", "lag", "jump", "held", "displacement zero", "spikes", "dropped samples"),
-    *("repeated samples", "resolution", "noise", "rate", "drift"),
-)
-"""Names of the faults, the most serious first."""
+def _count(number: int, thing: str) -> str:
+    """Number and noun: "3 steps"."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
-_OF_RECORD = (
-    *(no_force, force_sign, velocity, clipping, lag, noise, jumps, held, zero_moves),
-    *(drift, time_unit, short_record, dropped, repeated),
-)
+
+def _plus(value: float) -> str:
+    return "+" if value > 0.0 else ""
+
+
 _CONSEQUENCES = {
     "channels": {"clipping", "lag", "noise", "drift", "held"},
     "held": {"clipping", "lag", "drift", "repeated samples"},
@@ -506,17 +530,31 @@ _CONSEQUENCES = {
 
 
 def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
-    """Faults of a record, the most serious first; empty where none was found.
+    """Faults of a record, the most serious first; empty where there is none.
 
     The trace must have every sample of its record: decimation hides faults. `gap` is the median
     width of the device's gap, in; without it, rate and stroke are not checked.
     """
-    found = list(spikes(trace))
-    trace = without_spikes(trace)
-    found += [fault for check in _OF_RECORD for fault in check(trace)]
-    found += resolution(trace, gap)
-    if gap is not None:
-        found += [*stroke(trace, gap), *rate(trace, gap)]
-    hidden = {name for fault in found for name in _CONSEQUENCES.get(fault.name, ())}
-    found = [fault for fault in found if fault.name not in hidden]
-    return tuple(sorted(found, key=lambda fault: NAMES.index(fault.name)))
+    clean = without_spikes(trace)
+    faults = [
+        *no_force(clean),
+        *force_sign(clean),
+        *velocity(clean),
+        *time_unit(clean),
+        *short_record(clean),
+        *stroke(clean, gap),
+        *clipping(clean),
+        *lag(clean),
+        *jumps(clean),
+        *held(clean),
+        *zero_moves(clean),
+        *spikes(trace),
+        *dropped(clean),
+        *repeated(clean),
+        *resolution(clean, gap),
+        *noise(clean),
+        *rate(clean, gap),
+        *drift(clean),
+    ]
+    hidden = {name for fault in faults for name in _CONSEQUENCES.get(fault.name, ())}
+    return tuple(fault for fault in faults if fault.name not in hidden)

@@ -12,36 +12,16 @@ from scipy import special
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
 
-BIN = 1.0 / 32.0
-"""Signals are compared as means over bins of this length, s: the same at any sampling rate."""
-
-LIKE = 0.97
-"""Least correlation of two forces for a closer look."""
-
-LARGER = 1.1
-"""Two forces are not one measurement where the rms of one is larger than this times the other's."""
-
-PLACES = 6
-"""Most places, of those at which two forces are alike, that are looked at: cycles repeat."""
-
-SAME = 0.025
-"""Two forces are one measurement if they differ by less than this share of their sd."""
-
-NEAR = 0.25
-"""The same, before the lag is known to a small part of a bin."""
-
+BIN = 1.0 / 32.0  # s; signals are compared as means over bins: the same at any sampling rate
+SHORTEST, LONGEST = 64, 1 << 20  # fewest bins that must overlap, and most, nine hours, of a record
+CORRELATION = 0.97  # least of two forces for a closer look
+LARGER = 1.1  # most by which the rms of one force may exceed the other's
+PLACES = 6  # most places, of those at which two forces are alike, that are looked at: cycles repeat
+SAME, NEAR = 0.025, 0.25  # most difference of one measurement, in sds; before its lag is refined
 NOISE = 1.2
 """Two forces are one measurement if they typically differ by less than so many sds of their noise:
 tests that were repeated differ by 1.4 of them, and by what friction scatters."""
-
-QUIET = 1e-3
-"""Least noise that is expected of a force, as a share of its sd."""
-
-LONGEST = 1 << 20
-"""Most bins, nine hours: a longer record, such as one in a wrong unit of time, is not compared."""
-
-SHORTEST = 64
-"""Fewest bins in which two records must overlap."""
+QUIET = 1e-3  # least noise that is expected of a force, as a share of its sd
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,66 +83,66 @@ class Signature:
         return force, displacement
 
 
-def find_twin(one: Signature, other: Signature) -> Twin | None:
+def find_twin(own: Signature, other: Signature) -> Twin | None:
     """Where a record is, in whole or in part, the same measurement as another; None if not."""
-    if min(one.bins, other.bins) < SHORTEST or max(one.bins, other.bins) > LONGEST:
+    if min(own.bins, other.bins) < SHORTEST or max(own.bins, other.bins) > LONGEST:
         return None
-    near = [_refined(one, other, k * BIN, BIN / 4) for k in _coarse_lags(one, other)]
-    lag, misfit = min(near, key=lambda found: found[1], default=(0.0, np.inf))
+    near = [_refined(own, other, k * BIN, BIN / 4) for k in _coarse_lags(own, other)]
+    lag, misfit = min(near, key=lambda pair: pair[1], default=(0.0, np.inf))
     if misfit > NEAR:
         return None
     for step in (BIN / 16, BIN / 64, BIN / 256):
-        lag, misfit = _refined(one, other, lag, step)
-    if misfit > SAME or not _of_same_noise(one, other, lag):
+        lag, misfit = _refined(own, other, lag, step)
+    if misfit > SAME or not _of_same_noise(own, other, lag):
         return None
-    return Twin(min(1.0, _overlap(one, other, np.array([lag]))[1] / one.bins), lag)
+    return Twin(min(1.0, _overlap(own, other, np.array([lag]))[1] / own.bins), lag)
 
 
-def _coarse_lags(one: Signature, other: Signature) -> list[int]:
+def _coarse_lags(own: Signature, other: Signature) -> list[int]:
     """Bins by which `one` begins after `other`, where both look alike, the likest first."""
-    shifts = np.arange(1 - one.bins, other.bins)
-    size = 1 << (one.bins + other.bins - 1).bit_length()
-    products = np.fft.irfft(other.spectrum(size) * np.conj(one.spectrum(size)), size)[shifts]
-    begin, end = np.maximum(0, -shifts), np.minimum(one.bins, other.bins - shifts)
+    shifts = np.arange(1 - own.bins, other.bins)
+    size = 1 << (own.bins + other.bins - 1).bit_length()
+    products = np.fft.irfft(other.spectrum(size) * np.conj(own.spectrum(size)), size)[shifts]
+    begin, end = np.maximum(0, -shifts), np.minimum(own.bins, other.bins - shifts)
     energies = [
         whole.sums[1][end + by] - whole.sums[1][begin + by]
-        for whole, by in ((one, 0), (other, shifts))
+        for whole, by in ((own, 0), (other, shifts))
     ]
-    enough = end - begin > max(SHORTEST, 0.5 * min(one.bins, other.bins)) - 0.5
+    enough = end - begin > max(SHORTEST, 0.5 * min(own.bins, other.bins)) - 0.5
     norm = np.sqrt(np.maximum(energies[0] * energies[1], 0.0))
     safe = np.maximum(norm, 1e-9 * max(float(norm.max()), 1e-300))
     alike = np.where(enough, products / safe, -1.0)  # correlation of the forces in the overlap
     least, most = np.minimum(*energies), np.maximum(*energies)
     larger = np.sqrt(most / np.maximum(least, 1e-9 * max(float(most.max()), 1e-300)))
     padded = np.concatenate([[-1.0], alike, [-1.0]])
-    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= LIKE)
+    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= CORRELATION)
     best = sorted(np.flatnonzero(peaks).tolist(), key=lambda k: -alike[k])[:PLACES]
     return [int(shifts[k]) for k in best if larger[k] < LARGER]
 
 
-def _refined(one: Signature, other: Signature, lag: float, step: float) -> tuple[float, float]:
+def _refined(own: Signature, other: Signature, lag: float, step: float) -> tuple[float, float]:
     """The lag within two steps of a given one, s, at which two records differ least, and by what.
 
     By the rms difference of force, or of displacement if greater, over its sd.
     """
     lags = lag + step * np.arange(-2.0, 3.0)
-    begin, count = _overlap(one, other, lags)
+    begin, count = _overlap(own, other, lags)
     if count < SHORTEST:
         return lag, np.inf
-    pairs = zip(one.means(np.array([begin]), count), other.means(begin + lags, count), strict=True)
+    pairs = zip(own.means(np.array([begin]), count), other.means(begin + lags, count), strict=True)
     misfits = [np.std(a - b, axis=1) / max(float(np.std(a)), 1e-300) for a, b in pairs]
     worst = np.maximum(*misfits)
     best = int(np.argmin(worst))
     return float(lags[best]), float(worst[best])
 
 
-def _of_same_noise(one: Signature, other: Signature, lag: float) -> bool:
+def _of_same_noise(own: Signature, other: Signature, lag: float) -> bool:
     """Whether two forces that are alike differ by less than independent noise would make them.
 
     The noise is read off the smallest third differences, which the loop's corners leave alone.
     """
-    begin, count = _overlap(one, other, np.array([lag]))
-    first, second = one.means(np.array([begin]), count), other.means(np.array([begin + lag]), count)
+    begin, count = _overlap(own, other, np.array([lag]))
+    first, second = own.means(np.array([begin]), count), other.means(np.array([begin + lag]), count)
     forces = first[0][0], second[0][0]
     noise = max(_sd_of_small(np.diff(force, 3)) / np.sqrt(20.0) for force in forces)
     away = forces[0] - forces[1]
@@ -175,8 +155,8 @@ def _sd_of_small(values: Array, share: float = 0.25) -> float:
     return float(np.quantile(np.abs(values), share) / special.ndtri(0.5 + 0.5 * share))
 
 
-def _overlap(one: Signature, other: Signature, lags: Array) -> tuple[float, int]:
+def _overlap(own: Signature, other: Signature, lags: Array) -> tuple[float, int]:
     """Begin of what is in both with each of the lags, in the time of `one`, s, and its bins."""
     begin = max(0.0, -float(lags.min()))
-    end = min(one.time[-1], other.time[-1] - float(lags.max()))
+    end = min(own.time[-1], other.time[-1] - float(lags.max()))
     return begin, max(int((end - begin) / BIN), 0)

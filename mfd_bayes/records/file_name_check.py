@@ -55,7 +55,7 @@ _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
 
 
 def contradictions(
-    record: Record, trace: Trace | None = None, *, known: Collection[str] = ROLES
+    record: Record, trace: Trace | None = None, *, roles: Collection[str] = ROLES
 ) -> tuple[Fault, ...]:
     """Gaps in time, and units in columns' names or figures in a file's that its record has not.
 
@@ -63,85 +63,86 @@ def contradictions(
     stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
     ``pp``); a rate may also be that of the samples. Where a name has several of one kind it is
     enough that one agrees. Names without such words, and motions without a full loop, are not
-    compared; nor are roles whose unit is not among those that are `known`.
+    compared; nor are roles whose unit is not among those that are `roles`.
     """
     trace = record.trace() if trace is None else trace
-    timed = "time" in known
-    gaps = [Fault("gap in time", record.gap)] if record.gap and timed else []
-    gaps += [Fault("rows not used", doubt) for doubt in record.doubts]
-    return (
-        *(*gaps, *_of_columns(record, known), *(_of_time(record, trace) if timed else ())),
-        *(*_of_motion(record, trace, known), *_of_actuation(record, trace)),
-    )
+    faults = []
+    if record.gap and "time" in roles:
+        faults.append(Fault.of("gap in time", "{gap}", gap=record.gap))
+    faults += [Fault.of("rows not used", "{rows}", rows=doubt) for doubt in record.doubts]
+    faults += _of_columns(record, roles)
+    if "time" in roles:
+        faults += _of_time(record, trace)
+    return (*faults, *_of_motion(record, trace, roles), *_of_actuation(record, trace))
 
 
-def _of_columns(record: Record, known: Collection[str]) -> Iterator[Fault]:
+def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
     """Columns that are read in another unit than the file says, or whose own is not known."""
     for role, (name, unit) in record.columns.items():
-        if role not in known and role != "actuation":
+        if role in record.derived or (role not in roles and role != "actuation"):
             continue
         row = record.stated_units.get(role, "")
-        own, says = stated_unit(own_name(name), row), "the file" if row else "its name"
-        last = header_unit(own_name(name))
+        own, where = stated_unit(own_name(name), row), "the file" if row else "its name"
         if not own or measure(own) != measure(unit):  # "kN" of "load_kN"
-            own, says = (
-                (last, "its name") if last and measure(last) == measure(unit) else (own, says)
-            )
-        if not own or " " in own or role in record.derived or same_unit(own, unit):
+            last = header_unit(own_name(name))
+            if last and measure(last) == measure(unit):
+                own, where = last, "its name"
+        if not own or " " in own or same_unit(own, unit):
             continue
         if measure(own) == measure(unit):
-            said = f"{says} says {own!r}: which is it?"
+            question = "which is it?"
         elif not may_mean(own, unit):
-            said = (
-                f"{says} says {own!r}, which is no known unit of {role}: which is it"
-                f"{force_meant(own)}?"
-            )
+            question = f"which is no known unit of {role}: which is it{force_meant(own)}?"
         else:
             continue
-        yield Fault("column unit", f"column {name!r} is read in {unit!r}, and {said}")
+        comma = ":" if question == "which is it?" else ","
+        yield Fault.of(
+            "column unit",
+            f"column {{name}} is read in {{unit}}, and {where} says {{own}}{comma} {question}",
+            name=repr(name),
+            unit=repr(unit),
+            own=repr(own),
+        )
 
 
 def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
     """Times read as s, without the file's word for it, that are plausible as ms alone."""
-    name, _ = record.columns.get("time", ("", ""))
-    own = {
-        header_unit(own_name(name)),
-        stated_unit(own_name(name)),
-        record.stated_units.get("time"),
-    }
+    name = own_name(record.columns.get("time", ("", ""))[0])
+    stated = (header_unit(name), stated_unit(name), record.stated_units.get("time"))
     duration = float(np.ptp(trace.time))
     cycle, rate = duration / max(trace.turning_points.size / 2, 1.0), trace.samples / duration
-    if (
-        rate <= SLOW_RATE
-        and cycle > SLOW_PERIOD
-        and not any(u and measure(u) == "time" for u in own)
-    ):
-        yield Fault(
+    is_stated = any(unit and measure(unit) == "time" for unit in stated)
+    if rate <= SLOW_RATE and cycle > SLOW_PERIOD and not is_stated:
+        yield Fault.of(
             "time unit",
             f"a rate of {rate:.3g} Hz with cycles of {cycle:.3g} s is implausible, and the file "
             "states no unit of time: is time in ms rather than in s?",
         )
 
 
-def _of_motion(record: Record, trace: Trace, known: Collection[str]) -> Iterator[Fault]:
+def _of_motion(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
     """Amplitude and frequency of the loops at full stroke."""
     loops, name = find_loops(trace), record.path.stem
     if not loops.period.size:
         return
     amplitude = float(np.median(loops.amplitude[loops.strong]))
     rate = float(1.0 / np.median(loops.period[loops.strong]))
-    lengths = [
-        (m[0], number_in(m[1]) * factor(m[2], "displacement")) for m in _LENGTH.finditer(name)
-    ]
-    shown = (
-        f"the record has an amplitude of {amplitude:.3g} in (a stroke of {2 * amplitude:.3g} in)"
-    )
-    if "displacement" in known:
-        yield from _fault(record, lengths, _sizes(name, amplitude), shown)
-    rates = [(m[0], number_in(m[1])) for m in _FREQUENCY.finditer(name)]
-    shown = f"the record's motion has {rate:.3g} Hz"
-    if "time" in known:
-        yield from _fault(record, rates, [rate, record.rate], shown)
+    if "displacement" in roles:
+        lengths = {
+            m[0]: number_in(m[1]) * factor(m[2], "displacement") for m in _LENGTH.finditer(name)
+        }
+        yield from _contradiction(
+            record,
+            lengths,
+            _sizes(name, amplitude),
+            "the record has an amplitude of {amplitude} (a stroke of {stroke})",
+            amplitude=(amplitude, "in"),
+            stroke=(2 * amplitude, "in"),
+        )
+    if "time" in roles:
+        rates = {m[0]: number_in(m[1]) for m in _FREQUENCY.finditer(name)}
+        shown = f"the record's motion has {rate:.3g} Hz"
+        yield from _contradiction(record, rates, [rate, record.rate], shown)
 
 
 def _sizes(name: str, amplitude: float) -> list[float]:
@@ -159,19 +160,19 @@ def length_in_name(record: Record) -> tuple[str, str] | None:
     if not loops.period.size:
         return None
     amplitude = float(np.median(loops.amplitude[loops.strong]))
-    found = {
+    lengths = {
         unit: m[0]
         for unit in ("mm", "cm", "m", "in")
         for m in _LENGTH.finditer(name)
         for size in _sizes(name, amplitude * factor(unit, "displacement"))
         if _near(size, number_in(m[1]) * factor(m[2], "displacement"))
     }
-    if len(found) != 1:
+    if len(lengths) != 1:
         return None
-    unit, said = found.popitem()
+    unit, length = lengths.popitem()
     return (
         unit,
-        f"the file's name says {said}, and the numbers have an amplitude of {amplitude:.3g}",
+        f"the file's name says {length}, and the numbers have an amplitude of {amplitude:.3g}",
     )
 
 
@@ -179,20 +180,21 @@ def _of_actuation(record: Record, trace: Trace) -> Iterator[Fault]:
     """Pressure or tension, as the campaign or a column gives it, of the same kind as the name's."""
     if record.actuation is None:
         return
-    found = []
+    declared = {}
     for match in _ACTUATION.finditer(record.path.stem):
         unit = _SPELLED.get(match[2].lower(), match[2].lower())
         value, internal = parse_actuation(f"{number_in(match[1]):g} {unit}")
         if internal == record.actuation_unit:
-            found.append((match[0], value))
+            declared[match[0]] = value
     level = float(np.mean(record.actuation))
     if "actuation" in record.columns:
         unit = record.columns["actuation"][1]
-        shown = f"its column has an actuation of {level / actuation_factor(unit)[0]:.4g} {unit}"
+        shown = "its column has an actuation of {level}"
+        words = f"{level / actuation_factor(unit)[0]:.4g} {unit}"
     else:
+        shown = "the campaign has an actuation of {level}"
         words = record.given_actuation or f"{level:.4g} {record.actuation_unit}"
-        shown = f"the campaign has an actuation of {words}"
-    yield from _fault(record, found, [level], shown)
+    yield from _contradiction(record, declared, [level], shown, level=words)
 
 
 def number_in(text: str) -> float:
@@ -204,11 +206,20 @@ def _near(size: float, declared: float) -> bool:
     return abs(size - declared) <= TOLERANCE * declared + 1e-9
 
 
-def _fault(
-    record: Record, declared: list[tuple[str, float]], found: list[float], shown: str
+def _contradiction(
+    record: Record,
+    declared: dict[str, float],
+    measured: list[float],
+    shown: str,
+    **values: str | tuple[float, str],
 ) -> Iterator[Fault]:
-    """A warning where none of the declared values, in internal units, is among those found."""
-    agree = any(_near(size, value) for _, value in declared for size in found)
+    """A warning where none of the declared values, by word, is among the measured ones."""
+    agree = any(_near(size, value) for value in declared.values() for size in measured)
     if declared and not agree:
-        said = " and ".join(dict.fromkeys(word for word, _ in declared))
-        yield Fault("file name", f"the name of {record.path.name} says {said}, but {shown}")
+        yield Fault.of(
+            "file name",
+            f"the name of {{file}} says {{words}}, but {shown}",
+            file=record.path.name,
+            words=" and ".join(declared),
+            **values,
+        )

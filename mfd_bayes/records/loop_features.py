@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.records.loops import STRONG, find_loops
 from mfd_bayes.records.motion import Array
@@ -51,26 +52,72 @@ class Readings:
         return 0.5 * (self.plateau_fwd + self.plateau_bwd)
 
 
+@dataclass(frozen=True, eq=False)
+class Strokes:
+    """What each of the S strokes of a motion shows of forces (n, T); NaN where nothing is seen.
+
+    Attributes
+    ----------
+    first, last : (S,) int
+        Samples of the turns at both ends.
+    sign : (S,)
+        Direction, +1 or -1.
+    full : (S,) bool
+        Whether a stroke has at least `STRONG` of the longest.
+    plateau : (n, S), kip
+        Median force in the direction of the motion over the part `SLIP` of the stroke.
+    slope, gap : (n, S), kip/in and in
+        Of the line of the build-up, and the travel at which it meets the slip force.
+    """
+
+    first: NDArray[np.intp]
+    last: NDArray[np.intp]
+    sign: Array
+    full: NDArray[np.bool_]
+    plateau: Array
+    slope: Array
+    gap: Array
+
+    def slip(self, sign: float) -> Array:
+        """Slip force in a direction, (n,), kip: the median plateau of its full strokes."""
+        return _median(self.plateau[:, self.full & (self.sign == sign)])
+
+
+def stroke_estimates(trace: Trace, force: Array) -> Strokes:
+    """What is read off each stroke of a motion under forces (n, T), kip."""
+    x, turns = trace.displacement, trace.cycle_turns
+    first, last = turns[:-1], turns[1:]
+    way = x[last] - x[first]
+    full = np.abs(way) >= STRONG * np.max(np.abs(way), initial=0.0)
+    nothing = np.full((len(force), first.size), np.nan)
+    found = Strokes(first, last, np.sign(way), full, nothing, nothing.copy(), nothing.copy())
+    spans = list(zip(first.tolist(), last.tolist(), found.sign.tolist(), strict=True))
+    for k, (a, b, sign) in enumerate(spans):
+        share = (x[a : b + 1] - x[a]) / (x[b] - x[a])
+        inside = (share >= SLIP[0]) & (share <= SLIP[1])
+        if inside.any():
+            found.plateau[:, k] = sign * np.median(force[:, a : b + 1][:, inside], axis=1)
+    slip = {sign: found.slip(sign) for sign in (1.0, -1.0)}
+    for k, (a, b, sign) in enumerate(spans):
+        travel = np.abs(x[a : b + 1] - x[a])
+        found.slope[:, k], found.gap[:, k] = _rise(sign * force[:, a : b + 1], travel, slip[sign])
+    return found
+
+
 def read_off(trace: Trace, offset: float = 0.0) -> Readings:
     """Readings of a record less the offset of its load cell, kip.
 
     A motion without a full stroke, or without a force, has none: all are NaN.
     """
     nan = float("nan")
-    strokes = _strokes(trace) if trace.force is not None else []
-    if not strokes:
+    if trace.force is None or trace.cycle_turns.size < 2:
         return Readings(nan, nan, nan, nan, nan)
-    force = np.asarray(trace.force) - offset
-    plateaus = {
-        way: _median([_plateau(trace, force, a, b) for a, b, s in strokes if s == way])
-        for way in (1, -1)
-    }
-    rises = [_rise(trace, force, stroke, plateaus) for stroke in strokes]
+    found = stroke_estimates(trace, trace.force[None] - offset)
+    slope, gap = (float(_median(v[:, found.full])[0]) for v in (found.slope, found.gap))
     loops = find_loops(trace)
-    has = loops.energy is not None and bool(loops.strong.any())
-    energy = float(np.mean(np.asarray(loops.energy)[loops.strong])) if has else nan
-    slope, gap = (_median([rise[k] for rise in rises]) for k in (0, 1))
-    return Readings(plateaus[1], plateaus[-1], slope, gap, energy)
+    energy = np.asarray(loops.energy)[loops.strong]
+    mean = float(energy.mean()) if energy.size else nan
+    return Readings(float(found.slip(1.0)[0]), float(found.slip(-1.0)[0]), slope, gap, mean)
 
 
 def asymmetry(trace: Trace) -> Array:
@@ -101,47 +148,40 @@ def _strokes(trace: Trace) -> list[tuple[int, int, int]]:
     return [s for s in found if abs(x[s[1]] - x[s[0]]) >= STRONG * longest]
 
 
-def _plateau(trace: Trace, force: Array, first: int, last: int) -> float:
-    """Median force in the direction of the motion over the slip of one stroke, kip."""
-    x = trace.displacement[first : last + 1]
-    way = (x - x[0]) / (x[-1] - x[0])
-    inside = (way >= SLIP[0]) & (way <= SLIP[1])
-    sign = 1.0 if x[-1] > x[0] else -1.0
-    return sign * float(np.median(force[first : last + 1][inside])) if inside.any() else np.nan
+def _rise(force: Array, travel: Array, slip: Array) -> tuple[Array, Array]:
+    """Slope of the build-up, kip/in, and travel at which it meets the slip force, in, (n,) each.
+
+    Of forces (n, m) in the direction of the motion, over the travel (m,) of one stroke.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(slip[:, None] > 0.0, force / slip[:, None], np.nan)
+        top = np.argmax(share >= RISE[1], axis=1)
+        below = (share <= RISE[0]) & (np.arange(travel.size) < top[:, None])
+        bottom = travel.size - 1 - np.argmax(below[:, ::-1], axis=1)
+        bottom[~below.any(axis=1)] = 0
+        low, high = (
+            _crossing(share, travel, at, level)
+            for at, level in ((bottom, RISE[0]), (np.maximum(top - 1, 0), RISE[1]))
+        )
+        good = below.any(axis=1) & (high > low)
+        slope = np.where(good, (RISE[1] - RISE[0]) * slip / (high - low), np.nan)
+        return slope, np.asarray(high + (1.0 - RISE[1]) * slip / slope)
 
 
-def _rise(
-    trace: Trace, force: Array, stroke: tuple[int, int, int], plateaus: dict[int, float]
-) -> tuple[float, float]:
-    """Slope of the build-up of one stroke, kip/in, and travel at which it meets the plateau, in."""
-    first, last, sign = stroke
-    level = plateaus[sign]
-    if not level > 0.0:
-        return np.nan, np.nan
-    share = sign * force[first : last + 1] / level
-    travel = np.abs(trace.displacement[first : last + 1] - trace.displacement[first])
-    top = int(np.argmax(share >= RISE[1]))
-    below = np.flatnonzero(share[:top] <= RISE[0])
-    if not below.size:
-        return np.nan, np.nan
-    ends = ((int(below[-1]), RISE[0]), (top - 1, RISE[1]))
-    low, high = (_crossing(share, travel, k, level) for k, level in ends)
-    if not high > low:
-        return np.nan, np.nan
-    steepness = (RISE[1] - RISE[0]) * plateaus[sign] / (high - low)
-    return steepness, high + (1.0 - RISE[1]) * plateaus[sign] / steepness
+def _crossing(share: Array, travel: Array, at: NDArray[np.intp], level: float) -> Array:
+    """Travel, (n,), at which shares (n, m) cross a level between samples `at` and `at` + 1."""
+    rows, behind = np.arange(len(share)), np.minimum(at + 1, travel.size - 1)
+    before, after = share[rows, at], share[rows, behind]
+    part = np.where(after > before, (level - before) / (after - before), 0.0)
+    return np.asarray(travel[at] + part * (travel[behind] - travel[at]))
 
 
-def _crossing(share: Array, travel: Array, k: int, level: float) -> float:
-    """Travel at which the share crosses a level between samples k and k + 1."""
-    step = share[k + 1] - share[k]
-    part = (level - share[k]) / step if step > 0 else 0.0
-    return float(travel[k] + part * (travel[k + 1] - travel[k]))
-
-
-def _median(values: list[float]) -> float:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.median(known)) if known else float("nan")
+def _median(values: Array) -> Array:
+    """Median over the last axis of values (n, S) that are known, (n,); NaN where none is."""
+    if not values.shape[-1]:
+        return np.full(len(values), np.nan)
+    known = np.ma.masked_invalid(values)
+    return np.asarray(np.ma.median(known, axis=-1).filled(np.nan))  # type: ignore[no-untyped-call]
 
 
 UNLOADING = (0.8, 0.2)

@@ -30,16 +30,16 @@ def real_numbers(name: str, values: ArrayLike, error: type[MfdError] = RecordErr
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         raise error(f"{name} holds masked values: fill them, or leave these samples out")
     try:
-        found = np.asarray(values)
-        if found.ndim == 0 and found.dtype.kind == "b":
+        array = np.asarray(values)
+        if array.ndim == 0 and array.dtype.kind == "b":
             raise error(f"{name} must hold real numbers, got {values!r}")
-        if found.dtype.kind in "biuf" or found.size == 0:
-            return found.astype(np.float64)
-        if found.dtype.kind == "O" and not any(isinstance(v, str | complex) for v in found.flat):
-            return found.astype(np.float64)
+        if array.dtype.kind in "biuf" or array.size == 0:
+            return array.astype(np.float64)
+        if array.dtype.kind == "O" and not any(isinstance(v, str | complex) for v in array.flat):
+            return array.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as fault:
         raise error(f"{name} must hold real numbers: {fault}") from fault
-    raise error(f"{name} must hold real numbers, got values of type {found.dtype}")
+    raise error(f"{name} must hold real numbers, got values of type {array.dtype}")
 
 
 def real_number(
@@ -53,17 +53,17 @@ def real_number(
     """A finite number within bounds, and at neither of them where it must lie `inside`."""
     if type(value) is not float:
         _refuse_unit(name, value, error)
-    found = nan
+    number = nan
     try:
         if isinstance(value, Real) and not isinstance(value, bool):
-            found = float(value)
+            number = float(value)
         elif isinstance(value, np.ndarray | np.generic) and value.ndim == 0:
-            found = float(value) if value.dtype.kind in "iuf" else nan
+            number = float(value) if value.dtype.kind in "iuf" else nan
     except OverflowError:
         pass
     least, most = bounds
-    if isfinite(found) and (least < found < most if inside else least <= found <= most):
-        return found
+    if isfinite(number) and (least < number < most if inside else least <= number <= most):
+        return number
     if least > -inf and most < inf:
         between = ("between", "and") if inside else ("from", "to")
         expected = f"a number {between[0]} {least:g} {between[1]} {most:g}"
@@ -76,13 +76,12 @@ def real_number(
 
 def _refuse_unit(name: str, value: Any, error: type[MfdError]) -> None:
     """Refuse a quantity with a unit, such as one of pint, and a list of such."""
-    for one in (value, *value) if isinstance(value, list | tuple) else (value,):
-        if hasattr(one, "magnitude") and hasattr(one, "units"):
-            raise error(f"{name} must be plain numbers without a unit, got one in {one.units}")
+    for item in (value, *value) if isinstance(value, list | tuple) else (value,):
+        if hasattr(item, "magnitude") and hasattr(item, "units"):
+            raise error(f"{name} must be plain numbers without a unit, got one in {item.units}")
 
 
-MOST_DRAWS = 100_000
-"""Most draws that may be asked for: more would take the memory, and tell nothing new."""
+MOST_DRAWS = 100_000  # more would take the memory, and tell nothing new
 
 
 def whole_number(
@@ -90,14 +89,14 @@ def whole_number(
 ) -> int:
     """A whole number that is not below the least one, nor above the most there may be."""
     try:
-        found = index(value)
+        number = index(value)
     except TypeError:
-        found = least - 1
-    if found < least or isinstance(value, bool):
+        number = least - 1
+    if number < least or isinstance(value, bool):
         raise error(f"{name} must be a whole number, {least} or more, got {value!r}")
-    if most is not None and found > most:
+    if most is not None and number > most:
         raise error(f"{name} must be a whole number of at most {most}, got {value!r}")
-    return found
+    return number
 
 
 def why_invalid(error: Exception) -> str:

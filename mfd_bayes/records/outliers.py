@@ -10,23 +10,13 @@ import numpy as np
 from mfd_bayes.records.motion import Array
 from mfd_bayes.units import factor
 
-FEWEST = 3
-"""Fewest tests among which one can be odd."""
-
 QUANTITIES = ("gap", "slope", "plateau")
-SCATTER = np.array([0.08, 0.25, 0.15])
-"""Sd of the logarithm between tests of one device that nobody wonders at, of each quantity."""
-
-FAR = 3.3
-"""A test is odd where a quantity is further away than this many sds of the others."""
-
-SAME_LEVEL = 0.05
-"""Actuations that differ by less than this share are one level."""
-
-BEND = np.array([0.3, 0.5, 0.7])
-"""Prior sd of the exponent of each quantity over the actuation; slip force has mean 0.5."""
-
-_MIDDLE = np.array([0.0, 0.0, 0.5])
+FEWEST = 3  # fewest tests among which one can be odd
+SCATTER = np.array([0.08, 0.25, 0.15])  # sd of each logarithm between tests of one device
+FAR = 3.3  # a test is odd where a quantity is further away than this many sds of the others
+SAME_LEVEL = 0.05  # actuations that differ by less than this share are one level
+BEND = np.array([0.3, 0.5, 0.7])  # prior sd of the exponent of each quantity over the actuation
+_MIDDLE = np.array([0.0, 0.0, 0.5])  # and its prior mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +71,22 @@ def find_odd(logs: Array, levels: Array) -> dict[int, Deviation]:
     core = sorted(every - set(odd))
     odd = [j for j in odd if deviation(logs, place, j, core).distance > FAR]
     core = sorted(every - set(odd))
-    found = {j: deviation(logs, place, j, core) for j in odd}
-    found = {j: away for j, away in found.items() if not _shared(j, found, place)}
-    return dict(sorted(found.items(), key=lambda item: -item[1].distance))
+    deviations = {j: deviation(logs, place, j, core) for j in odd}
+    deviations = {j: away for j, away in deviations.items() if not _shared(j, deviations, place)}
+    return dict(sorted(deviations.items(), key=lambda item: -item[1].distance))
 
 
-def _shared(j: int, found: dict[int, Deviation], place: Array) -> bool:
+def _shared(j: int, deviations: dict[int, Deviation], place: Array) -> bool:
     """Whether another odd test at the same level deviates alike: the level, not the test, is odd.
 
     A deviation beyond twice `FAR` is no level's.
     """
     alike = (
-        np.nanmax(np.abs(found[i].values - found[j].values) / SCATTER, initial=0.0) < FAR
-        for i in found
+        np.nanmax(np.abs(deviations[i].values - deviations[j].values) / SCATTER, initial=0.0) < FAR
+        for i in deviations
         if i != j and abs(place[i] - place[j]) < SAME_LEVEL
     )
-    return found[j].distance < 2.0 * FAR and any(alike)
+    return deviations[j].distance < 2.0 * FAR and any(alike)
 
 
 def deviation(logs: Array, place: Array, j: int, others: Iterable[int]) -> Deviation:
@@ -104,15 +94,15 @@ def deviation(logs: Array, place: Array, j: int, others: Iterable[int]) -> Devia
     others = sorted(others)
     values, sds, exponents = np.full(3, np.nan), np.full(3, np.inf), _MIDDLE.copy()
     for k in range(3):
-        known = [i for i in others if np.isfinite(logs[i, k]) and np.isfinite(place[i])]
-        if not known:
-            known = [i for i in others if np.isfinite(logs[i, k])]
-        if not np.isfinite(logs[j, k]) or len(known) < FEWEST - 1:
+        finite = [i for i in others if np.isfinite(logs[i, k]) and np.isfinite(place[i])]
+        if not finite:
+            finite = [i for i in others if np.isfinite(logs[i, k])]
+        if not np.isfinite(logs[j, k]) or len(finite) < FEWEST - 1:
             continue
-        x, at = (np.nan_to_num(v) for v in (place[known], place[j]))
-        middle, value, slope, spread, far = _line(x, logs[known, k], k)
+        x, at = (np.nan_to_num(v) for v in (place[finite], place[j]))
+        middle, value, slope, spread, far = _line(x, logs[finite, k], k)
         values[k] = logs[j, k] - value - slope * (float(at) - middle)
-        few = 1.0 + 1.0 / (len(known) - 1)
+        few = 1.0 + 1.0 / (len(finite) - 1)
         sds[k] = few * np.sqrt(spread**2 + (far * (float(at) - middle)) ** 2)
         exponents[k] = slope
     return Deviation(values, sds, exponents)
@@ -134,11 +124,11 @@ def _disagreement(logs: Array, place: Array, tests: Sequence[int]) -> float:
     total = 0.0
     for k in range(3):
         y, x = logs[list(tests), k], np.nan_to_num(place[list(tests)])
-        known = np.isfinite(y)
-        if np.count_nonzero(known) < 2:
+        finite = np.isfinite(y)
+        if np.count_nonzero(finite) < 2:
             continue
-        middle, value, slope, _, _ = _line(x[known], y[known], k)
-        rest = y[known] - value - slope * (x[known] - middle)
+        middle, value, slope, _, _ = _line(x[finite], y[finite], k)
+        rest = y[finite] - value - slope * (x[finite] - middle)
         prior = ((slope - _MIDDLE[k]) / BEND[k]) ** 2
         total += float(np.sum((rest / SCATTER[k]) ** 2)) + prior
     return total
@@ -149,49 +139,52 @@ UNITS = {
     "force": ("kip", "lbf", "kN", "N", "MN", "kgf"),
 }
 """Units that a column may be in instead of the one that it was read in."""
-
 WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0, 1.0])}
 """By how much the logarithms of gap, build-up and slip force grow with that of a wrong factor."""
-
-FREE = 4.0
-"""Penalty of a cause with a free factor: a unit that explains as much is the likelier."""
-
-ANYTHING = 14.0
-"""Penalty of another device, which explains every deviation."""
+FREE = 4.0  # penalty of a cause with a free factor: a unit that explains as much is the likelier
+ANYTHING = 14.0  # penalty of another device, which explains every deviation
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause; `name` is that of a fault, `factor` that by which it is wrong."""
+    """What may be wrong with a test.
+
+    Attributes
+    ----------
+    name : str
+        Of a fault: "unit of force", "force", "actuation", "another device".
+    factor : float
+        By which it is too large.
+    role, unit, read_in : str
+        Of a wrong unit: whose, the unit that it seems to be in, and the one it was read in.
+    """
 
     name: str
-    words: str
-    misfit: float
     factor: float = 1.0
+    role: str = ""
+    unit: str = ""
+    read_in: str = ""
 
 
-def likely_cause(found: Deviation, units: dict[str, str]) -> Cause:
+def likely_cause(deviation: Deviation, units: dict[str, str]) -> Cause:
     """The cause that explains a deviation best.
 
     A length that is too large by f makes the gap f times as wide and the build-up f times less
     steep; a force that is too large by f makes build-up and slip force f times as large; an
-    actuation that is too large by f leaves the loop as it is and the law is asked elsewhere.
+    actuation that is too large by f leaves the loop as it is and moves the law's value.
     """
-    known = np.isfinite(found.values)
-    values = np.where(known, found.values, 0.0)
-    weights = np.where(known, 1.0 / found.sds**2, 0.0)
-    causes: list[Cause] = []
-    for role, way in (*WAYS.items(), ("actuation", -found.exponents)):
-        used = units.get(role, "")
-        for unit in UNITS.get(role, ()):
-            wrong = factor(used, role) / factor(unit, role)
-            if abs(np.log(wrong)) > 0.2:
-                misfit = float((values - way * np.log(wrong)) ** 2 @ weights)
-                words = f"its {role} seems to be in {unit}, not in {used}"
-                causes.append(Cause(f"unit of {role}", words, misfit, wrong))
+    finite = np.isfinite(deviation.values)
+    values = np.where(finite, deviation.values, 0.0)
+    weights = np.where(finite, 1.0 / deviation.sds**2, 0.0)
+    causes = [(ANYTHING, Cause("another device"))]
+    for role, way in (*WAYS.items(), ("actuation", -deviation.exponents)):
         size = float(way**2 @ weights)
         log = float((way * values) @ weights) / size if size > 0 else 0.0
         misfit = float((values - way * log) ** 2 @ weights)
-        causes.append(Cause(role, "", misfit + FREE, float(np.exp(log))))
-    causes.append(Cause("another device", "", ANYTHING))
-    return min(causes, key=lambda cause: cause.misfit)
+        causes.append((misfit + FREE, Cause(role, float(np.exp(log)))))
+        for unit in UNITS.get(role, ()):
+            wrong = factor(units[role], role) / factor(unit, role)
+            if abs(np.log(wrong)) > 0.2:
+                misfit = float((values - way * np.log(wrong)) ** 2 @ weights)
+                causes.append((misfit, Cause(f"unit of {role}", wrong, role, unit, units[role])))
+    return min(causes, key=lambda pair: pair[0])[1]

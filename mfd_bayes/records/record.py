@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.channels import Source, part_for, signals_of, sources_of, wanted_of
+from mfd_bayes.records.channels import Source, part_for, signals_of, sources_of, used_columns
 from mfd_bayes.records.columns import ROLES
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.numbers import real_number
@@ -45,9 +45,8 @@ class Record:
 
     Attributes
     ----------
-    path : Path
-    sha256 : str
-        Hash of the file's bytes.
+    path, sha256 : Path, str
+        The file, and the hash of its bytes.
     time : (T,), s
         Strictly increasing, without a gap.
     displacement : (T,), in
@@ -68,13 +67,12 @@ class Record:
     fit : (float, float), s, or None
         Window that `trace` takes by default.
     given_actuation : str
-        The constant actuation in the words in which it was given; "" where there is none.
+        The constant actuation as it was given; "" where there is none.
     stated_units : dict
         Role to what the file's row of units, or a channel's properties, say of its column.
-    notes : tuple of str
-        Sentences on numbers of the file that are not in the record.
-    doubts : tuple of str
-        The same, of numbers that probably belong to it.
+    notes, doubts : tuple of str
+        Sentences on numbers of the file that are not in the record, and on those of them that
+        probably belong to it.
     """
 
     path: Path
@@ -120,14 +118,14 @@ class Record:
         where all of the record is in it.
         """
         check_trace("trace", trace, RecordError)
-        after = since if since == -math.inf else real_number("since, in s,", since, RecordError)
+        if since != -math.inf:
+            since = real_number("since, in s,", since, RecordError)
         if self.fit is None:
             return (), ()
-        early = (self.time > after) & (self.time < trace.time[0])
-        parts = (early, self.time > trace.time[-1])
-        left = [self.displacement[part] for part in parts]
-        ends = [x[[0, *_turns(x), -1]] if x.size else x for x in left]
-        return tuple(ends[0].tolist()), tuple(ends[1].tolist())
+        before = (self.time > since) & (self.time < trace.time[0])
+        parts = (self.displacement[before], self.displacement[self.time > trace.time[-1]])
+        ends = [x[[0, *_turns(x), -1]].tolist() if x.size else [] for x in parts]
+        return tuple(ends[0]), tuple(ends[1])
 
     def trace(
         self, rate: float | None = None, *, window: Window | None = None, gap: float | None = None
@@ -156,38 +154,34 @@ class Record:
         if rate is not None:
             rate = real_number("rate, in Hz,", rate, RecordError, (0.0, math.inf), inside=True)
         cut = _slice(self, self.fit if window is None else window)
+        grid = self.time
+        signals = {role: getattr(self, role) for role in ROLES if role != "time"}
+        signals = {role: v for role, v in signals.items() if isinstance(v, np.ndarray)}
         if rate is None and gap is not None:
             x = self.displacement[cut]
             rate = default_rate(self.time[cut], x, _turns(x), gap, rate=self.rate)
         if rate is None or rate >= self.rate * (1 - 1e-9):
-            return self._as_trace(self.time[cut], {k: v[cut] for k, v in self._signals().items()})
-        grid, signals = self.time, self._signals()
+            return self._as_trace(grid[cut], {role: v[cut] for role, v in signals.items()})
         if self.jitter > JITTER:  # only even samples can be filtered
             duration = float(self.time[-1] - self.time[0])
             grid = self.time[0] + np.arange(int(duration * self.rate) + 1) / self.rate
             signals = {role: np.interp(grid, self.time, v) for role, v in signals.items()}
         start, end = self.time[cut][[0, -1]]
-        inside = np.flatnonzero((grid >= start) & (grid <= end))
-        first, last = int(inside[0]), int(inside[-1])
+        first, last = np.flatnonzero((grid >= start) & (grid <= end))[[0, -1]].tolist()
         share = 1 / Fraction(min(self.rate / rate, 1e9)).limit_denominator(1000)
         count = (last - first) * share.numerator // share.denominator + 1
         if count < SAMPLES:
             raise RecordError(f"{rate:g} Hz leaves fewer than {SAMPLES} samples of {self.path}")
         time = grid[first] + np.arange(count) / (float(share) * self.rate)
-        return self._as_trace(
-            time, {role: decimate(v, share, first, last) for role, v in signals.items()}
-        )
-
-    def _signals(self) -> dict[str, Array]:
-        named = {role: getattr(self, role) for role in ROLES if role != "time"}
-        return {role: v for role, v in named.items() if isinstance(v, np.ndarray)}
+        signals = {role: decimate(v, share, first, last) for role, v in signals.items()}
+        return self._as_trace(time, signals)
 
     def _as_trace(self, time: Array, signals: dict[str, Array]) -> Trace:
         history = signals.get("actuation")
         return Trace.from_arrays(
             time,
             signals["displacement"],
-            # The filter may go below zero beside a jump.
+            # The filter may go below zero next to a jump.
             self.actuation if history is None else np.maximum(history, 0.0),
             signals.get("force"),
             signals.get("velocity"),
@@ -233,7 +227,7 @@ def read_record(
     if window is not None:
         window = checked_window(window)
         table = part_for(table, sources, window)
-    signals, named, unit = signals_of(table, sources)
+    signals, names, unit = signals_of(table, sources)
     check_increasing(table, signals["time"])
     piece, gap = longest_piece(signals["time"], table.place, window)
     if piece.stop - piece.start < SAMPLES:
@@ -251,18 +245,18 @@ def read_record(
         velocity=signals.get("velocity"),
         actuation=level,
         actuation_unit=unit,
-        columns=named,
-        other_columns=tuple(n for n in table.names if n not in wanted_of(table, sources)),
+        columns=names,
+        other_columns=tuple(n for n in table.names if n not in used_columns(table, sources)),
         clock=clock_of(signals["time"]),
         derived={
-            role: source.words(str(source.column), str(source.unit))
+            role: source.words()
             for role, source in sources.items()
             if not source.plain and source.column is not None
         },
         gap=gap,
         fit=window,
         given_actuation=actuation or "",
-        stated_units={r: table.units[n] for r, (n, _) in named.items() if n in table.units},
+        stated_units={r: table.units[n] for r, (n, _) in names.items() if n in table.units},
         notes=table.notes,
         doubts=table.doubts,
     )

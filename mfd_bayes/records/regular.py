@@ -30,18 +30,18 @@ def why_no_file(path: Path) -> str:
 
 def path_of(name: str, value: Any, error: type[MfdError]) -> Path:
     """Path that a caller gives as text or as a path."""
-    if not isinstance(value, str | PathLike) or not isinstance(found := os.fspath(value), str):
+    if not isinstance(value, str | PathLike) or not isinstance(text := os.fspath(value), str):
         raise error(f"{name} must be a path, as text or pathlib.Path, got {value!r}")
-    if "\0" in found:
-        raise error(f"{name} must be a path without the character NUL, got {found!r}")
-    return Path(found)
+    if "\0" in text:
+        raise error(f"{name} must be a path without the character NUL, got {text!r}")
+    return Path(text)
 
 
 def file_inside(folder: Path, name: str) -> Path | None:
     """Path of a file that a text in a folder names, links followed; None where it lies outside."""
-    found = (folder / name).resolve()
-    inside = not Path(name).is_absolute() and found.is_relative_to(folder.resolve())
-    return found if inside else None
+    path = (folder / name).resolve()
+    inside = not Path(name).is_absolute() and path.is_relative_to(folder.resolve())
+    return path if inside else None
 
 
 def hash_file(path: Path) -> str:

@@ -74,8 +74,8 @@ def default_rate(
     needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
     if turns.size > 1:
         needs.append(40 / float(np.median(np.diff(time[turns]))))
-    wanted = max(needs, default=record_rate)
-    divisor = max(1, int(record_rate / wanted * (1 + 1e-9)))
+    needed = max(needs, default=record_rate)
+    divisor = max(1, int(record_rate / needed * (1 + 1e-9)))
     return record_rate / max(divisor, math.ceil(time.size / MOST_SAMPLES))
 
 
@@ -84,7 +84,7 @@ def crossing_times(
 ) -> list[float]:
     """Times, s, from each turning point to a distance `gap` from it, if reached before the next."""
     times = []
-    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=True):
+    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=False):  # there may be none
         away = np.abs(displacement[start : end + 1] - displacement[start])
         reached = int(np.argmax(away >= gap))
         if away[reached] >= gap and reached > 0:

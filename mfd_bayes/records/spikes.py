@@ -31,12 +31,12 @@ def without_spikes(trace: Trace) -> Trace:
     x, force = spikes_of(trace.displacement), trace.force
     at = force_spikes(trace)
     if x.size:
-        beside = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
+        near = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
         motion = (
             interpolated(trace.displacement, x),
             None,
             force,
-            interpolated(trace.velocity, beside),
+            interpolated(trace.velocity, near),
         )
         trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
     return replace(trace, force=interpolated(np.asarray(force), at)) if at.size else trace
@@ -56,8 +56,8 @@ def interpolated(values: Array, at: Samples) -> Array:
 
 def spikes_of(values: Array) -> Samples:
     """Spikes of one or a few samples, and overflow values."""
-    found = [*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]
-    return np.asarray(np.unique(np.concatenate(found)), dtype=np.intp)
+    spikes = [*(_isolated(values, n) for n in (1, 2, 3)), _over(values)]
+    return np.asarray(np.unique(np.concatenate(spikes)), dtype=np.intp)
 
 
 def force_spikes(trace: Trace) -> Samples:
@@ -93,12 +93,12 @@ def _over(values: Array) -> Samples:
     """Values of an overflow or a missing reading: far from all others, and reached in one step."""
     low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
     away = np.abs(values - middle)
-    found = [np.empty(0, dtype=np.intp)]
+    spikes = [np.empty(0, dtype=np.intp)]
     if high > low:
         for start, length in zip(*runs(away > OVERFLOW * (high - low)), strict=True):
             at = np.arange(start + 1, start + 1 + length)
             ends = [n for n in (start, start + 1 + length) if 0 <= n < values.size]
             sudden = all(away[n] < 0.5 * away[at].min() for n in ends)
             if sudden and (length <= LONGEST or np.ptp(values[at]) == 0.0):
-                found.append(at)
-    return np.concatenate(found)
+                spikes.append(at)
+    return np.concatenate(spikes)

@@ -1,140 +1,86 @@
-"""A report in either system of units."""
+"""Numbers of a report in the units of a system, from those in internal units."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, TypeVar
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from mfd_bayes.evaluation.design import DesignRow
 from mfd_bayes.evaluation.views import (
     CampaignView,
-    Check,
-    DerivedRow,
     Fan,
     LawView,
     LeftOutRow,
     LeftOutView,
-    Marginal,
-    NoiseRow,
-    ReadingRow,
-    Row,
-    ScoreRow,
     TestView,
-    TruthRow,
 )
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.systems import US, System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.runs.unit_system import US, System
 
-_FIGURES = (
-    *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
-    *("other_lower", "other_median", "other_upper"),
+if TYPE_CHECKING:
+    import pandas as pd
+
+_OF_UNIT = frozenset(
+    {
+        *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
+        *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "read_off"),
+        *("smallest", "largest", "prior", "posterior", "measured_low", "measured_high"),
+        *("observed", "expected", "joint_q2.5", "joint_q50", "joint_q97.5"),
+    }
 )
+"""Fields of a row, and columns of a table, that are in the unit that the row names."""
+
 _SCORES = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
 
-AnyScores = TypeVar("AnyScores", ScoreRow, LeftOutRow)
-AnyRow = TypeVar("AnyRow", Row, NoiseRow, DerivedRow, ReadingRow, TruthRow, DesignRow)
+_ENDINGS = {"_kip": "kip", "_in": "in", "_in_per_s": "in/s"}
+"""Internal units at the ends of columns' names."""
+
+AnyRow = TypeVar("AnyRow")
 
 
-def shown_in(view: CampaignView) -> System:
-    """System of units of the figures of a report: the campaign's own."""
+def system_of(view: CampaignView) -> System:
+    """System of units of the figures and tables of a report: by default the campaign's own."""
     return view.systems[view.metric]
 
 
-def in_system(view: CampaignView, system: System) -> CampaignView:
-    """A report in the units of a system, from one in internal units.
+def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
+    """A table in the units of a system.
 
-    Texts of checks stay as they are, and scores too: the page shows scores in both systems.
+    A column `unit` is the unit of the numbers in its row; other columns have theirs at the end of
+    their name, "width_95_kip", or in brackets, "Fc_fwd [kip]".
     """
     if system == US:
-        return view
-    unit = view.actuation_unit
-    return replace(
-        view,
-        tests=tuple(convert_test(test, system, unit) for test in view.tests),
-        laws=tuple(_law(law, system, unit) for law in view.laws),
-        law_rows=tuple(convert_row(row, system) for row in view.law_rows),
-        truth=tuple(convert_row(row, system) for row in view.truth),
-        actuation_unit=system.unit(unit),
-    )
+        return frame
+    shown = frame.copy()
+    if "unit" in frame:
+        by = frame["unit"].map(system.factor)
+        for name in _OF_UNIT.intersection(frame.columns):
+            shown[name] = frame[name] * by
+        shown["unit"] = frame["unit"].map(system.unit)
+    names = {}
+    for name in frame.columns:
+        ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
+        if ending:
+            unit = _ENDINGS[ending]
+            own = f"_{system.unit(unit).replace('/', '_per_')}"
+            names[name] = f"{name.removesuffix(ending)}{own}"
+        elif str(name).endswith("]"):
+            what, _, unit = name[:-1].rpartition(" [")
+            names[name] = f"{what} [{system.unit(unit)}]"
+        else:
+            continue
+        shown[name] = frame[name] * system.factor(unit)
+    return shown.rename(columns=names)
 
 
-def in_words(view: CampaignView) -> CampaignView:
-    """A report whose sentences give their figures in the units of the campaign."""
-    system = shown_in(view)
-    if system == US:
-        return view
-    say = system.reworded
-    return replace(
-        view,
-        sentence=say(view.sentence),
-        remarks=tuple(map(say, view.remarks)),
-        checks=tuple(_check(check, system) for check in view.checks),
-        warnings=tuple(replace(f, sentence=say(f.sentence)) for f in view.warnings),
-        judgements=tuple(
-            replace(j, sentence=say(j.sentence), notes=say(j.notes)) for j in view.judgements
-        ),
-    )
-
-
-def _check(check: Check, system: System) -> Check:
-    """A check whose sentence, and value where it has a unit, are in the units of a system."""
-    found = replace(check, target=system.reworded(check.target))
-    if not check.unit:
-        return found
-    value = check.value * system.factor(check.unit)
-    return replace(found, value=value, unit=system.unit(check.unit))
-
-
-def in_tables(view: CampaignView, system: System) -> CampaignView:
-    """What tables show of a report, in the units of a system: rows, scores, ranges; no traces."""
-    if system == US:
-        return view
-    unit, force = view.actuation_unit, system.factor("kip")
-    tests = tuple(
-        replace(
-            test,
-            actuation=system.actuation(test.trace, unit),
-            rows=tuple(convert_row(row, system) for row in test.rows),
-            derived=tuple(convert_row(row, system) for row in test.derived),
-            readings=tuple(convert_row(row, system) for row in test.readings),
-            noises=tuple(convert_row(row, system) for row in test.noises),
-        )
-        for test in view.tests
-    )
-    return replace(
-        view,
-        tests=tests,
-        law_rows=tuple(convert_row(row, system) for row in view.law_rows),
-        truth=tuple(convert_row(row, system) for row in view.truth),
-        scores=tuple(_scores(row, force) for row in view.scores),
-        left_out=_left_out(view.left_out, force),
-        tested=tuple(_span(span, system) for span in view.tested),
-    )
-
-
-def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:
-    """A test in the units of a system; `actuation_unit` is the internal one."""
-    if system == US:
-        return test
-    length, force = system.factor("in"), system.factor("kip")
-    units = {marginal.name: marginal.unit for marginal in test.marginals}
-    return replace(
-        test,
-        actuation=system.actuation(test.trace, actuation_unit),
-        trace=convert_trace(test.trace, system),
-        travel=None if test.travel is None else test.travel * length,
-        device=None if test.device is None else convert_fan(test.device, force),
-        observation=convert_fan(test.observation, force),
-        rows=tuple(convert_row(row, system) for row in test.rows),
-        derived=tuple(convert_row(row, system) for row in test.derived),
-        readings=tuple(convert_row(row, system) for row in test.readings),
-        noises=tuple(convert_row(row, system) for row in test.noises),
-        marginals=tuple(_marginal(marginal, system) for marginal in test.marginals),
-        chains={
-            name: draws * system.factor(units.get(name, "1")) for name, draws in test.chains.items()
-        },
-    )
+def convert_row(row: AnyRow, system: System) -> AnyRow:
+    """A dataclass with a field `unit`, in the units of a system."""
+    made: Any = row
+    by = system.factor(made.unit)
+    values: dict[str, Any] = {
+        f.name: getattr(made, f.name) * by for f in fields(made) if f.name in _OF_UNIT
+    }
+    converted: AnyRow = replace(made, unit=system.unit(made.unit), **values)
+    return converted
 
 
 def convert_trace(trace: Trace, system: System) -> Trace:
@@ -149,7 +95,14 @@ def convert_trace(trace: Trace, system: System) -> Trace:
     )
 
 
-def _law(law: LawView, system: System, actuation_unit: str) -> LawView:
+def convert_fan(fan: Fan, by: float) -> Fan:
+    """A fan times a factor."""
+    intervals = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in fan.intervals)
+    return Fan(fan.kind, fan.median * by, tuple(intervals))
+
+
+def convert_law(law: LawView, system: System, actuation_unit: str) -> LawView:
+    """A law in the units of a system; `actuation_unit` is the internal one."""
     by, along = system.factor(law.unit), system.factor(actuation_unit)
     return replace(
         law,
@@ -161,45 +114,27 @@ def _law(law: LawView, system: System, actuation_unit: str) -> LawView:
     )
 
 
-def convert_fan(fan: Fan, by: float) -> Fan:
-    """A fan times a factor."""
-    intervals = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in fan.intervals)
-    return Fan(fan.kind, fan.median * by, tuple(intervals))
-
-
-def convert_row(row: AnyRow, system: System) -> AnyRow:
-    """A row of a table in the units of a system."""
-    by = system.factor(row.unit)
-    figures: dict[str, Any] = {n: getattr(row, n) * by for n in _FIGURES if hasattr(row, n)}
-    if isinstance(row, Row):
-        figures["others"] = tuple(convert_row(other, system) for other in row.others)
-    return replace(row, unit=system.unit(row.unit), **figures)
-
-
-def _scores(row: AnyScores, by: float) -> AnyScores:
-    """A row of scores times a factor: those of a length of force; shares stay."""
-    return replace(row, **{name: getattr(row, name) * by for name in _SCORES if hasattr(row, name)})
-
-
-def _left_out(found: LeftOutView | None, by: float) -> LeftOutView | None:
-    if found is None:
-        return None
-    rows = tuple(_scores(row, by) for row in found.rows)
-    return replace(found, rows=rows, mean=_scores(found.mean, by))
-
-
-def _span(span: Span, system: System) -> Span:
-    by = system.factor(span.unit)
+def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:
+    """What the figures of a test show, in the units of a system."""
+    if system == US:
+        return test
+    force = system.factor("kip")
     return replace(
-        span, unit=system.unit(span.unit), lowest=span.lowest * by, highest=span.highest * by
+        test,
+        actuation=system.actuation(test.trace, actuation_unit),
+        trace=convert_trace(test.trace, system),
+        travel=None if test.travel is None else test.travel * system.factor("in"),
+        device=None if test.device is None else convert_fan(test.device, force),
+        observation=convert_fan(test.observation, force),
+        marginals=tuple(convert_row(marginal, system) for marginal in test.marginals),
     )
 
 
-def _marginal(marginal: Marginal, system: System) -> Marginal:
-    by = system.factor(marginal.unit)
-    return replace(
-        marginal,
-        unit=system.unit(marginal.unit),
-        prior=marginal.prior * by,
-        posterior=marginal.posterior * by,
-    )
+def convert_scores(scores: LeftOutView, by: float) -> LeftOutView:
+    """Scores of what was left out times a factor: those that are forces."""
+
+    def converted(row: LeftOutRow) -> LeftOutRow:
+        return replace(row, **{name: by * getattr(row, name) for name in _SCORES})
+
+    rows = tuple(converted(row) for row in scores.rows)
+    return replace(scores, rows=rows, mean=converted(scores.mean))

@@ -4,53 +4,43 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
 
-KEYS = ("test", "chain", "draw")
-"""Columns that tell where a draw belongs."""
-
 
 def frames_of(run: Run, system: System, most: int = 0) -> Iterator[pd.DataFrame]:
-    """Draws of every calibrated test, a table each: keys, quantities, log densities.
+    """Draws of every calibrated test, a table each: test, chain, draw, quantities, log densities.
 
-    A column of a quantity is called by its name and its unit in `system`: "Fc_fwd [kN]".
-
-    Parameters
-    ----------
-    run : Run
-    system : System
-    most : int
-        Most draws of a test, evenly taken out of all of them; 0 for all.
+    A column of a quantity is called by its name and its unit in `system`: "Fc_fwd [kN]". With
+    `most`, so many draws are taken evenly out of all of them.
     """
     import pandas as pd
 
     for name, test in run.tests.items():
-        stored = test.stored
-        chains, draws = stored.stats["lp"].shape
+        stats = test.stored.stats
+        chains, draws = stats["lp"].shape
         kept = np.arange(chains * draws)
         if 0 < most < kept.size:
             kept = np.linspace(0, kept.size - 1, most).astype(np.intp)
-        columns: dict[str, Any] = {"test": name, "chain": kept // draws, "draw": kept % draws}
-        for quantity, values in stored.draws.data_vars.items():
+        frame = pd.DataFrame({"test": name, "chain": kept // draws, "draw": kept % draws})
+        for quantity, values in test.stored.draws.data_vars.items():
             unit = str(values.attrs.get("units", "1"))
-            shown = "" if unit == "1" else f" [{system.unit(unit)}]"
-            columns[f"{quantity}{shown}"] = values.to_numpy().reshape(-1)[kept] * system.factor(
-                unit
-            )
+            head = f"{quantity} [{system.unit(unit)}]" if unit != "1" else str(quantity)
+            frame[head] = values.to_numpy().reshape(-1)[kept] * system.factor(unit)
         for density in ("log_prior", "log_likelihood"):
-            columns[density] = stored.stats[density].to_numpy().reshape(-1)[kept]
-        yield pd.DataFrame(columns)
+            frame[density] = stats[density].to_numpy().reshape(-1)[kept]
+        yield frame
 
 
 def write_csv(path: Path, frames: Iterable[pd.DataFrame]) -> int:
@@ -94,11 +84,8 @@ def check_parquet() -> None:
     ReportError
         When it is not.
     """
-    try:
-        import pyarrow as pa
-    except ImportError as error:
+    if find_spec("pyarrow") is None:
         raise ReportError(
             '--to parquet needs pyarrow, which is not installed: pip install "mfd_bayes[parquet]", '
             "or take --to csv"
-        ) from error
-    del pa
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.records.numbers import real_numbers
-from mfd_bayes.runs import opening
+from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.systems import System
+    from mfd_bayes.runs.unit_system import System
 
 
 def open_run(folder: str | Path) -> Run:
@@ -29,10 +29,7 @@ def open_run(folder: str | Path) -> Run:
         When the folder is no finished run, a file in it is not what the run wrote, or another
         process changes it meanwhile.
     """
-    run = opening.open_run(folder)
-    extras = Notebook(run.system)
-    tests = {name: replace(test, extras=extras) for name, test in run.tests.items()}
-    return replace(run, tests=tests, extras=extras)
+    return runs.open_run(folder, Notebook)
 
 
 @dataclass(frozen=True)
@@ -45,30 +42,27 @@ class Notebook:
         """Axes with a band over time, or over a displacement, in."""
         from mfd_bayes.evaluation.views import Fan, Interval
         from mfd_bayes.reporting.conversion import convert_fan
-        from mfd_bayes.reporting.figures import axes as drawn
+        from mfd_bayes.reporting.figures import loops
 
         interval = Interval(band.probability, band.lower, band.upper)
         fan = convert_fan(Fan(band.kind, band.median, (interval,)), self.system.factor("kip"))
         along = None
         if displacement is not None:
             along = _along(band, displacement) * self.system.factor("in")
-        where = drawn.checked_axes(axes)
-        return drawn.draw_band(where, fan, band.time, along, self.system)
+        return loops.draw_band(axes, fan, band.time, along, self.system)
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
-        from mfd_bayes.evaluation.bands import fan_of
+        from mfd_bayes.evaluation.scores import fan_of
         from mfd_bayes.reporting.conversion import convert_fan, convert_trace
-        from mfd_bayes.reporting.figures import axes as drawn
+        from mfd_bayes.reporting.figures import loops
         from mfd_bayes.store.netcdf import load_groups
 
-        where = drawn.checked_axes(axes)
         force = load_groups(test.path)["posterior_predictive"]["force"].to_numpy()
         fan = fan_of("observation", force.reshape(-1, force.shape[-1]).astype(np.float64))
         shown = convert_fan(fan, self.system.factor("kip"))
-        return drawn.draw_measured(
-            where, convert_trace(test.trace, self.system), shown, self.system
-        )
+        trace = convert_trace(test.trace, self.system)
+        return loops.draw_measured(axes, trace, shown, self.system)
 
     def inference_data(self, result: TestResult | Band) -> Any:
         """Groups of a test, or of a band, as ArviZ's functions take them."""
@@ -83,15 +77,15 @@ class Notebook:
 
 def _along(band: Band, displacement: Any) -> NDArray[np.float64]:
     """Displacement over which a band is drawn, (T,), in."""
-    found = real_numbers("displacement", displacement, ReportError)
-    if found.shape != band.time.shape:
+    values = real_numbers("displacement", displacement, ReportError)
+    if values.shape != band.time.shape:
         raise ReportError(
             f"displacement must have shape {band.time.shape}, a number for each sample of the "
-            f"band, got {found.shape}"
+            f"band, got {values.shape}"
         )
-    if not np.all(np.isfinite(found)):
+    if not np.all(np.isfinite(values)):
         raise ReportError("displacement must be finite")
-    return found
+    return values
 
 
 def _of_band(band: Band) -> dict[str, Any]:
@@ -108,7 +102,7 @@ def _of_cycles(test: TestResult) -> Any:
     """Log density of each cycle given all others, (chain, draw, cycle)."""
     import xarray as xr
 
-    from mfd_bayes.evaluation.cycles import cycle_log_likelihood, find_cycles
+    from mfd_bayes.evaluation.compare import cycle_log_likelihood, find_cycles
 
     stored, posterior = test.stored, test.posterior
     shape = stored.stats["lp"].shape

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import unicodedata
+from html import unescape
 
 from markupsafe import Markup, escape
 
@@ -11,7 +13,7 @@ from mfd_bayes.calibration.prior_files import known_quantities
 
 # Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {
-    "crossing": (r"D_\mathrm{slip}", "D<sub>slip</sub>", "travel from slip to slip"),
+    "gap_width": (r"D_\mathrm{slip}", "D<sub>slip</sub>", "travel from slip to slip"),
     "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
     "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
     "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),
@@ -19,11 +21,12 @@ _SYMBOLS = {
     "alpha_sigma0": (r"\alpha_{\sigma_0}", "α<sub>σ0</sub>", "bristle stiffness per actuation"),
     "energy_per_cycle": ("E", "E", "energy dissipated in a cycle at full stroke, their mean"),
     "energy_of_ramps": (r"E_\mathrm{ramp}", "E<sub>ramp</sub>", "the same of smaller full cycles"),
-    "energy_in_all": (
-        r"E_\mathrm{all}",
-        "E<sub>all</sub>",
-        "energy of the whole record",
-    ),
+    "energy_in_all": (r"E_\mathrm{all}", "E<sub>all</sub>", "energy of the whole record"),
+    "slip_fwd": (r"F_{0,\mathrm{fwd}}", "F<sub>0,fwd</sub>", "slip force at zero displacement"),
+    "slip_bwd": (r"F_{0,\mathrm{bwd}}", "F<sub>0,bwd</sub>", "slip force at zero displacement"),
+    "effective_stiffness": (r"K_\mathrm{eff}", "K<sub>eff</sub>", "effective stiffness"),
+    "effective_damping": (r"\beta_\mathrm{eff}", "β<sub>eff</sub>", "effective damping ratio"),
+    "build_up_slope": (r"k_\mathrm{up}", "k<sub>up</sub>", "slope of the build-up"),
     "c_eq": (r"c_\mathrm{eq}", "c<sub>eq</sub>", "equivalent viscous damping coefficient"),
     "peak_fwd": (r"F_{\max,\mathrm{fwd}}", "F<sub>max,fwd</sub>", "peak force, forward"),
     "peak_bwd": (r"F_{\max,\mathrm{bwd}}", "F<sub>max,bwd</sub>", "peak force, backward"),
@@ -85,7 +88,7 @@ def in_figure(name: str) -> str:
     """Symbol of a quantity as matplotlib writes it; an unknown name as plain text."""
     if symbol := maths(name):
         return f"${symbol}$"
-    word, of, more = of_population(name)
+    word, of, more = split_population(name)
     return f"{word} {in_figure(of)}{more}" if word else plain(name.replace("_", " "))
 
 
@@ -94,14 +97,24 @@ def in_html(name: str) -> Markup:
     if symbol := _written(name)[1]:
         return Markup(symbol)
     shown = printable(name)
-    word, of, more = of_population(shown)
+    word, of, more = split_population(shown)
     return escape(word + " ") + in_html(of) + more if word else escape(shown.replace("_", " "))
+
+
+_PART = re.compile(r"<sub>(.*?)</sub>|<[^>]+>|([^<]+)")
+
+
+def parts_of(name: str) -> list[tuple[str, bool]]:
+    """Symbol of a quantity as parts of text, each with whether it is a subscript."""
+    matches = _PART.finditer(in_html(name))
+    parts = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in matches)
+    return [part for part in parts if part[0]]
 
 
 def meaning(name: str) -> str:
     """What a quantity is, "" where that is not known."""
-    if known := _written(name)[2]:
-        return known
+    if words := _written(name)[2]:
+        return words
     prefix, of, more = _parts(name)
     if not prefix:
         return ""
@@ -112,7 +125,7 @@ def meaning(name: str) -> str:
     return f"{text}: {what or meaning(of) or of.replace('_', ' ')}{more}"
 
 
-def of_population(name: str) -> tuple[str, str, str]:
+def split_population(name: str) -> tuple[str, str, str]:
     """Prefix in words, quantity and covariate of a population's quantity; else empty."""
     prefix, of, more = _parts(name)
     if not prefix:
@@ -166,12 +179,19 @@ def label(name: str, unit: str) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number for reading, with that many significant digits; a dash for NaN."""
+    """A number for reading, with that many significant digits; a dash for NaN.
+
+    It has no exponent from 0.0001 to a million. The page's script writes numbers alike.
+    """
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    text = f"{value:#.{digits}g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+    size = abs(float(f"{value:.{digits - 1}e}"))
+    if 10**digits <= size < 1e6:
+        text = f"{float(f'{value:.{digits}g}'):.0f}"
+    else:
+        text = f"{value:#.{digits}g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
     return text.replace(".e", "e").removesuffix(".").replace("-", "−")
 
 

@@ -1,257 +1,894 @@
-"""The report's tables as CSV texts."""
+"""Tables of a report: each is a DataFrame, which becomes CSV, JSON, LaTeX, Excel and Word.
+
+A frame has a row for each value, in internal units; `conversion.to_units` gives it in others. A
+`Sheet` is made from a frame for reading: quantities are rows, tests are columns. pandas is imported
+late, for many commands need no table.
+"""
 
 from __future__ import annotations
 
-import csv
-import dataclasses
 import io
+import json
 import math
-from collections.abc import Iterable, Sequence
+import string
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count, product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mfd_bayes.evaluation.design import BASES, DesignRow
 from mfd_bayes.evaluation.next_test import advice_rows
-from mfd_bayes.evaluation.views import (
-    CampaignView,
-    Check,
-    DerivedRow,
-    LawChoice,
-    LeftOutView,
-    NoiseRow,
-    ReadingRow,
-    Row,
-    ScoreRow,
-)
+from mfd_bayes.evaluation.views import CampaignView, DerivedRow, Fan, LeftOutRow, ScoreRow, TestView
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.noises import noted
-from mfd_bayes.reporting.symbols import printable
-from mfd_bayes.runs.results import ComparisonRow
-from mfd_bayes.runs.systems import US, System
-from mfd_bayes.runs.tested import Span
+from mfd_bayes.reporting.conversion import system_of, to_units
+from mfd_bayes.reporting.symbols import (
+    maths,
+    meaning,
+    number,
+    parts_of,
+    printable,
+    split_population,
+    unit_text,
+)
+from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
 
-_DIGITS = 6
-_FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
-
-_QUANTILES = ("mean", "sd", "q2.5", "q50", "q97.5", "ess_bulk", "ess_tail", "r_hat", "contraction")
+if TYPE_CHECKING:
+    import pandas as pd
 
 CROSSVALIDATION = "crossvalidation.csv"
 
+ACTUATION = "actuation in "
+"""Before the internal unit of an actuation, which is given in psi, and not in ksi."""
 
-def report_tables(view: CampaignView, system: System = US) -> dict[str, str]:
-    """CSV tables of a report in the units of a system, by the name of the file."""
-    found = {
-        "parameters.csv": parameters_csv(r for t in view.tests for r in t.rows),
-        "derived.csv": derived_csv(r for t in view.tests for r in t.derived),
-        "readings.csv": readings_csv(r for t in view.tests for r in t.readings),
-        "noises.csv": noises_csv(r for t in view.tests for r in t.noises),
-        "laws.csv": laws_csv(view.law_rows),
-        "law_scores.csv": law_scores_csv(view.law_choices),
-        "checks.csv": checks_csv(view.checks),
-        "scores.csv": scores_csv(view.scores, system),
-        "tested_range.csv": tested_csv(view.tested),
+_FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
+_INTERVAL = "lower:q2.5 median:q50 upper:q97.5"
+_POSTERIOR = f"unit mean sd {_INTERVAL} ess_bulk ess_tail r_hat contraction note"
+_JOINT = "joint_lower:joint_q2.5 joint_median:joint_q50 joint_upper:joint_q97.5 disagrees"
+_SCORES = (
+    "coverage_50 coverage_90 coverage_95 width_95:width_95_kip "
+    "interval_score:interval_score_95_kip crps:crps_kip rrse"
+)
+_COLUMNS = {
+    "parameters": f"subject:test name:parameter {_POSTERIOR} {_JOINT}",
+    "laws": f"subject:group name:constant {_POSTERIOR}",
+    "derived": f"subject:test role name:quantity unit mean sd {_INTERVAL} measured note",
+    "readings": f"subject:test name:quantity unit value:read_off {_INTERVAL} tolerance missed",
+    "noises": (
+        f"subject:test name:quantity unit noise {_INTERVAL} other:other_noise "
+        "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 decides"
+    ),
+    "law_scores": (
+        "quantity law chosen elpd elpd_se difference:elpd_difference "
+        "difference_se:elpd_difference_se weight pareto_k"
+    ),
+    "checks": (
+        "test check feature observed expected unit difference tolerance p_value status note"
+    ),
+    "scores": f"subject:test role {_SCORES}",
+    "crossvalidation": (
+        f"part subject:test {_SCORES} fitted_width:fitted_width_95_kip "
+        "fitted_crps:fitted_crps_kip width_ratio crps_ratio whole_95"
+    ),
+    "tested_range": "name:condition unit lowest:smallest highest:largest",
+    "comparison": (
+        "subject:test model cycles elpd elpd_se p_loo worst_k:worst_pareto_k bad:share_bad_k "
+        "unsettled:share_unsettled difference:elpd_difference difference_se:elpd_difference_se "
+        "rrse:rrse_in_sample"
+    ),
+    "truth": f"subject:test name:quantity unit truth {_INTERVAL} inside informed",
+    "prediction": "name:quantity unit mean sd lower median upper measured note",
+}
+"""Columns of each table, as "column", or "field:column" where the rows call it otherwise."""
+
+
+def frame_of(table: str, rows: Iterable[Any]) -> pd.DataFrame:
+    """A table of `_COLUMNS` with a line for each of its rows."""
+    import pandas as pd
+
+    pairs = [word.partition(":") for word in _COLUMNS[table].split()]
+    lines = [[getattr(row, name) for name, _, _ in pairs] for row in rows]
+    return pd.DataFrame(lines, columns=[column or name for name, _, column in pairs])
+
+
+def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
+    """Tables of a report by their names, in internal units."""
+    tests = view.tests
+    rows: dict[str, Iterable[Any]] = {
+        "parameters": (row for test in tests for row in test.rows),
+        "derived": (row for test in tests for row in test.derived),
+        "readings": (row for test in tests for row in test.loop_estimates),
+        "noises": (row for test in tests for row in test.noises),
+        "laws": view.law_rows,
+        "law_scores": (row for choice in view.law_choices for row in choice.rows),
+        "checks": view.checks,
+        "scores": view.scores,
+        "tested_range": view.tested,
     }
     if view.left_out is not None:
-        found[CROSSVALIDATION] = crossvalidation_csv(view.left_out, system)
-    return found
+        rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
+    return {name: frame_of(name, lines) for name, lines in rows.items()}
 
 
-def parameters_csv(rows: Iterable[Row]) -> str:
-    """Table I of the paper with uncertainty: one line per test and parameter.
+def report_tables(view: CampaignView) -> dict[str, str]:
+    """CSV, JSON and LaTeX tables in the units of a report, by the name of the file."""
+    system = system_of(view)
+    frames = {name: to_units(frame, system) for name, frame in report_frames(view).items()}
+    texts = {f"{name}.csv": to_csv(frame) for name, frame in frames.items()}
+    noises = _deciding(frames["noises"])
+    parameters = frames["parameters"].copy()
+    keys = zip(parameters["test"], parameters["parameter"], parameters["note"], strict=True)
+    parameters["note"] = [
+        "; ".join(filter(None, (note, _other_text(noises.get((test, name), ())))))
+        for test, name, note in keys
+    ]
+    texts["parameters.csv"] = to_csv(parameters)
+    for name in ("parameters", "laws"):
+        texts[f"{name}.json"] = _to_json(view.title, name, frames[name], noises)
+    one, two = paper_sheets(view, system)
+    texts["parameters.tex"] = to_latex("parameters", one)
+    texts["laws.tex"] = to_latex("laws", two)
+    return texts
 
-    Quantiles bound the equal-tailed 95 % interval. A cell is empty where the value is not
-    defined. The note has the value under other noises too, where that choice decides it.
+
+def to_csv(frame: pd.DataFrame, about: Sequence[str] = ()) -> str:
+    """A table as CSV, below lines of comments: six digits, and no text that a spreadsheet runs."""
+    shown = frame.copy()
+    for name in frame.columns:
+        if frame[name].dtype.kind == "b":
+            shown[name] = frame[name].map({True: "yes", False: "no"})
+        elif frame[name].dtype.kind not in "fiu":
+            shown[name] = frame[name].map(_safe)
+    lines = "".join(f"# {' '.join(line.split())}\n" for line in about)
+    return lines + shown.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+
+
+def _safe(value: object) -> object:
+    """A text that no spreadsheet takes for a formula; numbers stay."""
+    if not isinstance(value, str):
+        return value
+    text = printable(str(value))
+    return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
+
+
+Noises = Mapping[tuple[str, str], list[dict[str, Any]]]
+"""Rows of other noises that decide a quantity, by test and quantity."""
+
+
+def _deciding(noises: pd.DataFrame) -> Noises:
+    by: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in _records(noises):
+        if row["decides"]:
+            by.setdefault((row["test"], row["quantity"]), []).append(row)
+    return by
+
+
+def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Lines of a frame by column."""
+    return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
+
+
+def _other_line(row: Mapping[str, Any]) -> Line:
+    figures = row["other_q50"], row["other_q2.5"], row["other_q97.5"]
+    name = row["other_noise"].replace("{", "{{").replace("}", "}}")
+    return Line(f"{name}: {{}} [{{}}, {{}}]", figures)
+
+
+def _other_text(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Values under other noises: "the noise model decides: staged: 42.2 [39.0, 45.6]"."""
+    text = "; ".join(_other_line(row).text for row in rows)
+    return f"the noise model decides: {text}" if text else ""
+
+
+def _to_json(title: str, name: str, frame: pd.DataFrame, noises: Noises) -> str:
+    """JSON with the meaning of its figures; null where one is not finite."""
+    figures = {"q2.5": "lower", "q50": "median", "q97.5": "upper"}
+    rows = []
+    for row in _records(frame):
+        line = {figures.get(str(k), str(k)): _finite(v) for k, v in row.items()}
+        others = noises.get((row.get("test", ""), row.get("parameter", "")), ())
+        line["other_noises"] = [
+            {"noise": o["other_noise"]}
+            | {figures[q]: _finite(o[f"other_{q}"]) for q in ("q2.5", "q50", "q97.5")}
+            for o in others
+        ]
+        rows.append(line)
+    content = {
+        "title": title,
+        "table": name,
+        "interval": {
+            "kind": "equal-tailed",
+            "probability": 0.95,
+            "bounds": ["lower", "upper"],
+        },
+        "null": "not defined, or not finite",
+        "rows": rows,
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    """A text, or a number with six digits; None where it is not finite."""
+    if isinstance(value, str):
+        return value
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class Line:
+    """Numbers in their places in a text: "[{}, {}]" and (1.1, 1.4), in the unit of the row.
+
+    A ratio has no unit. A marked line is a measured value outside of its bounds.
     """
-    lines = ((*_cells(row)[:-1], noted(row)) for row in rows)
-    return csv_text(("test", "parameter", "unit", *_QUANTILES, "note"), lines)
+
+    template: str
+    numbers: tuple[float, ...]
+    ratio: bool = False
+    marked: bool = False
+
+    @property
+    def finite(self) -> bool:
+        """Whether it has a number."""
+        return any(map(math.isfinite, self.numbers))
+
+    @property
+    def text(self) -> str:
+        """The line with three digits."""
+        return self.template.format(*(number(value, 3) for value in self.numbers))
 
 
-def noises_csv(rows: Iterable[NoiseRow]) -> str:
-    """Every quantity under the campaign's noise and under others, and whether they decide it."""
-    head = ("test", "quantity", "unit", "noise", "q2.5", "q50", "q97.5", "other_noise")
-    lines = ((*dataclasses.astuple(r)[:-1], "yes" if r.decides else "no") for r in rows)
-    return csv_text((*head, "other_q2.5", "other_q50", "other_q97.5", "decides"), lines)
+NONE = Line("–", ())
+"""What a cell without a number shows."""
 
 
-def readings_csv(rows: Iterable[ReadingRow]) -> str:
-    """Figures read off the loops, each beside the quantity that should agree with it."""
-    head = ("test", "quantity", "unit", "read_off", "q2.5", "q50", "q97.5", "tolerance", "missed")
-    return csv_text((*head, "largest"), (dataclasses.astuple(row)[:-1] for row in rows))  # not far
+@dataclass(frozen=True)
+class Cell:
+    """What a cell of a sheet shows: a line each, with the unit of its row."""
+
+    lines: tuple[Line, ...]
+    note: str = ""
+
+    @property
+    def shown(self) -> list[Line]:
+        """Lines that have a number; a dash where none has."""
+        return [line for line in self.lines if line.finite] or [NONE]
 
 
-def laws_csv(rows: Iterable[Row]) -> str:
-    """Table II of the paper with uncertainty: slopes, shapes and scatter."""
-    return csv_text(("group", "constant", "unit", *_QUANTILES, "note"), map(_cells, rows))
+@dataclass(frozen=True)
+class SheetRow:
+    """A quantity with its cells; None where a test has none.
+
+    Attributes
+    ----------
+    name : str
+        Of `symbols`, or words.
+    detail : str
+        Which of several values it is: "forward, cycle 1".
+    """
+
+    name: str
+    unit: str
+    cells: tuple[Cell | None, ...]
+    detail: str = ""
+
+    @property
+    def used(self) -> list[int]:
+        """Numbers of the lines that a cell has."""
+        cells = [cell for cell in self.cells if cell]
+        size = max((len(cell.lines) for cell in cells), default=0)
+        return [at for at in range(size) if any(cell.lines[at].finite for cell in cells)]
+
+    @property
+    def meaning(self) -> str:
+        """What the quantity is, with its detail."""
+        return ", ".join(filter(None, (meaning(self.name), self.detail)))
 
 
-def checks_csv(checks: Iterable[Check]) -> str:
-    """Every check: its value, with its unit where it has one, its limit and its verdict."""
-    head = ("subject", "check", "target", "value", "limit", "verdict", "size", "tolerance", "unit")
-    return csv_text(head, map(dataclasses.astuple, checks))
+@dataclass(frozen=True)
+class Sheet:
+    """A table for reading: quantities as rows, tests as columns.
+
+    Attributes
+    ----------
+    heads : tuple of str
+        Of the columns.
+    numbers : tuple of str
+        What each number of a cell is, in their order; columns of a workbook.
+    lines : tuple of str
+        What each line of a cell is.
+    conditions : tuple of tuple of (float, str)
+        Of the columns of a data sheet: values with their internal units.
+    """
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[SheetRow, ...]
+    numbers: tuple[str, ...] = ("median", "2.5 %", "97.5 %")
+    lines: tuple[str, ...] = ("median", "95 % interval")
+    conditions: tuple[tuple[tuple[float, str], ...], ...] = ()
+
+    def blocks(self, most: int) -> list[Sheet]:
+        """Parts of the sheet with at most so many columns, numbered if there are several."""
+        parts = -(-len(self.heads) // most)
+        most = -(-len(self.heads) // max(parts, 1))
+        return [
+            replace(
+                self,
+                title=f"{self.title} ({at // most + 1} of {parts})" if parts > 1 else self.title,
+                heads=self.heads[at : at + most],
+                conditions=self.conditions[at : at + most],
+                rows=tuple(replace(row, cells=row.cells[at : at + most]) for row in self.rows),
+            )
+            for at in range(0, len(self.heads), max(most, 1))
+        ]
+
+    def marks(self) -> dict[str, str]:
+        """A letter for each note of the cells: a to z, then aa, ab, and so on."""
+        cells = (cell for row in self.rows for cell in row.cells)
+        notes = dict.fromkeys(printable(cell.note) for cell in cells if cell and cell.note)
+        words = (product(string.ascii_lowercase, repeat=length) for length in count(1))
+        return dict(zip(notes, ("".join(word) for group in words for word in group), strict=False))
 
 
-def _scores(system: System) -> tuple[str, ...]:
-    """Columns of scores, with their unit of force."""
-    force = system.force
-    width = ("coverage_50", "coverage_90", "coverage_95", f"width_95_{force}")
-    return (*width, f"interval_score_95_{force}", f"crps_{force}", "rrse")
+def paper_sheets(view: CampaignView, system: System) -> tuple[Sheet, Sheet]:
+    """The paper's Tables I and II, with uncertainty."""
+    frames = report_frames(view)
+    noises = _deciding(to_units(frames["noises"], system))
+    tests = [test for test in view.tests if test.rows]
+    heads = {
+        test.id: f"{printable(test.id)}, {system.actuation(test.trace, view.actuation_unit)}"
+        for test in tests
+    }
+    parameters = to_units(frames["parameters"], system)
+    one = _sheet("Table I: parameters of the tests", parameters, heads, noises)
+    laws = to_units(frames["laws"], system).assign(test="all tests")
+    two = _sheet(
+        "Table II: constants of the laws",
+        laws.rename(columns={"constant": "parameter"}),
+        {"all tests": "all tests"},
+        {},
+    )
+    return one, two
 
 
-def scores_csv(scores: Iterable[ScoreRow], system: System = US) -> str:
-    """Scores of each record's observation bands against its force."""
-    return csv_text(("test", "role", *_scores(system)), map(dataclasses.astuple, scores))
+def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: Noises) -> Sheet:
+    """Sheet of posteriors: the median, below it the interval and the values under other noises."""
+    rows = []
+    for key, group in frame.groupby(["parameter", "unit"], sort=False):
+        name, unit = map(str, key)
+        cells = {}
+        for row in _records(group):
+            lines = [Line("{}", (row["q50"],)), Line("[{}, {}]", (row["q2.5"], row["q97.5"]))]
+            if row.get("disagrees", False):
+                joint = (row["joint_q50"], row["joint_q2.5"], row["joint_q97.5"])
+                lines.append(Line("with the others: {} [{}, {}]", joint, marked=True))
+            lines += [_other_line(other) for other in noises.get((row["test"], name), ())]
+            cells[row["test"]] = Cell(tuple(lines), row["note"])
+        rows.append(SheetRow(name, unit, tuple(cells.get(test) for test in heads)))
+    title = f"{title}, posterior median and equal-tailed 95 % interval"
+    return Sheet(title, tuple(heads.values()), tuple(rows))
 
 
-def tested_csv(spans: Iterable[Span]) -> str:
-    """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
-    return csv_text(("condition", "unit", "smallest", "largest"), map(dataclasses.astuple, spans))
+_PROPERTY_LINES = ("measured", "cycles", "nominal", "bounds", "λ")
+_PROPERTY_NUMBERS = (
+    *("measured", "smallest cycle", "largest cycle"),
+    *("nominal", "lower", "upper", "λ min", "λ max"),
+)
 
 
-def crossvalidation_csv(found: LeftOutView, system: System = US) -> str:
-    """Scores of each test, predicted without its part of the campaign, and their mean."""
-    fitted = (f"fitted_width_95_{system.force}", f"fitted_crps_{system.force}")
-    head = ("part", "test", *_scores(system), *fitted, "width_ratio", "crps_ratio", "whole_95")
-    return csv_text(head, map(dataclasses.astuple, (*found.rows, found.mean)))
+def datasheet_frame(rows: pd.DataFrame, system: System) -> pd.DataFrame:
+    """Rows of a data sheet in the units of a system, with those of its conditions in the heads."""
+    frame = rows.rename(columns={"stroke": "stroke_in", "frequency": "frequency_Hz"})
+    levels = [system.of_actuation(unit) for unit in rows["actuation_unit"]]
+    frame["actuation"] = rows["actuation"] * np.array([by for by, _ in levels])
+    frame["actuation_unit"] = [name for _, name in levels]
+    return to_units(frame, system)
+
+
+def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
+    """The properties of a data sheet for reading: conditions are columns."""
+    heads: dict[str, str] = {}
+    conditions = []
+    for row in _records(rows.drop_duplicates("condition")):
+        unit = row["actuation_unit"]
+        level = system.words([row["actuation"]], unit, actuation=True)
+        motion = (row["stroke"], "in"), (row["frequency"], "Hz")
+        parts = ((row["actuation"], f"{ACTUATION}{unit}"), *motion)
+        conditions.append(tuple(part for part in parts if math.isfinite(part[0])))
+        words = (system.words([value], of, 3) for value, of in conditions[-1][1:])
+        heads[row["condition"]] = ", ".join((level, *words))
+    made = []
+    order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
+    keys = ["quantity", "direction", "cycle", "unit"]
+    ordered = rows.sort_values("quantity", key=lambda names: names.map(order), kind="stable")
+    for key, group in ordered.groupby(keys, sort=False):
+        name, direction, cycle, unit = map(str, key)
+        by, cells = system.factor(unit), {}
+        for row in _records(group):
+            several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
+            ends = by * row["measured_low"], by * row["measured_high"]
+            lines = (
+                Line("{}", (by * row["measured"],), marked=outside and not several),
+                Line("{}–{}", ends if several else (math.nan, math.nan), marked=outside),
+                Line("{}", (by * row["nominal"],)),
+                Line("{}–{}", (by * row["lower"], by * row["upper"])),
+                Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
+            )
+            cells[row["condition"]] = Cell(lines, row["note"])
+        detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle != "0" else "")))
+        made.append(
+            SheetRow(
+                name.replace("_", " ").replace("gap", "gap width"),
+                system.unit(unit),
+                tuple(cells.get(key) for key in heads),
+                detail,
+            )
+        )
+    return Sheet(
+        f"{title}: data sheet",
+        tuple(heads.values()),
+        tuple(made),
+        _PROPERTY_NUMBERS,
+        _PROPERTY_LINES,
+        tuple(conditions),
+    )
+
+
+_SCORE_ROWS = (
+    ("coverage of the 50 % band", "coverage_50", "%"),
+    ("coverage of the 90 % band", "coverage_90", "%"),
+    ("coverage of the 95 % band", "coverage_95", "%"),
+    ("width of the 95 % band", "width_95", "kip"),
+    ("ratio of the width", "width_ratio", "1"),
+    ("interval score", "interval_score", "kip"),
+    ("CRPS", "crps", "kip"),
+    ("ratio of the CRPS", "crps_ratio", "1"),
+    ("error (RRSE)", "rrse", "1"),
+    ("whole history inside 95 %", "whole_95", "%"),
+)
+
+
+def score_sheet(rows: Sequence[ScoreRow | LeftOutRow]) -> Sheet:
+    """Scores of predicted tests, in internal units: tests are columns."""
+    made = []
+    for words, name, unit in _SCORE_ROWS:
+        by = 100.0 if unit == "%" else 1.0
+        values = [by * getattr(row, name, math.nan) for row in rows]
+        if any(map(math.isfinite, values)):
+            cells = tuple(Cell((Line("{}", (value,)),)) for value in values)
+            made.append(SheetRow(words, unit, cells))
+    return Sheet("Scores", tuple(row.subject for row in rows), tuple(made))
+
+
+_ESCAPED = {
+    **{character: f"\\{character}" for character in "_%&#${}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': "''",
+    "-": "-{}",  # two would become a dash
+    "[": "{[}",  # after the end of a row it would be a length
+    "*": "{*}",
+    "·": r"$\cdot$",
+    "²": "$^2$",
+    "³": "$^3$",
+    "−": "$-$",
+    "–": "--",
+    "…": r"\ldots{}",
+    "γ": r"$\gamma$",
+    "λ": r"$\lambda$",
+    "σ": r"$\sigma$",
+    "ℓ": r"$\ell$",
+}
+
+WIDE = 3
+"""Columns of tests side by side in LaTeX and Word, so that they fit the width of a page."""
+
+LONG = 14
+"""Rows of one tabular in LaTeX, so that it fits the height of a page."""
+
+
+def escape_tex(text: str) -> str:
+    """Text escaped for LaTeX; a letter that fonts may not have becomes ``?``."""
+
+    def letter(character: str) -> str:
+        if not character.isprintable():
+            return " "
+        base = unicodedata.normalize("NFD", character)[0]
+        return character if base.isascii() and character < "\u0180" else "?"
+
+    return "".join(_ESCAPED.get(c) or letter(c) for c in text)
+
+
+def symbol_tex(name: str) -> str:
+    """Symbol of a quantity as maths; an unknown name as text."""
+    if symbol := maths(name):
+        return f"${symbol}$"
+    word, of, more = split_population(name)
+    if word:
+        return f"{escape_tex(word)} {symbol_tex(of)}{escape_tex(more)}"
+    return escape_tex(name.replace("_", " "))
+
+
+def number_tex(value: float) -> str:
+    """A number with three digits as maths."""
+    text = number(value, 3).replace("−", "-").replace("∞", r"\infty").replace("–", r"\mbox{--}")
+    mantissa, _, power = text.partition("e")
+    return rf"${mantissa}\times 10^{{{power}}}$" if power else f"${mantissa}$"
+
+
+def to_latex(name: str, sheet: Sheet) -> str:
+    """A file of tables in the manner of booktabs, numbered if there are several."""
+    parts = [
+        replace(part, rows=part.rows[at : at + LONG])
+        for part in sheet.blocks(WIDE)
+        for at in range(0, len(part.rows), LONG)
+    ]
+    lines = [
+        f"% {printable(sheet.title)}.",
+        r"% \usepackage{booktabs,array} in the preamble, then " + f"\\input{{{name}.tex}} here.",
+    ]
+    for at, part in enumerate(parts, start=1):
+        label = f"{name}-{at}" if len(parts) > 1 else name
+        text = r">{\raggedright\arraybackslash}p"
+        columns = (
+            rf"@{{}}{text}{{0.28\linewidth}}{text}{{0.08\linewidth}}{'l' * len(part.heads)}@{{}}"
+        )
+        marks = part.marks()
+        notes = [rf"  $^{{{mark}}}$ {escape_tex(note)}." for note, mark in marks.items()]
+        lines += [
+            r"\begin{table}[htbp]",
+            r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
+            rf"  \caption{{{escape_tex(part.title)}.}}",
+            rf"  \label{{tab:{label}}}",
+            rf"  \begin{{tabular}}{{{columns}}}",
+            r"    \toprule",
+            f"    {' & '.join(['Quantity', 'Unit', *map(escape_tex, part.heads)])} \\\\",
+            r"    \midrule",
+            *(f"    {line} \\\\" for row in part.rows for line in _tex_lines(row, marks)),
+            r"    \bottomrule",
+            r"  \end{tabular}",
+            *([r"  \par\smallskip"] if notes else []),
+            *notes,
+            r"\end{table}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _tex_lines(row: SheetRow, marks: Mapping[str, str]) -> Iterator[str]:
+    """Lines of a quantity: the first line of each cell, below it the others and its meaning."""
+    cells = [cell.shown if cell else [NONE] for cell in row.cells]
+    for at in range(max(map(len, cells))):
+        first = [symbol_tex(row.name), escape_tex(unit_text(row.unit)) or "--"]
+        if at:
+            first = [rf"\scriptsize {escape_tex(row.meaning)}" if at == 1 else "", ""]
+        small = r"\scriptsize " if at else ""
+        shown = [small + _tex_line(lines[at]) if at < len(lines) else "" for lines in cells]
+        for column, cell in enumerate(row.cells if at == 0 else ()):
+            if cell and cell.note:
+                shown[column] += f"$^{{{marks[printable(cell.note)]}}}$"
+        yield " & ".join([*first, *shown])
+
+
+def _tex_line(line: Line) -> str:
+    texts = map(escape_tex, line.template.split("{}"))
+    values = (*map(number_tex, line.numbers), "")
+    return "".join(text + value for text, value in zip(texts, values, strict=True))
+
+
+def to_excel(sheets: Mapping[str, Sheet]) -> bytes:
+    """A workbook (.xlsx) with a sheet of each name; every number of a cell has a column."""
+    import pandas as pd
+    from openpyxl.styles import Alignment, Font
+    from openpyxl.utils import get_column_letter
+
+    stream = io.BytesIO()
+    with pd.ExcelWriter(stream, engine="openpyxl") as writer:
+        writer.book.properties.creator = "mfd_bayes"
+        for name, sheet in sheets.items():
+            frame = _flat(sheet)
+            frame.map(_safe).to_excel(writer, sheet_name=name, index=False, freeze_panes=(1, 3))
+            page = writer.sheets[name]
+            for number, column in enumerate(frame.columns, start=1):
+                letter, texts = get_column_letter(number), frame[column].dtype.kind != "f"
+                longest = max((len(str(value)) for value in frame[column]), default=0)
+                width = min(longest + 2, 60) if texts else 11
+                page.column_dimensions[letter].width = max(width, 11)
+                head, *cells = page[letter]
+                head.alignment = Alignment(vertical="top", wrap_text=True)
+                for cell in cells if not texts else ():
+                    cell.number_format = _format(abs(cell.value or 0.0))
+            for at, row in enumerate(sheet.rows, start=2):
+                for head, cell in enumerate(row.cells):
+                    if cell and any(line.marked for line in cell.lines):
+                        first = page.cell(at, 4 + head * len(sheet.numbers))
+                        first.font = Font(bold=True, color="C00000")
+            page.row_dimensions[1].height = 48
+            page.page_setup.orientation = "landscape"
+            page.print_title_rows, page.print_title_cols = "1:1", "A:A"
+    return stream.getvalue()
+
+
+def _flat(sheet: Sheet) -> pd.DataFrame:
+    """A line for each quantity, a column for each number of each test, and the notes."""
+    import pandas as pd
+
+    heads = [f"{head}: {what}" for head in sheet.heads for what in sheet.numbers]
+    size, lines = len(sheet.numbers), []
+    for row in sheet.rows:
+        symbol = "".join(f"_{text}" if low else text for text, low in parts_of(row.name))
+        numbers: list[float] = []
+        notes: dict[str, list[str]] = {}
+        for head, cell in zip(sheet.heads, row.cells, strict=True):
+            values = [value for line in cell.lines for value in line.numbers] if cell else []
+            finite = [value if math.isfinite(value) else math.nan for value in values[:size]]
+            numbers += finite + [math.nan] * (size - len(finite))
+            more = [f"with {line.text}" for line in cell.lines[len(sheet.lines) :]] if cell else []
+            for note in filter(None, (cell.note if cell else "", *more)):
+                notes.setdefault(note, []).append(head)
+        texts = (
+            note if len(where) == len(sheet.heads) else f"{note} ({', '.join(where)})"
+            for note, where in notes.items()
+        )
+        unit = unit_text(row.unit) or "–"
+        lines.append([symbol, row.meaning, unit, *numbers, "; ".join(texts)])
+    return pd.DataFrame(lines, columns=["quantity", "meaning", "unit", *heads, "note"])
+
+
+def _format(size: float) -> str:
+    """Format of a cell that shows four digits of a number of this size: "0.00" of 12.3456."""
+    if not 1e-4 <= size < 1e6:
+        return "General" if size == 0.0 else "0.000E+00"
+    places = max(3 - math.floor(math.log10(size)), 0)
+    return f"0.{'0' * places}" if places else "0"
+
+
+_MARGIN, _UNIT, _VALUE = 0.75, 0.8, 1.3
+"""Margins of a page in Word, and widths of the columns of units and values, in."""
+
+
+def to_word(title: str, sheets: Iterable[Sheet]) -> bytes:
+    """A Word document (.docx); each part of a sheet begins a page and is as wide as the page."""
+    from docx import Document
+    from docx.shared import Inches
+
+    document = Document()
+    document.core_properties.author = "mfd_bayes"
+    page = document.sections[0]
+    page.left_margin = page.right_margin = page.top_margin = page.bottom_margin = Inches(_MARGIN)
+    document.add_heading(printable(title), level=1)
+    parts = [part for sheet in sheets for part in sheet.blocks(WIDE)]
+    for at, sheet in enumerate(parts):
+        caption = document.add_paragraph(printable(sheet.title), style="Caption")
+        caption.paragraph_format.page_break_before = at > 0
+        caption.paragraph_format.keep_with_next = True
+        marks = sheet.marks()
+        _add_table(document, sheet, marks)
+        for note, mark in marks.items():
+            paragraph = document.add_paragraph()
+            paragraph.paragraph_format.space_after = 0
+            paragraph.add_run(mark).font.superscript = True
+            _small(paragraph, f" {note[:1].upper()}{note[1:]}.")
+    stream = io.BytesIO()
+    document.save(stream)
+    return stream.getvalue()
+
+
+def _add_table(document: Any, sheet: Sheet, marks: Mapping[str, str]) -> None:
+    """Add a sheet, with a head that is repeated on each page."""
+    from docx.oxml import OxmlElement
+    from docx.shared import Inches, Pt, RGBColor
+
+    heads = ("Quantity", "Unit", *sheet.heads)
+    grid = document.add_table(rows=1, cols=len(heads), style="Light List")
+    grid.autofit = False
+    for cell, head in zip(grid.rows[0].cells, heads, strict=True):
+        cell.text = printable(head)
+    for row in sheet.rows:
+        name, unit, *others = grid.add_row().cells
+        for text, low in parts_of(row.name):
+            name.paragraphs[0].add_run(text).font.subscript = low
+        if row.meaning:
+            _small(name.add_paragraph(), row.meaning)
+        unit.text = unit_text(row.unit) or "–"
+        for place, value in zip(others, row.cells, strict=True):
+            first, *more = value.shown if value else [NONE]
+            run = place.paragraphs[0].add_run(first.text)
+            if value and any(line.marked for line in value.lines):
+                run.font.color.rgb = RGBColor(0xC0, 0, 0)
+            if value and value.note:
+                run = place.paragraphs[0].add_run(marks[printable(value.note)])
+                run.font.superscript = True
+            for line in more:
+                _small(place.add_paragraph(), line.text)
+    for at, row in enumerate(grid.rows):
+        for element in ("w:cantSplit", *(["w:tblHeader"] if at == 0 else [])):
+            row._tr.get_or_add_trPr().append(OxmlElement(element))
+    values = [_VALUE] * len(sheet.heads)
+    width = document.sections[0].page_width.inches - 2 * _MARGIN - _UNIT - sum(values)
+    for column, inches in zip(grid.columns, (width, _UNIT, *values), strict=True):
+        column.width = Inches(inches)
+        for cell in column.cells:  # Word reads the column's width, LibreOffice that of the cells
+            cell.width = Inches(inches)
+            for run in (run for paragraph in cell.paragraphs for run in paragraph.runs):
+                run.font.size = run.font.size or Pt(9)
+
+
+def _small(paragraph: Any, text: str) -> None:
+    from docx.shared import Pt
+
+    run = paragraph.add_run(text)
+    run.font.size, run.bold = Pt(7.5), False
+
+
+def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
+    """Scores of each model on unseen cycles, per test and in all."""
+    return to_csv(frame_of("comparison", rows))
 
 
 def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
     """Candidates for the next test, the best first, and what each is expected to tell."""
-    rows = advice_rows(advice, system, actuation_unit)
-    return csv_text(list(rows[0]), (list(row.values()) for row in rows))
+    import pandas as pd
 
-
-def law_scores_csv(choices: Iterable[LawChoice]) -> str:
-    """Scores of each law of each quantity at levels that were left out, best first."""
-    head = ("quantity", "law", "chosen", "elpd", "elpd_se", "elpd_difference")
-    lines = (
-        (
-            *(r.quantity, r.law, "yes" if r.chosen else "no", r.elpd, r.elpd_se),
-            *(r.difference, r.difference_se, r.weight, r.pareto_k),
-        )
-        for choice in choices
-        for r in choice.rows
-    )
-    return csv_text((*head, "elpd_difference_se", "weight", "pareto_k"), lines)
-
-
-def derived_csv(rows: Iterable[DerivedRow]) -> str:
-    """Derived quantities of every test, with equal-tailed 95 % intervals.
-
-    A cell is empty where the record does not have the value.
-    """
-    head = ("test", "role", "quantity", "unit", *_QUANTILES[:5], "measured", "note")
-    return csv_text(head, ((r.subject, r.role, *_derived_cells(r)) for r in rows))
+    return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
 
 
 def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float) -> str:
     """Derived quantities of a prediction, with intervals of this probability."""
-    head = ("quantity", "unit", "mean", "sd", "lower", "median", "upper", "measured", "note")
     shown = tuple(rows)
     about = (
-        f"# derived quantities of the damper, without offset and noise, of kind {shown[0].role}: "
-        f"equal-tailed {percent(probability)} % intervals\n"
-        f"# actuation {actuation}; measured: of the force in the motion's file, as it is\n"
+        f"derived quantities of the damper, without offset and noise, of kind {shown[0].role}: "
+        f"equal-tailed {percent(probability)} % intervals",
+        f"actuation {actuation}; measured: of the force in the motion's file, as it is",
     )
-    return about + csv_text(head, map(_derived_cells, shown))
+    return to_csv(frame_of("prediction", shown), about)
 
 
 def design_csv(rows: Iterable[DesignRow], actuation: str) -> str:
     """Mean and bounding properties with their factors, by property, then by basis."""
+    import pandas as pd
+
     shown = tuple(rows)
+    bounds = ("nominal", "lower", "upper", "lambda_min", "lambda_max")
+    names = ("name", "unit", "basis", *bounds, "note")
+    frame = pd.DataFrame([{name: getattr(row, name) for name in names} for row in shown])
+    frame.insert(3, "of", frame["basis"].map(BASES))
     tail = 50.0 * (1.0 - shown[0].probability)
-    head = ("property", "unit", "basis", "name", "nominal", "lower", "upper")
-    lines = (
-        (
-            *(r.name, r.unit, r.basis, BASES[r.basis], r.nominal, r.lower, r.upper),
-            *(r.lambda_min, r.lambda_max, r.note),
-        )
-        for r in shown
-    )
     about = (
-        f"# mean and bounding properties; each bound is exceeded with a probability of {tail:g} %\n"
-        "# lambda: bound over the nominal value, which is the mean of the mean property\n"
-        f"# actuation {actuation}\n"
+        f"mean and bounding properties; each bound is exceeded with a probability of {tail:g} %",
+        "lambda: bound over the nominal value, which is the mean of the mean property",
+        f"actuation {actuation}",
     )
-    return about + csv_text((*head, "lambda_min", "lambda_max", "note"), lines)
+    return to_csv(frame.rename(columns={"name": "property", "of": "name"}), about)
 
 
 def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
     """Band of a prediction at every sample, with the measured force of the trace if it has one.
 
-    Parameters
-    ----------
-    trace : Trace
-    band : Band
-    about : sequence of str
-        Lines of its head, besides what the band is.
-    system : System
-        Of the units in the columns' names.
+    `about` are lines of its head, besides what the band is; the columns are in the units of
+    `system`.
     """
-    length, force = system.length, system.force
-    columns = {"time_s": trace.time}
-    columns[f"displacement_{length}"] = trace.displacement * system.factor("in")
+    import pandas as pd
+
+    # times may be seconds since 1970
+    columns: dict[str, Any] = {"time_s": [f"{time:.15g}" for time in trace.time]}
+    columns["displacement_in"] = trace.displacement
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
     forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
-    by = system.factor("kip")
-    columns |= {f"{name}_{force}": v * by for name, v in forces.items() if v is not None}
+    columns |= {f"{name}_kip": force for name, force in forces.items() if force is not None}
     if band.given is not None:
         columns["given"] = band.given.holds(trace.time).astype(np.float64)
-    head = (
+    head = [
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
-        f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}",
-        *(
-            ["whole: band of the whole history, of the same probability"]
-            * (forces["whole_lower"] is not None)
-        ),
-        *(["given: 1 where the force was given, 0 elsewhere"] * (band.given is not None)),
-        *(f"warning: {remark}" for remark in band.remarks),
-        *about,
-    )
-    lines = "".join(f"# {' '.join(line.split())}\n" for line in head) + ",".join(columns) + "\n"
-    rows = zip(*columns.values(), strict=True)
-    # times may be seconds since 1970
-    cells = ([f"{time:.15g}", *(f"{value:.8g}" for value in rest)] for time, *rest in rows)
-    return lines + "".join(",".join(row) + "\n" for row in cells)
+        f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}"
+    ]
+    if band.whole_lower is not None:
+        head.append("whole: band of the whole history, of the same probability")
+    if band.given is not None:
+        head.append("given: 1 where the force was given, 0 elsewhere")
+    head += [f"warning: {remark}" for remark in band.remarks] + list(about)
+    frame = to_units(pd.DataFrame(columns), system)
+    lines = "".join(f"# {' '.join(line.split())}\n" for line in head)
+    return lines + frame.to_csv(index=False, float_format="%.8g", lineterminator="\n")
 
 
-def _derived_cells(row: DerivedRow) -> tuple[str | float, ...]:
-    return (row.name, row.unit, *_spread(row), row.measured, row.note)
+_LOOP = 400
+"""Most samples of each loop in the overview's table; a test's own table holds all."""
 
 
-def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
-    """Scores of each model on unseen cycles, per test and in all."""
-    head = (
-        *("test", "model", "cycles", "elpd", "elpd_se", "p_loo", "worst_pareto_k", "share_bad_k"),
-        *("share_unsettled", "elpd_difference", "elpd_difference_se", "rrse_in_sample"),
-    )
-    return csv_text(head, map(dataclasses.astuple, rows))
+def table_of(key: str) -> str:
+    """Path from the run folder of the table behind a figure, by the figure's key; "" for none."""
+    folder, _, name = key.rpartition("/")
+    if not folder:
+        return f"figures/{key}.csv"
+    return f"{folder}/record.csv" if name in ("loops", "history", "residuals") else ""
 
 
-def _cells(row: Row) -> tuple[str | float, ...]:
-    sampler = (row.ess_bulk, row.ess_tail, row.r_hat, row.contraction)
-    return (row.subject, row.name, row.unit, *_spread(row), *sampler, row.note)
+def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
+    """Path and text of the tables behind the figures of all tests together."""
+    import pandas as pd
+
+    system = system_of(view)
+    if view.tests:
+        loops = []
+        for test in view.tests:
+            step = max(1, test.trace.samples // _LOOP)
+            frame = _record(test)[::step].drop(columns=["time_s", "velocity_in_per_s"])
+            loops.append(frame.assign(test=test.id, role=test.role))
+        frame = to_units(pd.concat(loops), system)
+        yield table_of("overview"), to_csv(frame[["test", "role", *frame.columns[:-2]]])
+    if view.laws:
+        yield table_of("laws"), to_csv(_laws(view, system))
+    if view.truth:
+        yield table_of("truth"), to_csv(to_units(frame_of("truth", view.truth), system))
+    if view.next_test is not None:
+        yield table_of("next"), next_csv(view.next_test, system, view.actuation_unit)
 
 
-def _spread(row: Row | DerivedRow) -> tuple[float, ...]:
-    return (row.mean, row.sd, row.lower, row.median, row.upper)
+def record_table(test: TestView, system: System = US) -> str:
+    """The table behind the loops, history and residuals of one test, in the units of a system."""
+    record = _record(test)
+    if test.trace.force is not None:
+        record["residual_kip"] = test.trace.force - test.observation.median
+    if test.device is not None:
+        record = record.assign(**_bands(test.device, "model_"))
+    if test.stage is not None and test.travel is not None:
+        record = record.assign(stage=test.stage, travel_in=test.travel)
+    fitted = (np.arange(len(record)) >= test.first) & (test.role != "validate")
+    return to_csv(to_units(record.assign(fitted=fitted.astype(int)), system))
 
 
-def csv_text(head: Sequence[str], lines: Iterable[Sequence[str | float]]) -> str:
-    """A table as CSV: numbers with six digits, and no text that a spreadsheet runs."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows([_cell(value) for value in line] for line in lines)
-    return text.getvalue()
+def _record(test: TestView) -> pd.DataFrame:
+    """One test at every sample: motion, force and bands, in internal units."""
+    import pandas as pd
+
+    trace = test.trace
+    columns = {
+        "time_s": trace.time,
+        "displacement_in": trace.displacement,
+        "velocity_in_per_s": trace.velocity,
+        "force_kip": np.full(trace.samples, np.nan) if trace.force is None else trace.force,
+    }
+    return pd.DataFrame(columns | _bands(test.observation))
 
 
-def _cell(value: str | float) -> str:
-    """A number with six digits, or a text that no spreadsheet takes for a formula."""
-    if isinstance(value, str):
-        text = printable(value)
-        return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
-    return "" if math.isnan(value) else f"{value:.{_DIGITS}g}"
+def _bands(fan: Fan, name: str = "") -> dict[str, Any]:
+    """Median and bounds of a fan by column."""
+    columns = {f"{name}median_kip": fan.median}
+    for interval in fan.intervals:
+        share = percent(interval.probability)
+        columns[f"{name}lower_{share}_kip"] = interval.lower
+        columns[f"{name}upper_{share}_kip"] = interval.upper
+    return columns
+
+
+def _laws(view: CampaignView, system: System) -> pd.DataFrame:
+    """Every law's curve with its bands, and the tests beside it."""
+    import pandas as pd
+
+    unit = view.actuation_unit
+    along, lines = system.factor(unit), []
+    for law in view.laws:
+        by = system.factor(law.unit)
+        what = law.name, system.unit(law.unit), law.law
+        for fan in (law.device, law.new_test):
+            widest = max(fan.intervals, key=lambda interval: interval.probability)
+            about = f"{KIND_NAMES[fan.kind]}, {percent(widest.probability)} %"
+            curve = zip(law.actuation, widest.lower, fan.median, widest.upper, strict=True)
+            lines += [(*what, about, at * along, a * by, b * by, c * by) for at, a, b, c in curve]
+        lines += [
+            (*what, f"test {name}, 95 %", at * along, a * by, b * by, c * by)
+            for name, at, a, b, c in law.tested
+        ]
+    head = ("quantity", "unit", "law", "what", f"actuation_{system.unit(unit)}")
+    return pd.DataFrame(lines, columns=[*head, "lower", "median", "upper"])

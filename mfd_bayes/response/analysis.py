@@ -6,15 +6,15 @@ import io
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mfd_bayes.jobs.dispatch import Workplace, run_jobs
 from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
@@ -23,8 +23,7 @@ from mfd_bayes.response.result import Response, combined
 from mfd_bayes.response.step_refinement import Accuracy, settle
 from mfd_bayes.store.files import write_bytes
 
-ROWS = 1500
-"""Dampers of a block of draws: enough for numpy to be quick, few enough for the cache."""
+ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,17 +89,20 @@ class Analysis:
         Of n draws of the building.
     accuracy : Accuracy
         Of the steps.
+    bounds : mapping of str to Dampers
+        Those of one more building each, such as "lower" and "upper".
     """
 
     building: Building
     grounds: Sequence[Ground]
     dampers: Dampers
     accuracy: Accuracy = field(default_factory=Accuracy)
+    bounds: Mapping[str, Dampers] = field(default_factory=dict)
 
     def respond(
         self, jobs: int = 1, observe: Callable[[Step], None] = lambda step: None
     ) -> Response:
-        """Response of every draw to every ground motion, and those without dampers beside.
+        """Response of every draw to every ground motion, and its `references`.
 
         Parameters
         ----------
@@ -114,8 +116,11 @@ class Analysis:
         plain = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
         # the longest work first, so that no process waits for another at the end
         kinds = [(f"part {k}", self.building, dampers.chosen(r)) for k, r in enumerate(rows, 1)]
-        kinds += [("without dampers", self.building.bare(), no_dampers())]
-        kinds += [("with plain friction", self.building, plain)]
+        references = {"bare": ("without dampers", self.building.bare(), no_dampers())}
+        references["plain"] = ("with plain friction", self.building, plain)
+        for name, bound in self.bounds.items():
+            references[name] = (f"all at the {name} bound", self.building, bound)
+        kinds += references.values()
         blocks = [
             Block(f"ground motion {g}, {ground.name}, {name}", built, ground, some, self.accuracy)
             for name, built, some in kinds
@@ -123,13 +128,12 @@ class Analysis:
         ]
         found = iter(_solved(blocks, min(Workplace(jobs).processes, len(blocks)), observe))
         each = [[next(found) for _ in self.grounds] for _ in kinds]
-        *drawn, bare, friction = each
-        references = {
-            name: combined([[one] for one in row], row[0].dampers)
-            for name, row in (("bare", bare), ("plain", friction))
+        whole = combined(list(zip(*each[: len(rows)], strict=True)), dampers)
+        single = {
+            name: combined([[part] for part in row], row[0].dampers)
+            for name, row in zip(references, each[len(rows) :], strict=True)
         }
-        whole = combined(list(zip(*drawn, strict=True)), dampers)
-        return replace(whole, references=references, tolerance=self.accuracy.tolerance)
+        return replace(whole, references=single, tolerance=self.accuracy.tolerance)
 
 
 def _solved(blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None]) -> list[Response]:

@@ -18,16 +18,21 @@ from mfd_bayes.records.columns import header_unit
 from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import file_inside, path_of, why_no_file
-from mfd_bayes.response.schema import Content, Damper, Damping, History, Limits, read_content
+from mfd_bayes.response.schema import (
+    Content,
+    Damper,
+    Damping,
+    History,
+    Limits,
+    Matrices,
+    read_content,
+)
 from mfd_bayes.units import actuation_factor, convert, factor, parse_actuation
 
 Array = NDArray[np.float64]
 
-LARGEST = 500
-"""Most degrees of freedom."""
-
-LARGEST_FILE = 64 * 2**20
-"""Largest text file of a matrix, bytes."""
+LARGEST = 500  # most degrees of freedom
+LARGEST_FILE = 64 * 2**20  # largest text file of a matrix, bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,34 +213,34 @@ def building_of(content: Content, path: Path) -> Building:
     BuildingError
         When a file that it names cannot be used, or the building cannot stand.
     """
-    size, matrices = len(content.storey), content.matrices
-    if matrices is not None:
-        mass, stiffness, dashpots = _matrices(content, path)
+    given = content.matrices
+    if given is not None:
+        mass, stiffness, dashpots = _matrices(given, path)
         size = len(mass)
-        for key in ("influence", "heights"):
-            values = getattr(matrices, key)
+        for key, values in (("influence", given.influence), ("heights", given.heights)):
             if values is not None and len(values) != size:
                 raise BuildingError(
                     f"matrices.{key} in {path} must have {size} values, got {len(values)}"
                 )
-        influence = np.array(matrices.influence or np.ones(size))
-        heights = np.array(matrices.heights or np.full(size, np.nan))
-    drifts = np.eye(size) - np.eye(size, k=-1)
-    storeys, yields = np.zeros(size), np.full(size, np.inf)
-    if matrices is None:
-        storeys = np.array([storey.stiffness for storey in content.storey])
-        yields = np.array([storey.yield_force or np.inf for storey in content.storey])
-        heights = np.array([storey.height or np.nan for storey in content.storey])
-        mass = np.diag([storey.inertia for storey in content.storey])
+        drifts = np.eye(size) - np.eye(size, k=-1)
+        influence = np.array(given.influence or np.ones(size))
+        heights = np.array(given.heights or np.full(size, np.nan))
+        storeys, yields = np.zeros(size), np.full(size, np.inf)
+    else:
+        size, each = len(content.storey), content.storey
+        drifts = np.eye(size) - np.eye(size, k=-1)
+        storeys = np.array([storey.stiffness for storey in each])
+        yields = np.array([storey.yield_force or np.inf for storey in each])
+        heights = np.array([storey.height or np.nan for storey in each])
+        mass, influence = np.diag([storey.inertia for storey in each]), np.ones(size)
         stiffness = drifts.T @ np.diag(storeys) @ drifts
-        dashpots = drifts.T @ np.diag([storey.dashpot for storey in content.storey]) @ drifts
-        influence = np.ones(size)
+        dashpots = drifts.T @ np.diag([storey.dashpot for storey in each]) @ drifts
     for name, matrix in (("mass", mass), ("stiffness", stiffness)):
-        values = np.linalg.eigvalsh(matrix)
-        if values[0] <= 1e-14 * values[-1]:
+        squares = np.linalg.eigvalsh(matrix)
+        if squares[0] <= 1e-14 * squares[-1]:
             raise BuildingError(
                 f"the {name} matrix of {path} must be symmetric and positive definite; its "
-                f"smallest eigenvalue is {values[0]:.3g}"
+                f"smallest eigenvalue is {squares[0]:.3g}"
             )
     devices = tuple(
         device
@@ -247,10 +252,9 @@ def building_of(content: Content, path: Path) -> Building:
     shares = [name for name in ("drift", "residual") if getattr(content.limits, name) is not None]
     if shares and not np.all(np.isfinite(heights)):
         raise BuildingError(f"limits.{shares[0]} in {path} needs the height of every storey")
-    undamped = Building(
-        *(content.building.title, mass, dashpots, stiffness, influence, drifts, heights),
-        *(yields, storeys, devices, content.limits),
-    )
+    title, limits = content.building.title, content.limits
+    structure = mass, dashpots, stiffness, influence, drifts, heights, yields, storeys
+    undamped = Building(title, *structure, devices, limits)
     return replace(undamped, damping=damping_matrix(content.building.damping, undamped, str(path)))
 
 
@@ -323,26 +327,22 @@ def _history(history: History, place: str, path: Path) -> tuple[Array, Array]:
     return time, level
 
 
-def _matrices(content: Content, path: Path) -> Iterator[Array]:
+def _matrices(given: Matrices, path: Path) -> tuple[Array, Array, Array]:
     """Mass, stiffness and dashpots, (N, N) each, of files."""
-    units = {"mass": "kip*s^2/in", "stiffness": "kip/in", "damping": "kip*s/in"}
     found: dict[str, Array] = {}
-    given = content.matrices
-    for key, unit in units.items():
-        name = getattr(given, key)
-        if given is None or name is None:
+    for key, unit in (("mass", "kip*s^2/in"), ("stiffness", "kip/in"), ("damping", "kip*s/in")):
+        name, where = getattr(given, key), f"matrices.{key} in {path}"
+        if name is None:
             continue
         try:
             by = convert(given.units.get(key, unit), unit)  # type: ignore[call-overload]
         except UnitError as error:
             raise BuildingError(f"matrices.units.{key} in {path}: {error}") from error
-        where = f"matrices.{key} in {path}"
         found[key] = by * _matrix(_file_beside(path.parent, name, where), where)
     if len({matrix.shape for matrix in found.values()}) > 1:
         shapes = ", ".join(f"{key} {m.shape}" for key, m in found.items())
         raise BuildingError(f"matrices in {path} must be of one size, got {shapes}")
-    yield from (found["mass"], found["stiffness"])
-    yield found.get("damping", np.zeros_like(found["mass"]))
+    return found["mass"], found["stiffness"], found.get("damping", np.zeros_like(found["mass"]))
 
 
 def _matrix(path: Path, key: str) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.friction.banks import PlasticBank, bank_of
+from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.population.population import Numbers, Population
@@ -24,12 +24,10 @@ Rows = NDArray[np.intp]
 KINDS = ("new_test", "device")
 """With each damper's own scatter from test to test, or the mean property alone."""
 
-FEWEST = 10
-"""Fewest draws of a response."""
-
-RIGID = 0.001
-"""Travel, in, at which almost rigid friction slips."""
-
+FEWEST = 10  # fewest draws of a response
+BOUND = 0.95  # probability between the lower and the upper design value of a device
+BOUND_DRAWS = 1000  # draws of the bounds: few would leave them to chance
+RIGID = 0.001  # travel, in, at which almost rigid friction slips
 SETTLE = float(np.expm1(np.log1p(FINE) / (KNOTS - 1)) / FINE)
 """Share of the longest stroke after a turn, over which a discrepancy goes to its new side."""
 
@@ -62,7 +60,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
-    """The model's discrepancy as a force of q dampers; a state as those of `friction.banks`.
+    """The model's discrepancy as a force of q dampers; a state as `friction.model.State`.
 
     A turn would let the force jump from one side to the other. It goes there over the first
     `SETTLE` of the longest stroke instead, so that the force is continuous in time.
@@ -199,9 +197,11 @@ class Dampers:
         """The n m dampers at rest, about to move in the directions `way`, (m,) of ±1."""
         if self.model is None:
             slip = self.slip.ravel()
-            return PlasticBank.at_rest(slip / RIGID, slip)
+            return ElastoPlastic.at_rest(slip / RIGID, slip)
         theta = self.theta.reshape(-1, self.theta.shape[2])
-        return bank_of(self.model, theta, self.start.ravel(), np.tile(way, self.draws))
+        direction, zero = np.tile(way, self.draws), np.zeros(len(theta))
+        state = self.model.start(theta, self.start.ravel(), direction=direction)
+        return state.step(zero, zero, 0.0)
 
 
 def no_dampers(draws: int = 1) -> Dampers:
@@ -272,6 +272,52 @@ def draw_dampers(
         times,
         {name: np.stack([one[name] for one in about], axis=1) for name in about[0]},
     )
+
+
+def bound_dampers(
+    population: Population, model: Model, building: Building, drawn: Dampers, choice: Choice
+) -> dict[str, Dampers]:
+    """One building with all dampers at the "lower", and one at the "upper", design value.
+
+    Each damper is the mean property (the median of each quantity) but for its slip forces: those
+    are the quantiles of a new test at its actuation that leave out half of 1 − `BOUND` each, as
+    `predict --design` has them. Of a model that names none, these are the parameters that follow
+    the actuation. Histories of actuation are those of `drawn`, in their median.
+    """
+    constant = replace(
+        building,
+        devices=tuple(replace(d, actuation=d.level, history=None) for d in building.devices),
+    )
+    mean, scattered = (
+        draw_dampers(population, model, constant, replace(choice, kind=kind, draws=BOUND_DRAWS))
+        for kind in ("device", "new_test")
+    )
+    levels, residual = np.array([device.level for device in building.devices]), population.residual
+    slips = {name: model.parameters.index(name) for name in model.slip_forces or model.laws}
+    tied = model.tied_laws
+    found = {}
+    for name, share in (("lower", 0.5 * (1.0 - BOUND)), ("upper", 0.5 * (1.0 + BOUND))):
+        theta = np.median(mean.theta, axis=0)
+        for level in np.unique(levels):
+            at = levels == level
+            for slip, column in slips.items():
+                bound = np.quantile(scattered.theta[:, at, column], share)
+                by = bound / theta[at, column]
+                for other in (slip, *(name for name, of in tied.items() if of == slip)):
+                    theta[at, model.parameters.index(other)] *= by
+        slip_force = np.ones((1, len(theta)))
+        if model.slip_forces:
+            slip_force = theta[:, list(slips.values())].mean(axis=1)[None]
+        found[name] = Dampers(
+            model,
+            theta[None],
+            np.median(mean.start, axis=0, keepdims=True),
+            slip_force,
+            Leftover.at_rest(residual.basis, residual.mean[None], slip_force / residual.slip_force),
+            {k: np.median(s, axis=0, keepdims=True) for k, s in drawn.scales.items()},
+            drawn.times,
+        )
+    return found
 
 
 def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:

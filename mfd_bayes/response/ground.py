@@ -23,28 +23,17 @@ from mfd_bayes.units import GRAVITY, convert, factor, split_quantity
 
 Array = NDArray[np.float64]
 
-LARGEST = 64 * 2**20
-"""Largest file, bytes."""
+LARGEST = 64 * 2**20  # largest file, bytes
+MOST = 200_000  # most samples
+WEAKEST, STRONGEST = 1e-4, 5.0  # peaks that are believed without a stated unit, g
+LONGEST_STEP = 0.2  # that a file may have unless it is stated, s: it may be in ms
+SAME_STEP = 5e-3  # share by which two steps of one motion may differ: files round them
+HEAD = 50  # lines in which a header may say the step
+UNEVEN = 0.1  # largest departure of times from even ones, in steps
 
-MOST = 200_000
-"""Most samples of a ground motion."""
+# --- units
 
-WEAKEST, STRONGEST = 1e-4, 5.0
-"""Peaks of ground motions that are believed unless their unit is stated, g."""
-
-LONGEST_STEP = 0.2
-"""Longest step that a file may have unless it is stated, s: it may be in ms."""
-
-SAME_STEP = 5e-3
-"""Share by which two steps of one motion may differ: files round them."""
-
-HEAD = 50
-"""Lines in which a header may say the step."""
-
-UNEVEN = 0.1
-"""Largest departure of times from even ones, in steps: files round them."""
-
-_NAMED = {
+_UNITS = {
     **dict.fromkeys(("g", "g's", "gs", "gn"), GRAVITY),
     **dict.fromkeys(("%g", "%ofg"), 0.01 * GRAVITY),
     **dict.fromkeys(("mg", "milli-g"), 0.001 * GRAVITY),
@@ -52,46 +41,6 @@ _NAMED = {
     **dict.fromkeys(("mgal", "milligal"), 0.001 / 2.54),
 }
 _RATES = {"hz": "Hz", "khz": "kHz", "sps": "Hz", "samples/s": "Hz", "samples/sec": "Hz"}
-
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
-_WHOLE = rf"({_NUMBER})(?![\d.]|,\d|[+-]\d|[eEdD][+-]?\d)"  # never the beginning of a longer one
-_VALUE = re.compile(rf"{_NUMBER}|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
-_GLUED = re.compile(rf"{_NUMBER}(?:[+-](?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?)+")  # "0.123-0.456"
-_STEP = re.compile(
-    r"\b(?:DT|DELTA[ _-]?T|TIME[ _-]?(?:STEP|INTERVAL|INCREMENT)|STEP|SPACING|SPACED|RATE|SPS"
-    r"|SAMPLED"
-    r"|(?:SAMPL(?:E|ING)|DIGITI[SZ](?:ATION|ING))[ _-]?"
-    r"(?:INTERVAL|PERIOD|STEP|TIME|RATE|FREQ(?:UENCY)?)"
-    r"|SAMPLES[ _]?(?:PER|/)[ _]?S(?:EC(?:OND)?)?)(?![A-Z0-9])\.?"
-    r"(?:_([A-Z]+)|\s*[(\[]([^)\]]*)[)\]])?\s*([:=]|OF\b|AT\b|IS\b)?\s*",
-    re.IGNORECASE,
-)
-_OF_RATE = re.compile(r"RATE|FREQ|SPS|SAMPLES", re.IGNORECASE)
-_AFTER_STEP = re.compile(
-    rf"{_WHOLE}(?:\s*[(\[]?\s*([A-Za-zµ/]+)\.?\s*[)\]]?(?=[\s,;.]|$)(?!\s*[:=])"
-    r"|\s*(?:$|[,;](?!\d)|\s[A-Za-z]\w*\s*[:=]))"
-)
-_POINTS_AND_STEP = re.compile(rf"\s*{_WHOLE}[\s,]+{_WHOLE}[\s,]+NPTS[\s,]+DT\b", re.IGNORECASE)
-_POINTS = re.compile(
-    r"\b(?:NPTS|NDATA|N(?:UMBER|O\.?)[ _]OF[ _](?:DATA[ _])?(?:POINTS|SAMPLES))\s*[:=]\s*(.*)"
-    r"|^\s*(\d\S*)\s+(?:points|pts)\b",
-    re.IGNORECASE,
-)
-_UNIT = re.compile(
-    r"\bUNITS?\b(?:\s+(?:OF|ARE|IS|IN)\b|\s*[:=]|(?=\s*[(\[]))\s*(.*)", re.IGNORECASE
-)
-_OF_OTHERS = re.compile(r"(?:OF\s+)?(?:TIME|VEL|DISP)", re.IGNORECASE)
-_OF_ACCELERATION = re.compile(r"(?:OF\s+)?ACC[A-Z]*\.?\s*(?:ARE\b|IS\b|[:=])?\s*", re.IGNORECASE)
-_PHRASE = re.compile(r"[,;]|\.(?=\s|$)|\s{2,}|\s+[A-Z]\w*\s*[:=]", re.IGNORECASE)  # its end
-_OF_ACC = re.compile(
-    r"\bACC(?:EL\w*)?\b.*?(?:[(\[]\s*([^()\[\]]+)[)\]]|\bIN\s+(g)\b)", re.IGNORECASE
-)
-_WORDS = re.compile(r"[^\s,;:=()\[\]]*/[^\s,;:=()\[\]]+|\bgals?\b", re.IGNORECASE)  # "cm/s/s"
-_NOT_OF_VALUES = re.compile(r"\b(?:PGA|PEAK|MAX|MIN|MEAN|RMS|SENSIT)", re.IGNORECASE)
-_SCALE = re.compile(
-    r"\b(?:SCAL(?:E|ING)|CONVERSION|CALIBRATION|MULTIPLICATION)[ _-]*FACTOR\s*[:=]?\s*(.*)",
-    re.IGNORECASE,
-)
 
 
 def acceleration_factor(unit: str) -> float:
@@ -103,17 +52,17 @@ def acceleration_factor(unit: str) -> float:
     ------
     UnitError
     """
-    plain = unit.strip().strip("\"'").lower()
-    if bracketed := re.fullmatch(r"[(\[]([^()\[\]]*)[)\]]", plain):
-        plain = bracketed[1].strip()
-    plain = plain.removesuffix(".")
-    if known := _NAMED.get(plain.replace(" ", "")):
+    text = unit.strip().strip("\"'").lower()
+    if bracketed := re.fullmatch(r"[(\[]([^()\[\]]*)[)\]]", text):
+        text = bracketed[1].strip()
+    text = text.removesuffix(".")
+    if known := _UNITS.get(text.replace(" ", "")):
         return known
-    plain = re.sub(r"\s*\bper\b\s*", "/", plain)
-    plain = re.sub(r"(?<=[a-z])\.(?=[a-z])", "*", plain)
-    plain = re.sub(r"(?<=[a-z])(-?2)\b", r"^\1", plain)  # "cm/s2", "cm s-2"
+    text = re.sub(r"\s*\bper\b\s*", "/", text)
+    text = re.sub(r"(?<=[a-z])\.(?=[a-z])", "*", text)
+    text = re.sub(r"(?<=[a-z])(-?2)\b", r"^\1", text)  # "cm/s2", "cm s-2"
     try:
-        return convert(plain, "in/s^2")
+        return convert(text, "in/s^2")
     except UnitError as error:
         raise UnitError(f"unit {unit!r} is no acceleration such as 'g' or 'm/s^2'") from error
 
@@ -153,6 +102,9 @@ def _seconds(value: float, unit: str) -> float | None:
     return step if 0.0 < step < math.inf else None
 
 
+# --- a motion, and where it comes from
+
+
 @dataclass(frozen=True, eq=False)
 class Ground:
     """A ground motion.
@@ -176,9 +128,9 @@ class Ground:
     acceleration: Array
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise BuildingError(f"name of a ground motion must be text, got {self.name!r}")
         name, given = self.name, self.acceleration
+        if not isinstance(name, str):
+            raise BuildingError(f"name of a ground motion must be text, got {name!r}")
         values = np.array(real_numbers(f"{name}: acceleration", given, BuildingError))
         if values.ndim != 1 or not 2 <= values.size <= MOST:
             raise BuildingError(f"{name}: expected 2 to {MOST} values, got {values.size}")
@@ -208,31 +160,18 @@ class Ground:
         return f"{self.name}: peak {peak:.3g} g, {last:.4g} s in steps of {self.step:.4g} s"
 
     def scaled(self, by: float) -> Ground:
-        """The motion times a factor, which its name says.
-
-        Raises
-        ------
-        BuildingError
-            When the factor is no number, or zero.
-        """
+        """The motion times a factor, which its name says; no number, or zero, is refused."""
         by = real_number("factor", by, BuildingError)
         name = f"{self.name} × {by:.3g}"
         return replace(self, name=name, acceleration=by * self.acceleration)
 
     def with_peak(self, peak: float) -> Ground:
-        """The motion scaled to a peak, in/s².
-
-        Raises
-        ------
-        BuildingError
-            When the peak is no number above zero.
-        """
+        """The motion scaled to a peak above zero, in/s²."""
         peak = real_number("peak", peak, BuildingError, (0.0, np.inf), inside=True)
         return self.scaled(peak / self.peak)
 
 
 def _checked_step(name: str, step: object) -> float:
-    """Step of a ground motion, s."""
     what = f"{name}: the step of a ground motion"
     return real_number(what, step, BuildingError, (0.0, np.inf), inside=True)
 
@@ -307,20 +246,20 @@ def read_ground(
     except UnitError as error:
         raise BuildingError(f"{path}: {error}") from error
     # bytes that are not UTF-8 become escapes
-    found = Ground(path.name.encode(errors="backslashreplace").decode(), own, values)
-    if step is None and found.step > LONGEST_STEP:
+    ground = Ground(path.name.encode(errors="backslashreplace").decode(), own, values)
+    if step is None and own > LONGEST_STEP:
         raise BuildingError(
-            f"{path}: the file's step is {found.step:.6g} s, and steps are at most {LONGEST_STEP} "
+            f"{path}: the file's step is {own:.6g} s, and steps are at most {LONGEST_STEP} "
             "s: give it as FILE:0.01s, or step=0.01 in Python"
         )
-    peak = found.peak / GRAVITY
+    peak = ground.peak / GRAVITY
     if not (meant or unit or WEAKEST <= peak <= STRONGEST):
         raise BuildingError(
             f"{path}: its peak would be {peak:.3g} g, and ground motions have {WEAKEST:g} to "
             f"{STRONGEST:g} g: give the unit of its values as FILE:cm/s^2 (unit='cm/s^2' in "
             "Python), or a --scale"
         )
-    return found
+    return ground
 
 
 def _agreed_step(path: Path, own: float | None, given: float | None) -> float | None:
@@ -348,6 +287,9 @@ def _agreed_factor(where: str, own: str, given: str) -> float:
     return by or other or 0.0
 
 
+# --- tables
+
+
 def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
     """Accelerations, in/s², and step, s, of a table with a column of the time."""
     try:
@@ -366,8 +308,9 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
     if not own:
         raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
     for name in times:
-        by = factor(_column_unit(table, name) or "s", "time")
-        step = _even_step(path, by * columns[name], _last_digit(columns[name]) * by, step)
+        step = _even_step(
+            path, columns[name], factor(_column_unit(table, name) or "s", "time"), step
+        )
     if step is None:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
     by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
@@ -386,34 +329,68 @@ def _column_unit(table: Table, name: str) -> str:
     return row or own
 
 
-def _even_step(path: Path, time: Array, digit: float, given: float | None) -> float:
-    """Step of even times, s, whose last digit, of a size in s, is rounded; the given one if any.
+def _even_step(path: Path, written: Array, unit: float, given: float | None) -> float:
+    """Step, s, of even times that are `written` in a unit, s; the given one if any.
 
-    Times that are written more coarsely than their step are read only with a given step.
+    Times that are written more coarsely than the step are read only where it is given.
     """
+    digits = next((n for n in range(15) if np.allclose(written, written.round(n), 1e-12, 0)), 15)
+    time, number, digit = unit * written, np.arange(written.size), unit * 10.0**-digits
+    if (
+        given is not None
+        and digit > 1.01 * given
+        and np.ptp(time - given * number) <= digit * 1.001
+    ):
+        return given
     step = float(time[-1] - time[0]) / max(time.size - 1, 1)
-    coarse = given is not None and digit > 1.01 * given
-    off = float(np.max(np.abs(time - (time[0] + step * np.arange(time.size)))))
-    change = np.diff(time) if time.size > 1 else np.zeros(1)
-    rounding = 1.001 * min(digit, np.inf if coarse else step / 10)
-    even = np.ptp(change) <= 1e-3 * step or off <= rounding
-    growing = change.min() > 0.0 or (coarse and change.min() == 0.0)
-    if not (step > 0.0 and even and growing):
+    off = np.max(np.abs(time - (time[0] + step * number)))
+    if not (step > 0.0 and off <= UNEVEN * step and np.all(np.diff(time) > 0.0)):
         raise BuildingError(f"{path}: the time of a ground motion must grow by one even step")
-    if given is None or not coarse or abs(step - given) * time.size > digit:
-        _agreed_step(path, step, given)
+    _agreed_step(path, step, given)
     return given or step
 
 
-def _last_digit(values: Array) -> float:
-    """Size of the last digit with which the largest values are written: "%.4f" or "%.5g"."""
+# --- numbers in rows below a header
 
-    def digits(of: Array) -> int:
-        return next((n for n in range(15) if np.allclose(of, np.round(of, n), 1e-12, 0)), 99)
-
-    powers = np.floor(np.log10(np.maximum(np.abs(values), 1e-300)))
-    most = np.floor(np.log10(np.max(np.abs(values)) or 1.0))
-    return float(max(10.0 ** -digits(values), 10.0 ** (most - digits(values / 10.0**powers))))
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
+_WHOLE = rf"({_NUMBER})(?![\d.]|,\d|[+-]\d|[eEdD][+-]?\d)"  # never the beginning of a longer one
+_VALUE = re.compile(rf"{_NUMBER}|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+_GLUED = re.compile(rf"{_NUMBER}(?:[+-](?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?)+")  # "0.123-0.456"
+_STEP = re.compile(
+    r"\b(?:DT|DELTA[ _-]?T|TIME[ _-]?(?:STEP|INTERVAL|INCREMENT)|STEP|SPACING|SPACED|RATE|SPS"
+    r"|SAMPLED"
+    r"|(?:SAMPL(?:E|ING)|DIGITI[SZ](?:ATION|ING))[ _-]?"
+    r"(?:INTERVAL|PERIOD|STEP|TIME|RATE|FREQ(?:UENCY)?)"
+    r"|SAMPLES[ _]?(?:PER|/)[ _]?S(?:EC(?:OND)?)?)(?![A-Z0-9])\.?"
+    r"(?:_([A-Z]+)|\s*[(\[]([^)\]]*)[)\]])?\s*([:=]|OF\b|AT\b|IS\b)?\s*",
+    re.IGNORECASE,
+)
+_OF_RATE = re.compile(r"RATE|FREQ|SPS|SAMPLES", re.IGNORECASE)
+_AFTER_STEP = re.compile(
+    rf"{_WHOLE}(?:\s*[(\[]?\s*([A-Za-zµ/]+)\.?\s*[)\]]?(?=[\s,;.]|$)(?!\s*[:=])"
+    r"|\s*(?:$|[,;](?!\d)|\s[A-Za-z]\w*\s*[:=]))"
+)
+_POINTS_AND_STEP = re.compile(rf"\s*{_WHOLE}[\s,]+{_WHOLE}[\s,]+NPTS[\s,]+DT\b", re.IGNORECASE)
+_POINTS = re.compile(
+    r"\b(?:NPTS|NDATA|N(?:UMBER|O\.?)[ _]OF[ _](?:DATA[ _])?(?:POINTS|SAMPLES))\s*[:=]\s*(.*)"
+    r"|^\s*(\d\S*)\s+(?:points|pts)\b",
+    re.IGNORECASE,
+)
+_UNIT = re.compile(
+    r"\bUNITS?\b(?:\s+(?:OF|ARE|IS|IN)\b|\s*[:=]|(?=\s*[(\[]))\s*(.*)", re.IGNORECASE
+)
+_OF_OTHERS = re.compile(r"(?:OF\s+)?(?:TIME|VEL|DISP)", re.IGNORECASE)
+_OF_ACCELERATION = re.compile(r"(?:OF\s+)?ACC[A-Z]*\.?\s*(?:ARE\b|IS\b|[:=])?\s*", re.IGNORECASE)
+_PHRASE = re.compile(r"[,;]|\.(?=\s|$)|\s{2,}|\s+[A-Z]\w*\s*[:=]", re.IGNORECASE)  # its end
+_OF_ACC = re.compile(
+    r"\bACC(?:EL\w*)?\b.*?(?:[(\[]\s*([^()\[\]]+)[)\]]|\bIN\s+(g)\b)", re.IGNORECASE
+)
+_SLASHED = re.compile(r"[^\s,;:=()\[\]]*/[^\s,;:=()\[\]]+|\bgals?\b", re.IGNORECASE)  # "cm/s/s"
+_NOT_OF_VALUES = re.compile(r"\b(?:PGA|PEAK|MAX|MIN|MEAN|RMS|SENSIT)", re.IGNORECASE)
+_SCALE = re.compile(
+    r"\b(?:SCAL(?:E|ING)|CONVERSION|CALIBRATION|MULTIPLICATION)[ _-]*FACTOR\s*[:=]?\s*(.*)",
+    re.IGNORECASE,
+)
 
 
 def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
@@ -437,13 +414,12 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
     if points != sum(map(len, rows)) and (lead := _number_line(path, rows)):
         rows = rows[lead[0] :]
         steps += [("its first numbers", lead[1])] if lead[1] else []
-    values = [[_float(word) for word in row] for row in rows]
-    count = sum(map(len, values))
-    if points is not None and points != count:
+    values = np.array([_float(word) for row in rows for word in row])
+    if points is not None and points != values.size:
         raise BuildingError(
-            f"{path}: the header says NPTS = {points}, and there are {count} values"
+            f"{path}: the header says NPTS = {points}, and there are {values.size} values"
         )
-    if points is None and _has_times(values):
+    if points is None and _has_times(values, {len(row) for row in rows}):
         raise BuildingError(
             f"{path} looks like columns of time and acceleration: save it as .csv with names such "
             "as time_s,acceleration_g in its first line"
@@ -469,17 +445,13 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
     by = acceleration_factor(unit or "g")
     if said:
         by = _agreed_factor(f"{path}: the header says {said!r}", own, unit)
-    return scale * by * np.array([value for row in values for value in row]), step
+    return scale * by * values, step
 
 
 def _head(lines: Sequence[str]) -> int:
     """Number of lines of the header: the values begin below what says the step."""
-    data = (
-        i
-        for i, line in enumerate(lines)
-        if (words := _words(line)) and _numbers(words) == len(words)
-    )
-    first = next(data, len(lines))
+    are_numbers = (bool(w := _words(line)) and _numbers(w) == len(w) for line in lines)
+    first = next((i for i, numbers in enumerate(are_numbers) if numbers), len(lines))
     says = [i for i, line in enumerate(lines[:HEAD]) if any(_steps([line]))]
     said = max((i for i in says if i < first), default=says[0] if says else -1)
     if said >= 0:
@@ -501,8 +473,9 @@ def _steps(header: Sequence[str]) -> Iterator[tuple[str, float | None]]:
         if match := _POINTS_AND_STEP.match(line):
             yield match[0].strip(), _float(match[2])
             continue
-        found = list(_STEP.finditer(line))
-        for match, end in zip(found, [*(m.start() for m in found[1:]), len(line)], strict=False):
+        matches = list(_STEP.finditer(line))
+        ends = [*(match.start() for match in matches[1:]), len(line)]
+        for match, end in zip(matches, ends, strict=False):
             text, unit, step = line[match.end() : end], match[1] or match[2] or "", None
             if after := _AFTER_STEP.match(text):
                 word = after[2] or ""
@@ -542,8 +515,11 @@ def _number_line(path: Path, rows: Sequence[Sequence[str]]) -> tuple[int, float 
             if float(points) == total - len(lead):
                 return height, _float(step)
             rest = [word for row in rows[height:] for word in row]
-            whole = sum(map(str.isdigit, rest))
-            if points.isdigit() and int(points) >= 10 and 2 * whole < len(rest):
+            if (
+                points.isdigit()
+                and int(points) >= 10
+                and 2 * sum(map(str.isdigit, rest)) < len(rest)
+            ):
                 raise BuildingError(
                     f"{path}: {' '.join(lead[:6])!r} looks like a number of values and a step, and "
                     f"there are {total - len(lead)} values: correct it, or remove this line"
@@ -556,7 +532,7 @@ def _units(header: Sequence[str]) -> list[tuple[str, str]]:
 
     Where it says none after the word UNITS, those of accelerations that stand in it.
     """
-    found, other = [], []
+    stated, others = [], []
     for line in header:
         match = _UNIT.search(line)
         if match and not _OF_OTHERS.match(match[1]):
@@ -565,12 +541,12 @@ def _units(header: Sequence[str]) -> list[tuple[str, str]]:
             parts = [inner[1]] if inner else [part.strip() for part in _PHRASE.split(text)]
             unit = next((part for part in parts if not _seconds(1.0, part)), "")  # "sec, cm/s/s"
             end = line.index(unit, match.start()) + len(unit) + bool(inner) if unit else len(line)
-            found.append((re.sub(r"\(\d+\)$", "", unit), line[match.start() : end].strip()))
+            stated.append((re.sub(r"\(\d+\)$", "", unit), line[match.start() : end].strip()))
         elif not _NOT_OF_VALUES.search(line):
-            words = [word[0].removesuffix(".") for word in _WORDS.finditer(line)]
+            words = [word[0].removesuffix(".") for word in _SLASHED.finditer(line)]
             words += [unit for of in _OF_ACC.finditer(line) for unit in of.groups() if unit]
-            other += [(unit, line.strip()[:60]) for unit in words if _factor(unit)]
-    return found or other
+            others += [(unit, line.strip()[:60]) for unit in words if _factor(unit)]
+    return stated or others
 
 
 def _scale(path: Path, header: Sequence[str]) -> tuple[float, str, str]:
@@ -588,15 +564,16 @@ def _scale(path: Path, header: Sequence[str]) -> tuple[float, str, str]:
     return 1.0, "", ""
 
 
-def _has_times(rows: Sequence[Sequence[float]]) -> bool:
+def _has_times(values: Array, widths: set[int]) -> bool:
     """Whether all rows have the same number of numbers, the first of which rises evenly."""
-    width, first = len(rows[0]), np.array([row[0] for row in rows])
+    width = min(widths)
     fewest = 3 if width <= 3 else 6  # rows that show it
-    if width < 2 or len(rows) < fewest or {len(row) for row in rows} != {width}:
+    if len(widths) > 1 or width < 2 or values.size < fewest * width:
         return False
-    step = (first[-1] - first[0]) / (len(first) - 1)
-    off = np.abs(first - (first[0] + step * np.arange(len(first))))
-    return bool(np.all(np.diff(first) > 0.0) and np.all(off <= UNEVEN * step))
+    first = values[::width]
+    even = np.linspace(first[0], first[-1], first.size)
+    step = (first[-1] - first[0]) / (first.size - 1)
+    return bool(np.all(np.diff(first) > 0.0) and np.all(np.abs(first - even) <= UNEVEN * step))
 
 
 def _float(word: str) -> float:

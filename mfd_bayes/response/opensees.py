@@ -18,8 +18,7 @@ SAMPLES = 400
 CYCLES = (0.25, 0.5, 1.0, 1.0)
 """Amplitudes of the cycles to which materials are fitted, over the largest."""
 
-PERIOD = 4.0
-"""Of a cycle, s."""
+PERIOD = 4.0  # of a cycle, s
 
 
 @dataclass(frozen=True, eq=False)

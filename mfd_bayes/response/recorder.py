@@ -15,11 +15,8 @@ from mfd_bayes.response.ground import Ground
 
 Array = NDArray[np.float64]
 
-BOOLE = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0
-"""Weights of Boole's rule."""
-
-CHUNK = 128
-"""Steps of draws that are taken in together, at least."""
+BOOLE = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # weights of Boole's rule
+CHUNK = 128  # steps of draws that are taken in together, at least
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,12 +17,8 @@ from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
 
-PROBABILITIES = (0.5, 0.9, 0.95)
-"""Of the equal-tailed bands."""
-
-OPEN = 0.005
-"""Share of the time in steps that should have been shorter, from which a draw is named."""
-
+PROBABILITIES = (0.5, 0.9, 0.95)  # of the equal-tailed bands
+OPEN = 0.005  # share of the time in steps that should have been shorter, from which a draw is named
 PER_DRAW = (
     *("drift", "acceleration", "base_shear", "force", "travel", "energy", "residual"),
     *("unstable", "open", "imbalance", "change", "steps"),
@@ -48,6 +44,9 @@ class Row:
     bare, plain : float
         The same without dampers, and with plain friction of the median slip force; NaN where it
         has no meaning.
+    lower, upper : float
+        The same with all dampers at their lower, and at their upper, design value; NaN where the
+        bounds are not known.
     """
 
     quantity: str
@@ -59,6 +58,8 @@ class Row:
     bands: tuple[tuple[float, float], ...]
     bare: float = np.nan
     plain: float = np.nan
+    lower: float = np.nan
+    upper: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,8 @@ class Response:
     travels, forces : tuple of (k, T, m), in, kip
         Of the dampers of the first k draws.
     references : mapping of str to Response
-        Of one draw each: "bare", without dampers, and "plain", with plain friction of the median
-        slip forces.
+        Of one draw each: "bare", without dampers; "plain", with plain friction of the median
+        slip forces; "lower" and "upper", with all dampers at those design values.
     tolerance : float
         Error up to which a draw counts as settled.
     remarks : tuple of str
@@ -235,12 +236,12 @@ class Response:
                     own = used[:, i]
                     tails = ((0.5 * (1 - p), 0.5 * (1 + p)) for p in PROBABILITIES)
                     ends = (np.quantile(own, tail).tolist() for tail in tails)
-                    compared = not quantity.startswith("damper")
+                    of_damper = quantity.startswith("damper")
                     others = [
-                        float(references[name][quantity][2][0, g, i])
-                        if compared and name in references
-                        else np.nan
-                        for name in ("bare", "plain")
+                        np.nan
+                        if name not in references or (of_damper and name in ("bare", "plain"))
+                        else float(references[name][quantity][2][0, g, i])
+                        for name in ("bare", "plain", "lower", "upper")
                     ]
                     yield Row(
                         *(quantity, ground.name, place, unit),

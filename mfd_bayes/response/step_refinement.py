@@ -13,13 +13,10 @@ from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.time_integration import HALVINGS, integrate
 
-BEND = 2.0
-"""Largest bend of the forces at first (see `integrate`), over the tolerance."""
-
+BEND = 2.0  # largest bend of the forces at first (see `integrate`), over the tolerance
 LARGEST_BEND = 0.1
 
-SHARPER = 0.25
-"""Share of this for the draws that are computed again."""
+SHARPER = 0.25  # share of this for the draws that are computed again
 
 
 @dataclass(frozen=True)

@@ -17,17 +17,13 @@ from mfd_bayes.units import parse_actuation
 
 Array = NDArray[np.float64]
 
-STEPS = 8
-"""Steps of a sweep that does not say how many."""
-
+STEPS = 8  # steps of a sweep that does not say how many
 MOST_STEPS = 100
 
 QUANTITIES = ("drift", "acceleration")
 """What may be made small: the largest of these over the building."""
 
-MOST_AWAY = 0.1
-"""Largest share of draws that may run away at a level."""
-
+MOST_AWAY = 0.1  # largest share of draws that may run away at a level
 RESAMPLES = 400
 
 GOALS: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType(

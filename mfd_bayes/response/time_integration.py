@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from mfd_bayes.friction.banks import PlasticBank
+from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground
@@ -28,29 +28,18 @@ from mfd_bayes.response.result import Response
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-LONGEST = 0.02
-"""Longest step, s."""
-
-HALVINGS = 6
-"""Most halvings of a step."""
-
-CLOSE = 1e-4
-"""A force is in equilibrium when it is answered within this share of the slip force."""
-
-NEWTON = 3
-"""Iterations by Newton's method alone; from then on each force is held in a bracket."""
-
+LONGEST = 0.02  # longest step, s
+HALVINGS = 6  # most halvings of a step
+CLOSE = 1e-4  # A force is in equilibrium when it is answered within this share of the slip force
+NEWTON = 3  # iterations by Newton's method alone; from then on each force is held in a bracket
 ITERATIONS = (8, 30)
 """Most iterations of a step; one that needs more is halved. Of the shortest step: more."""
 
 JUMP = 30.0
 """Width, in tolerances, at which a bracket has closed on a jump: the force is in equilibrium."""
 
-EASY = 1 / 8
-"""Share of the largest bend below which the next step is twice as long."""
-
-RUNAWAY = 1e5
-"""Travel, in, beyond which a draw diverged."""
+EASY = 1 / 8  # share of the largest bend below which the next step is twice as long
+RUNAWAY = 1e5  # travel, in, beyond which a draw diverged
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +72,7 @@ class Devices:
             stiffness, strength = (
                 np.tile(values[strong], n) for values in (building.storeys, building.yields)
             )
-            yielding = PlasticBank.at_rest(stiffness, strength, elastic=stiffness)
+            yielding = ElastoPlastic.at_rest(stiffness, strength, elastic=stiffness)
             states.append((yielding, slice(m, m + int(strong.sum()))))
         none = np.zeros((n, m + int(strong.sum())))
         return cls((), none, dampers.times, dampers.scales)._with(states)

@@ -12,15 +12,9 @@ from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
 
-ORDERS = 24
-"""Orders in which sources are added; the share of each is its mean gain."""
-
-FEWEST = 30
-"""Fewest draws, of those that did not run away, of which there are shares."""
-
-PLACES = 6
-"""Dampers whose own values are columns of the regression, beside the mean over all."""
-
+ORDERS = 24  # orders in which sources are added; the share of each is its mean gain
+FEWEST = 30  # fewest draws, of those that did not run away, of which there are shares
+PLACES = 6  # dampers whose own values are columns of the regression, beside the mean over all
 REST = "interactions and the rest"
 
 

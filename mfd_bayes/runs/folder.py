@@ -1,62 +1,236 @@
-"""The layout of a run folder, and checks of what lies in it."""
+"""A run folder: made, resumed or replaced; what lies in it is checked, kept or removed."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
 from mfd_bayes.errors import StoreError
+from mfd_bayes.jobs.job import State
 from mfd_bayes.records.regular import hash_file
-from mfd_bayes.store.files import PART, cannot_remove, check_place, remove_file
+from mfd_bayes.runs.lock import OWNER
+from mfd_bayes.runs.manifest import COMPARISON, Manifest, Status, read_begun
+from mfd_bayes.runs.paths import (
+    ADVICE,
+    CAMPAIGN,
+    CROSSVALIDATION,
+    DISCARDED,
+    DRAWS,
+    FOLDERS,
+    MANIFEST,
+    ON_REQUEST,
+    OUTPUTS,
+    POPULATION,
+    PRIORS,
+    folder_of,
+    is_written_by_run,
+    posterior_of,
+)
+from mfd_bayes.store.files import PART, cannot_remove, check_place, is_part, remove_file
 
-MANIFEST = "manifest.json"
-CAMPAIGN = "campaign.toml"
-PRIORS = "priors.toml"
-POPULATION = "population.nc"
-CROSSVALIDATED = "crossvalidation"
-FOLDERS = ("tests", "figures", CROSSVALIDATED)
-"""Folders in a run folder."""
-
-
-def folder_of(test_id: str) -> str:
-    """Path of the folder of all that is stored of a test."""
-    return f"tests/{test_id}"
-
-
-def posterior_of(test_id: str) -> str:
-    """Path of a test's posterior in a run folder."""
-    return f"{folder_of(test_id)}/posterior.nc"
-
-
-def pooled_of(test_id: str) -> str:
-    """Path of a test's posterior after pooling in a run folder."""
-    return f"tests/{test_id}/pooled.nc"
+_MOST_NAMES = 10  # that a message lists
 
 
-def record_of(test_id: str) -> str:
-    """Path of the record of a held-out test (predicted, never fitted) in a run folder."""
-    return f"tests/{test_id}/record.nc"
+class Existing(Enum):
+    """What happens to a run that exists in the folder."""
+
+    REFUSED = "refused"
+    RESUMED = "resumed"
+    REPLACED = "replaced"
+
+    @classmethod
+    def of(cls, *, resume: bool, force: bool) -> Existing:
+        """By the options of a command, of which one at most is given."""
+        return cls.RESUMED if resume else cls.REPLACED if force else cls.REFUSED
 
 
-def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
-    """Refuse links that lead out of a run folder, where it is read or written.
+@dataclass(frozen=True)
+class Resumed:
+    """What a run begins with.
+
+    Attributes
+    ----------
+    manifest : Manifest
+        Of the run, with the results that are kept from an earlier session.
+    before : Manifest or None
+        The earlier session's manifest, if its population is kept too.
+    same_tests : bool
+        Whether the run has the calibrated tests that it had, none of them changed.
+    notes : tuple of str
+        What the user must know: what is not kept, and that this is another machine.
+    """
+
+    manifest: Manifest
+    before: Manifest | None = None
+    same_tests: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def prepare_folder(manifest: Manifest, home: Path, out: Path, existing: Existing) -> Resumed:
+    """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
+
+    Of a run that is resumed, everything is kept whose key is the same as before; what is stored
+    under another key is removed.
 
     Parameters
     ----------
+    manifest : Manifest
+        Of the run to be calibrated, with its keys.
+    home : Path
+        Folder of the campaign file, links resolved; it may lie in the run folder.
     out : Path
         Run folder.
-    names : iterable of str
-        Folders in it that are checked.
 
     Raises
     ------
     StoreError
-        When one of them, or something in them, is a link to outside of the run folder.
+        When the folder may not be used, or holds something other than this run, or something in
+        it that must go cannot be removed.
     """
+    check_links(out)
+    check_places(out)
+    if _is_free(home, out):
+        return Resumed(manifest)
+    check_free(home, out, existing)
+    if existing is Existing.REPLACED or (out / DISCARDED).exists():
+        discard(out)
+        return Resumed(manifest)
+    try:
+        before = read_begun(out)
+    except StoreError as error:
+        again = "--force to start again" if (out / MANIFEST).exists() else "another folder by -o"
+        raise StoreError(f"{out} cannot be resumed: {error}; give {again}") from error
+    _check_resumable(manifest, before, out)
+    same = {place for place, key in manifest.keys.items() if before.keys.get(place) == key}
+    kept = [name for name in manifest.tests if folder_of(name) in same]
+    resumed = _with_results(manifest, before, kept, out)
+    if COMPARISON in same and all((out / posterior_of(n)).is_file() for n in manifest.fitted):
+        resumed = resumed.changed(comparison=before.comparison)
+    notes = (*_lost_notes(kept, manifest, before, out), *_machine_notes(manifest, before))
+    if CROSSVALIDATION not in same:
+        remove_folder(out / CROSSVALIDATION)
+        before = before.changed(crossvalidation=None)
+    if POPULATION not in same:
+        before.changed(status=Status.RUNNING).write(out)  # what is left is no finished run
+    for name in {*before.tests, *manifest.tests}.difference(kept):
+        remove_folder(out / folder_of(name))
+    population = before if POPULATION in same else None
+    return Resumed(resumed, population, COMPARISON in same, notes)
+
+
+def check_free(home: Path, out: Path, existing: Existing) -> None:
+    """Refuse a folder that exists and is neither to be resumed nor to be replaced."""
+    if existing is Existing.REFUSED and not _is_free(home, out):
+        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
+
+
+def _is_free(home: Path, out: Path) -> bool:
+    """Whether a folder holds nothing but the campaign, a lock's owner or an unfinished manifest."""
+    return not out.is_dir() or all(
+        entry.resolve() == home
+        or entry.name == OWNER
+        or is_part(entry, MANIFEST)
+        or is_part(entry, OWNER)
+        for entry in out.iterdir()
+    )
+
+
+def _check_resumable(manifest: Manifest, before: Manifest, out: Path) -> None:
+    """Refuse to resume a run of other tests, or with another seed, effort or version."""
+    for key in ("seed", "effort", "versions"):
+        old, new = getattr(before, key), getattr(manifest, key)
+        if old == new:
+            continue
+        changed = ""
+        if isinstance(old, Mapping):
+            names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+            changed = f" ({_listed(names)})"
+        raise StoreError(
+            f"{out} cannot be resumed: {key}{changed} changed since it was started; "
+            "give --force to start again"
+        )
+    if not set(before.tests) & set(manifest.tests):
+        raise StoreError(
+            f"{out} cannot be resumed: it is a run of other tests ({_listed(before.tests)}); "
+            "give another folder, or --force to replace it"
+        )
+
+
+def _with_results(
+    manifest: Manifest, before: Manifest, kept: Collection[str], out: Path
+) -> Manifest:
+    """The manifest with what is kept of an earlier session, after a check of the kept files.
+
+    Hashes of other files are dropped: such a file is written again before its hash is, and a kill
+    in between would leave a new file with an old hash.
+    """
+    files = [name for name in map(posterior_of, kept) if (out / name).is_file()]
+    for name in (*files, *([POPULATION] if (out / POPULATION).is_file() else [])):
+        check_stored(out, name, before.files)
+    found = manifest.changed(files={n: before.files[n] for n in files if n in before.files})
+    if before.truth is not None:
+        tests = {name: values for name, values in before.truth.tests.items() if name in kept}
+        found = found.changed(truth=before.truth.model_copy(update={"tests": tests}))
+    for name in kept:
+        if before.tests[name].status == State.DONE:
+            seconds = before.tests[name].seconds
+            found = found.with_test(name, status=State.DONE, seconds=seconds)
+    machines = dict.fromkeys(tuple(m.items()) for m in (*before.machines, *manifest.machines))
+    return found.changed(
+        started=before.started, seconds=before.seconds, machines=tuple(map(dict, machines))
+    )
+
+
+def _lost_notes(
+    kept: Collection[str], manifest: Manifest, before: Manifest, out: Path
+) -> list[str]:
+    """Sentences on the finished tests that are not kept."""
+    lost = [n for n in before.tests if n not in kept and (out / posterior_of(n)).is_file()]
+    again = [name for name in lost if name in manifest.fitted]
+    gone = [name for name in lost if name not in again]
+    notes = []
+    if again:
+        notes.append(f"what they rest on has changed, so they are sampled again: {_listed(again)}")
+    if gone:
+        notes.append(f"no longer calibrated by this campaign, so removed: {_listed(gone)}")
+    return notes
+
+
+def _machine_notes(manifest: Manifest, before: Manifest) -> list[str]:
+    """A sentence where the run was computed by another machine, as far as its draws tell."""
+    (here,) = manifest.machines
+    for there in before.machines:
+        names = [name for name in {**there, **here} if there.get(name) != here.get(name)]
+        if names:
+            differ = "; ".join(
+                f"{name} was {there.get(name, 'none')[:120]}, is {here.get(name, 'none')[:120]}"
+                for name in names
+            )
+            return [
+                "another machine has computed a part of this run, and draws that are kept can "
+                f"differ in their last digits from those of this one: {differ}"
+            ]
+    return []
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Names with commas; the first of many."""
+    every = [name[:60] for name in names]
+    more = f", and {len(every) - _MOST_NAMES} more" if len(every) > _MOST_NAMES else ""
+    return ", ".join(every[:_MOST_NAMES]) + more
+
+
+# --- what lies in a folder
+
+
+def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
+    """Refuse named folders that are, or hold, links to outside of a run folder."""
     try:
         home = out.resolve()
         for name in names:
@@ -74,33 +248,15 @@ def _check_inside(path: Path, home: Path) -> None:
 
 
 def check_places(out: Path) -> None:
-    """Refuse to write a run into a folder in which a file of it would replace a device or a link.
-
-    Raises
-    ------
-    StoreError
-        When the place of one of its files is a device, a pipe, or a link out of the folder.
-    """
-    for name in (MANIFEST, *_OUTPUTS):
+    """Refuse a folder in which a file of the run would replace a device, a pipe or a link."""
+    for name in (MANIFEST, *OUTPUTS):
         check_place(out / name)
 
 
 def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
     """Path of a stored file, checked: it is in the run folder and its hash, if known, is unchanged.
 
-    Parameters
-    ----------
-    out : Path
-        Run folder.
-    name : str
-        Path of the file in it, with slashes.
-    digests : mapping of str to str
-        SHA-256 of files, by name.
-
-    Raises
-    ------
-    StoreError
-        When the file is a link to elsewhere, is missing, or is not the one that was written.
+    Raises StoreError where it is missing, a link to elsewhere, or not what was written.
     """
     path = out / name
     try:
@@ -120,81 +276,20 @@ def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
     return {name: hash_file(out / name) for name in names if (out / name).is_file()}
 
 
-_TABLES = (
-    *("parameters.csv", "derived.csv", "readings.csv", "noises.csv"),
-    *("laws.csv", "law_scores.csv", "checks.csv", "scores.csv"),
-    *("parameters.json", "laws.json", "parameters.tex", "laws.tex"),
-    *("crossvalidation.csv", "tested_range.csv", "tables.docx", "tables.xlsx"),
-)
-
-
-def draws_as(form: str) -> str:
-    """Name of the table of all draws in a run folder, as "csv" or "parquet"."""
-    return f"draws.{form}"
-
-
-_DRAWS = tuple(map(draws_as, ("csv", "parquet")))
-_OUTPUTS = (POPULATION, *_TABLES, *_DRAWS, "report.html", "report.pdf", CAMPAIGN, PRIORS)
-
-
-ADVICE = ("next.csv", "next.json", "next.png")
-"""What `mfd-bayes next` writes into a run folder where it is told no other place."""
-
-_ASKED_FOR = (
-    *("tables.docx", "tables.xlsx", "report.pdf"),
-    *(*ADVICE, "figures/next.png", "figures/next.csv"),
-)
-"""What a report writes only where it is asked for, and advice: all rests on the population."""
-
-DISCARDED = f".{MANIFEST}.discarded"
-
-
-def name_in_run(path: Path) -> Path | None:
-    """Name of a file in the run folder that it lies in, as `manifest.json`; None outside of any.
-
-    Links are followed.
-    """
-    found = path.resolve()
-    for folder in found.parents:
-        if (folder / MANIFEST).is_file() or (folder / DISCARDED).is_file():
-            return found.relative_to(folder)
-    return None
-
-
-def is_of_run(name: Path) -> bool:
-    """Whether a name in a run folder is that of a file which the run writes, or of its folders."""
-    first = name.parts[0] if name.parts else ""
-    return first in FOLDERS or name.as_posix() in (*_OUTPUTS, MANIFEST, DISCARDED)
-
-
 def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool = False) -> None:
-    """Refuse a run that would remove or replace one of its own inputs.
+    """Refuse a run that would remove or replace one of its inputs: campaign, priors, records.
 
-    Parameters
-    ----------
-    out : Path
-        Run folder.
-    inputs : iterable of Path
-        Campaign file, priors and records.
-    force : bool
-        Whether what an earlier run wrote will be removed.
-    resume : bool
-        Whether what it wrote of a test may be removed.
-
-    Raises
-    ------
-    StoreError
-        When an input lies where the run writes.
+    With `force`, what an earlier run wrote will be removed; with `resume`, what it wrote of a test.
     """
     home = out.resolve()
     for path in inputs:
-        found = path.resolve()
-        if not found.is_relative_to(home):
+        place = path.resolve()
+        if not place.is_relative_to(home):
             continue
-        name = found.relative_to(home)
+        name = place.relative_to(home)
         copied = name.as_posix() in (CAMPAIGN, PRIORS) and not force  # written as it was read
         stays = name.parts[0] in FOLDERS and not (resume and name.parts[0] == "tests")
-        if is_of_run(name) and not copied and (force or not stays):
+        if is_written_by_run(name) and not copied and (force or not stays):
             raise StoreError(
                 f"{path} is an input of this run and lies where {out} is written: it would be "
                 "lost; give another folder"
@@ -204,10 +299,7 @@ def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool 
 def discard(out: Path) -> None:
     """Remove what a run wrote, and nothing else; if it is interrupted, it can be repeated.
 
-    Raises
-    ------
-    StoreError
-        When the folder is not a run folder, or something in it cannot be removed.
+    Raises StoreError where the folder is not a run folder, or something cannot be removed.
     """
     check_links(out)
     begun = out / DISCARDED
@@ -219,7 +311,7 @@ def discard(out: Path) -> None:
         remove_partial_files(out)
         for name in FOLDERS:
             remove_folder(out / name)
-        for name in (*_OUTPUTS, *ADVICE):
+        for name in (*OUTPUTS, *ADVICE):
             (out / name).unlink(missing_ok=True)
         begun.unlink()
     except OSError as error:
@@ -227,13 +319,7 @@ def discard(out: Path) -> None:
 
 
 def remove_folder(path: Path) -> None:
-    """Remove a folder if it is there; of a link, the link alone.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be removed.
-    """
+    """Remove a folder if it is there; of a link, the link alone. StoreError when it cannot be."""
     try:
         if path.is_symlink():
             path.unlink()
@@ -246,26 +332,15 @@ def remove_folder(path: Path) -> None:
 def remove_stale(out: Path, *, draws: bool) -> None:
     """Remove what no report writes again unasked, before the population is inferred anew.
 
-    Parameters
-    ----------
-    out : Path
-        Run folder.
-    draws : bool
-        Whether tests are sampled too, so that the table of their draws is removed.
-
-    Raises
-    ------
-    StoreError
-        When something cannot be removed.
+    With `draws`, tests are sampled too, and the table of their draws is removed.
     """
-    for name in (*_ASKED_FOR, *(_DRAWS if draws else ())):
+    for name in (*ON_REQUEST, *(DRAWS if draws else ())):
         remove_file(out / name)
 
 
 def remove_partial_files(out: Path) -> None:
     """Remove the partly written files that a killed process left in a run folder, if possible."""
-    folders = [out / name for name in FOLDERS]
-    for parts in (out.glob, *(folder.rglob for folder in folders)):
+    for parts in (out.glob, *((out / name).rglob for name in FOLDERS)):
         for part in parts(f".*{PART}"):
             with suppress(OSError):  # if the folder is read-only, the next write reports it
                 part.unlink(missing_ok=True)

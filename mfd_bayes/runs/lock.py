@@ -1,12 +1,9 @@
 """The lock on a run folder: one process at a time works in it; a second one is refused.
 
-The lock is the operating system's, on the folder itself: however the owner ends, the lock ends with
-it, and no lock file is left. The owner also writes a file with its name into the folder. A process
-that is refused reports that name; and where machines share the folder, the system's lock may not
-reach from one machine to another, but the name does.
-
-`filelock.FileLock` would leave a lock file in the folder, and raise where the file system has no
-locks.
+The lock is the operating system's, on the folder itself, and ends with its owner. The owner also
+writes its name into the folder: a process that is refused reports it; and where machines share
+the folder, the system's lock may not reach from one to another, but the name does.
+(`filelock.FileLock` leaves a file behind, and raises where the file system has no locks.)
 """
 
 from __future__ import annotations
@@ -34,29 +31,26 @@ except ImportError:  # not a POSIX system
 OWNER = ".owner.json"
 """File in a run folder that names the owner of the lock."""
 
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
+_BOOT = Path("/proc/sys/kernel/random/boot_id")  # the same in each container of a machine
 
 
 @dataclass(frozen=True)
 class Owner:
-    """The owner of a lock: a process that works in a run folder."""
+    """A process that works in a run folder; `boot` is the id of the running system, or ""."""
 
     host: str
-    """Name of its machine."""
     boot: str
-    """Linux's id of the running system, the same in each container of a machine; or ""."""
     pid: int
     command: str
     since: str
-    """Date and time, UTC."""
 
     def __str__(self) -> str:
-        """Sentence part that a process is shown when it is refused."""
+        """Its name in messages."""
         return f"{self.command!r}, process {self.pid} on {self.host} since {self.since}"
 
     @classmethod
     def here(cls) -> Owner:
-        """Owner that this process is."""
+        """The process that asks."""
         return cls(
             host=socket.gethostname(),
             boot=_BOOT.read_text(encoding="ascii").strip() if _BOOT.is_file() else "",
@@ -96,73 +90,53 @@ def alone_in(out: Path) -> Iterator[None]:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(f"cannot make the run folder {out}: {error.strerror}") from error
-    handle = _lock(out)
     name = out / OWNER
-    try:
-        with suppress(StoreError):  # a full disk: the first result reports it
-            write_json(name, asdict(Owner.here()))
-        with before_end(lambda: _remove(name)):
-            yield
-    finally:
-        _remove(name)
-        if handle is not None:
-            os.close(handle)
 
+    def leave() -> None:
+        with suppress(OSError):  # a read-only disk: a name that is left behind is no lock
+            name.unlink(missing_ok=True)
 
-def _remove(name: Path) -> None:
-    with suppress(OSError):  # the disk is read-only: a name that is left behind is no lock
-        name.unlink(missing_ok=True)
-
-
-def _lock(out: Path) -> int | None:
-    """Handle of the locked folder; None where the system has no such locks."""
-    owner = _owner_of(out)
     handle = None if fcntl is None else os.open(out, os.O_RDONLY)
     try:
-        locked = handle is not None and _locked(handle, out, owner)
-        if owner is not None and not owner.on_this_machine:
-            raise StoreError(
-                f"{out} may be in use: its owner is {owner}, and this machine cannot see whether "
-                f"that still runs; let it end, or, if it has ended, remove {out / OWNER}"
-            )
-        if owner is not None and not locked and owner.pid != os.getpid() and owner.alive:
-            raise StoreError(_refusal(out, owner))
-    except StoreError:
+        _take(handle, out)
+        try:
+            with suppress(StoreError):  # a full disk: the first result reports it
+                write_json(name, asdict(Owner.here()))
+            with before_end(leave):
+                yield
+        finally:
+            leave()
+    finally:
         if handle is not None:
             os.close(handle)
-        raise
-    return handle
 
 
-def _locked(handle: int, out: Path, owner: Owner | None) -> bool:
-    """Whether this process got the system's lock; False where the file system has no locks.
-
-    Raises
-    ------
-    StoreError
-        When another process has the lock.
-    """
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno == errno.EWOULDBLOCK:
-            raise StoreError(_refusal(out, owner)) from None
-        return False
-    return True
-
-
-def _refusal(out: Path, owner: Owner | None) -> str:
-    """Sentence that refuses a second process; it names the owner unless that has ended."""
-    alive = owner is not None and (not owner.on_this_machine or owner.alive)
-    named = f": {owner}" if alive else ""
-    return f"another process is working in {out}{named}: let it end"
+def _take(handle: int | None, out: Path) -> None:
+    """Take the system's lock, where it has one; refuse a folder that another process may hold."""
+    owner, locked = _owner_of(out), False
+    elsewhere = owner is not None and not owner.on_this_machine
+    lives = owner is not None and (elsewhere or owner.alive)
+    refusal = f"another process is working in {out}{f': {owner}' if lives else ''}: let it end"
+    if handle is not None:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            locked = True
+        except OSError as error:  # any other: the file system has no locks
+            if error.errno == errno.EWOULDBLOCK:
+                raise StoreError(refusal) from None
+    if elsewhere:
+        raise StoreError(
+            f"{out} may be in use: its owner is {owner}, and this machine cannot see whether "
+            f"that still runs; let it end, or, if it has ended, remove {out / OWNER}"
+        )
+    if not locked and lives and owner is not None and owner.pid != os.getpid():
+        raise StoreError(refusal)
 
 
-def worker_in(out: Path) -> str:
+def other_owner(out: Path) -> str:
     """Words that name another process which works in a folder: ": …"; "" where none is known."""
     owner = _owner_of(out)
-    known = owner is not None and owner.pid != os.getpid()
-    return f": {owner}" if known and owner is not None else ""
+    return "" if owner is None or owner.pid == os.getpid() else f": {owner}"
 
 
 def _owner_of(out: Path) -> Owner | None:

@@ -2,43 +2,140 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.result import Extras, TestResult
-from mfd_bayes.errors import FitError
+from mfd_bayes.calibration.noise import find_noise
+from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.result import Extras, TestResult, load_result
+from mfd_bayes.errors import FitError, NotThereError, StoreError
+from mfd_bayes.friction.models import find_model
+from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
 from mfd_bayes.planning.study import Advice, Effort
-from mfd_bayes.population.bands import Band, Forecast, check_flag
+from mfd_bayes.population.bands import Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.given import Forecaster, predict_given
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import THIS_TEST, planned_setting
+from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
+from mfd_bayes.records.regular import path_of
 from mfd_bayes.records.trace import Trace, check_trace
-from mfd_bayes.runs import asked
-from mfd_bayes.runs.folder import POPULATION, check_stored
-from mfd_bayes.runs.manifest import Manifest
-from mfd_bayes.runs.named import Named
-from mfd_bayes.runs.order import NO_GAP, Order, StoredPooled
-from mfd_bayes.runs.reading import reading
-from mfd_bayes.runs.steps import RunSteps
-from mfd_bayes.runs.systems import System, named_system
-from mfd_bayes.runs.tested import Departure, Span, departures, range_of
-from mfd_bayes.runs.wanted import Candidates, next_test, wish_of, with_remarks
+from mfd_bayes.runs.folder import check_links, check_stored
+from mfd_bayes.runs.manifest import Manifest, read_manifest, unchanged
+from mfd_bayes.runs.next_test import Candidates, next_test
+from mfd_bayes.runs.paths import POPULATION, PRIORS, posterior_of, record_of
+from mfd_bayes.runs.test_sequence import NO_GAP, StoredPooled, TestSequence
+from mfd_bayes.runs.tested_range import (
+    Departure,
+    Span,
+    TestUnderWay,
+    departures,
+    range_of,
+    reach_of,
+)
+from mfd_bayes.runs.unit_system import System, named_system
+from mfd_bayes.runs.verdict import Use
+from mfd_bayes.store.cards import counted, grid
+from mfd_bayes.store.netcdf import load_trace
 
 if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
 
+Item = TypeVar("Item")
+
+
+class ByName(Mapping[str, Item]):
+    """Items of a run by name, in their order; each is read when it is first asked for.
+
+    Parameters
+    ----------
+    what : str
+        What one of them is, for messages: "calibrated test".
+    names : iterable of str
+    read : callable
+        Item of a name.
+    """
+
+    def __init__(self, what: str, names: Iterable[str], read: Callable[[str], Item]) -> None:
+        self._what, self._names, self._read = what, tuple(names), read
+        self._items: dict[str, Item] = {}
+
+    def __getitem__(self, name: str) -> Item:
+        """The item of a name; a NotThereError, which is a KeyError, when there is none."""
+        if name not in self._names:
+            names = ", ".join(self._names) or "none"
+            raise NotThereError(f"the run has no {self._what} {name!r}: there are {names}")
+        if name not in self._items:
+            self._items[name] = self._read(name)
+        return self._items[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Names, in their order."""
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        """Number of items."""
+        return len(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is an item of a name; it is not read."""
+        return name in self._names
+
+    def __repr__(self) -> str:
+        """Names of the items."""
+        return f"<{self._what}s: {', '.join(self._names)}>"
+
+
+def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None = None) -> Run:
+    """Finished calibration of a run folder; posteriors and records are read when asked for.
+
+    Raises
+    ------
+    StoreError
+        When the folder is no finished run, a file in it is not what the run wrote, or another
+        process changes it meanwhile.
+    """
+    folder = path_of("folder", folder, StoreError)
+    check_links(folder)
+    manifest = read_manifest(folder)
+    with unchanged(folder, manifest):
+        priors = load_priors(check_stored(folder, PRIORS, manifest.files).name, folder)
+    extras = None if make_extras is None else make_extras(manifest.system)
+    done = [name for name in manifest.fitted if manifest.tests[name].status == State.DONE]
+    held_out = [name for name in manifest.tests if name not in manifest.fitted]
+    if not done:
+        raise StoreError(f"the run in {folder} has no calibrated test")
+    for name in (*map(posterior_of, done), *map(record_of, held_out)):
+        if not (folder / name).is_file():
+            raise StoreError(f"{folder / name} is missing from the run")
+    read_test = partial(_read_test, folder, manifest, priors, extras)
+    tests = ByName("calibrated test", done, read_test)
+    traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
+    return Run(folder, manifest, priors, tests, traces, extras)
+
+
+def _read_test(
+    folder: Path, manifest: Manifest, priors: PriorFile, extras: Extras | None, name: str
+) -> TestResult:
+    file = posterior_of(name)
+    with unchanged(folder, manifest):
+        result = load_result(name, check_stored(folder, file, manifest.files), priors)
+    return replace(result, sha256=manifest.files.get(file, ""), extras=extras)
+
+
+def _read_trace(folder: Path, manifest: Manifest, name: str) -> Trace:
+    with unchanged(folder, manifest):
+        return load_trace(check_stored(folder, record_of(name), manifest.files))[0]
+
 
 @dataclass(frozen=True, eq=False)
-class Run(RunSteps):
+class Run:
     """A run folder.
 
     Attributes
@@ -60,16 +157,19 @@ class Run(RunSteps):
     units: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tests", Named("calibrated test", self.tests))
-        object.__setattr__(self, "held_out", Named("held-out test", self.held_out))
+        for what, name in (("calibrated test", "tests"), ("held-out test", "held_out")):
+            items = getattr(self, name)
+            if not isinstance(items, ByName):
+                items = dict(items)
+                object.__setattr__(self, name, ByName(what, items, items.__getitem__))
 
     @cached_property
     def population(self) -> Population:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        with reading(self.folder, self.manifest):
-            path = check_stored(self.folder, POPULATION, self.manifest.files or {})
+        with unchanged(self.folder, self.manifest):
+            path = check_stored(self.folder, POPULATION, self.manifest.files)
             return load_population(path, self.priors)
 
     @cached_property
@@ -77,48 +177,75 @@ class Run(RunSteps):
         """Median over the calibrated tests of the median offset of the force, kip."""
         return float(np.median([test.intervals["offset"][0] for test in self.tests.values()]))
 
-    @property
-    def hashed(self) -> bool:
-        """Whether the manifest has hashes of the stored files, so that changes are seen."""
-        return bool(self.manifest.files)
-
     def rewrite(self, **parts: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""
         manifest = self.manifest.changed(**parts)
         manifest.write(self.folder)
         return replace(self, manifest=manifest)
 
-    @property
+    @cached_property
     def actuation_unit(self) -> str:
-        """The unit of actuation, "ksi" or "kip"."""
+        """The internal unit of actuation, such as "ksi" or "kip"."""
         return self.manifest.settings.actuation_unit
 
     @cached_property
     def system(self) -> System:
         """System of units that most records were measured in, or of `units`."""
-        traces = [*(test.trace for test in self.tests.values()), *self.held_out.values()]
-        return named_system(self.units, self.manifest.system_of(traces))
+        return named_system(self.units, self.manifest.system)
 
     @cached_property
     def tested(self) -> tuple[Span, ...]:
         """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
-        return range_of((test.trace for test in self.tests.values()), self.actuation_unit)
+        tests = (self.manifest.tests[name].conditions for name in self.tests)
+        return range_of(tests, self.actuation_unit)
 
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
         check_trace("trace", trace, FitError)
-        tested = range_of([self.tests[test].trace], self.actuation_unit) if test else self.tested
-        return departures(tested, trace, self.actuation_unit)
+        unit, entries = self.actuation_unit, self.manifest.tests
+        own = ByName("calibrated test", self.tests, lambda name: entries[name].conditions)
+        tested = range_of([own[test]], unit) if test else self.tested
+        return departures(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
-        return Named("test", self.manifest.settings.tests)[name].session
+        sessions = self.manifest.settings.sessions
+        return ByName("test", sessions, sessions.__getitem__)[name]
 
     @cached_property
-    def order(self) -> Order:
+    def predictor(self) -> Predictor:
+        """What predicts forces of the device."""
+        settings = self.manifest.settings
+        return Predictor(self.population, find_model(settings.model), find_noise(settings.noise))
+
+    @cached_property
+    def sequence(self) -> TestSequence:
         """Which tests follow each other without a reset, and where they end."""
-        pooled = StoredPooled(self.folder, self.manifest, self.population, tuple(self.tests))
-        return Order(self.manifest, self.tests, self.held_out, self._predictor(), pooled)
+        pooled = StoredPooled(self.folder, self.manifest, self.population)
+        return TestSequence(self.manifest, self.tests, self.held_out, self.predictor, pooled)
+
+    @property
+    def use(self) -> str:
+        """What the run may be used for, in the words of `Use`; "" where it was not judged."""
+        return self.manifest.verdicts.get("campaign", "")
+
+    @property
+    def verdict(self) -> str:
+        """Sentence of the verdict in the run's own units."""
+        return self.manifest.verdicts.get("sentence", "")
+
+    @property
+    def caution(self) -> str:
+        """What the run may be used for, with the reason; "" where it is usable or not judged."""
+        if self.use not in (Use.NOT_USABLE, Use.WITH_CARE):
+            return ""
+        return f"the run of this device is {self.use}: {self.verdict}"
+
+    def _repr_html_(self) -> str:
+        verdicts = self.manifest.verdicts
+        rows = ((name, verdicts.get(name, "")) for name in self.tests)
+        title = f"{self.manifest.title}: {counted(len(self.tests), 'calibrated test')}"
+        return grid(title, ("test", "may be used"), rows, self.verdict)
 
     def predict(
         self,
@@ -178,21 +305,70 @@ class Run(RunSteps):
         check_trace("trace", trace, FitError)
         check_flag("explain", explain)
         if given is not None:
-            asked.check_given(test, after)
+            _check_given(test, after)
         forecast = Forecast(kind, probability, draws, seed, session, whole, bool(explain))
-        predictor = self._predictor()
-        forecast = self.order.begun(forecast, trace, after) if after else forecast
+        if after:
+            forecast = self.sequence.begun(forecast, trace, after)
         if given is not None:
-            band = predict_given(predictor, trace, forecast, given)
+            band = predict_given(self.predictor, trace, forecast, given)
         elif kind == THIS_TEST or test:
-            band = self._repeated(trace, forecast, test)
+            band = self._repeat(trace, forecast, test)
         else:
-            band = predictor.predict(trace, forecast)
-        left = self.departures(trace, test)
-        remarks = asked.remarks_of(left, self.manifest, self.system, widened=not test)
-        remarks += (NO_GAP,) if after and forecast.before is None else ()
-        remarks += (*asked.new_session(self.manifest, session), *forecast.remarks, *band.remarks)
-        return replace(band, remarks=remarks, extras=self.extras)
+            band = self.predictor.predict(trace, forecast)
+        remarks = [
+            departure.sentence(self.system, widened=not test)
+            for departure in self.departures(trace, test)
+        ]
+        remarks += self._remarks(session)
+        remarks += [NO_GAP] if after and forecast.before is None else []
+        remarks += [*forecast.remarks, *band.remarks]
+        return replace(band, remarks=tuple(remarks), extras=self.extras)
+
+    def _remarks(self, session: str) -> list[str]:
+        """Remarks of every band: an unusable run, a session that no test has."""
+        remarks = []
+        if self.use == Use.NOT_USABLE:
+            remarks.append(f"the run is not usable as it is: {self.verdict}")
+        sessions = dict.fromkeys(self.manifest.settings.sessions.values())
+        if session and session not in sessions:
+            names = ", ".join(repr(name) for name in sessions if name)
+            has = f"the run has {names}" if names else "the campaign declares no sessions"
+            remarks.append(
+                f"session {session!r} is taken for a new one, whose tests may differ: {has}"
+            )
+        return remarks
+
+    def _repeat(self, trace: Trace, forecast: Forecast, name: str) -> Band:
+        """Band of what is known of one calibrated test."""
+        expected = f"one of {', '.join(self.tests)}"
+        if not isinstance(name, str):
+            raise FitError(f"test must be text, got {name!r}")
+        if forecast.kind != THIS_TEST:
+            raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
+        if not name:
+            raise FitError(f"the kind this_test needs the id of a calibrated test: {expected}")
+        if name in self.held_out:
+            raise FitError(f"test {name!r} was held out, so nothing is known of it: {expected}")
+        if name not in self.tests:
+            raise FitError(f"the run has no calibrated test {name!r}: {expected}")
+        test, own = self.tests[name], self.session(name)
+        levels = test.trace.reference_actuation, trace.reference_actuation
+        if np.isfinite(levels[1]) and not same_level(*levels):
+            made, other = (
+                self.system.words([level], self.actuation_unit, actuation=True) for level in levels
+            )
+            raise FitError(
+                f"test {name!r} was made at {made}, and the kind this_test knows nothing of "
+                f"{other}: take the kind new_test"
+            )
+        if forecast.session and forecast.session != own:
+            made = f"session {own!r}" if own else "no session"
+            raise FitError(
+                f"session {forecast.session!r} is for a new test: the kind this_test takes that of "
+                f"its test, which was made in {made}"
+            )
+        forecast = replace(forecast, session=own)
+        return self.predictor.repeat(trace, forecast, test.stored.values())
 
     def respond(
         self,
@@ -206,11 +382,37 @@ class Run(RunSteps):
         jobs: int = 1,
         observe: Callable[[Any], None] = lambda step: None,
     ) -> Response:
-        """Response of a building with this device as its dampers; see `respond_of_run`."""
-        from mfd_bayes.runs.response import respond_of_run
+        """Response of a building with this device as its dampers.
 
-        how: dict[str, Any] = {"draws": draws, "seed": seed, "kind": kind, "tolerance": tolerance}
-        return respond_of_run(self._source(), building, grounds, jobs=jobs, observe=observe, **how)
+        Parameters
+        ----------
+        building : Building or path
+            As `read_building` reads it.
+        grounds : Ground or path, or several
+            Paths as `read_ground` reads them; "FILE:0.01s" gives the step of a file without one.
+        draws, seed : int
+        kind : {"new_test", "device"}
+            With each damper's scatter from test to test, or the mean property alone.
+        tolerance : float
+            Largest estimated error of a draw's drift, relative; steps are shortened until then.
+        jobs : int
+            Processes; the result does not depend on them.
+
+        Returns
+        -------
+        Response
+            `drift` (draw, ground, storey), in, and others.
+
+        Raises
+        ------
+        BuildingError
+            When the building or a ground motion cannot be used, or the actuation is of another
+            kind than the run's.
+        """
+        from mfd_bayes.response.device_draws import Choice
+        from mfd_bayes.runs.response import respond
+
+        return respond(self, building, grounds, Choice(kind, draws, seed), tolerance, jobs, observe)
 
     def follow(
         self,
@@ -249,13 +451,19 @@ class Run(RunSteps):
         FitError
             When an option is of another type or unknown, or the model has no steps.
         """
-        tested = self.population.design.settings
         planned = {"amplitude": amplitude, "velocity": velocity}
-        setting = planned_setting(tested, actuation, session, planned)
+        setting = planned_setting(self.population.design.settings, actuation, session, planned)
         forecast = Forecast(kind, probability, draws, seed, session)
-        found = Forecaster(self._predictor(), setting, forecast, refresh=refresh)
-        found.complete = self._following(setting)
-        return found
+        forecaster = Forecaster(self.predictor, setting, forecast, refresh=refresh)
+        forecaster.complete = TestUnderWay(
+            setting,
+            self.tested,
+            self.system,
+            self.actuation_unit,
+            tuple(self._remarks(session)),
+            self.extras,
+        )
+        return forecaster
 
     def next_test(
         self,
@@ -282,6 +490,18 @@ class Run(RunSteps):
         CampaignError
             When an option is of another type or not understood, or the limits leave no candidate.
         """
-        wanted = wish_of(self.folder, self.manifest, goal, candidates, limits)
-        found = next_test(self.population, self.tests, self.manifest, wanted, Effort(draws, seed))
-        return with_remarks(found, self.tested, self.system) if wanted.candidates else found
+        return next_test(self, goal, candidates, limits, Effort(draws, seed))
+
+
+def _check_given(test: str, after: str | Ending) -> None:
+    """Refuse what a given part cannot be combined with."""
+    if after:
+        name = after.test if isinstance(after, Ending) else after
+        raise FitError(
+            f"after ({name!r}) cannot be combined with given: the given part itself shows where "
+            "in its gap the device stands"
+        )
+    if test:
+        raise FitError(
+            f"given cannot be combined with a calibrated test ({test!r}): it shows one new test"
+        )

@@ -1,6 +1,12 @@
-"""What a check, a test or a whole run comes to."""
+"""What a check, a test or a whole run comes to, and the warnings that stages give."""
 
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
 from enum import StrEnum
+
+from mfd_bayes.messages import Message
 
 
 class Verdict(StrEnum):
@@ -10,13 +16,13 @@ class Verdict(StrEnum):
 
     PASS = "pass", "The value is within its limit."
     NOTE = "note", "The reader must know of it, but it is no fault of the run."
-    CARE = (
-        "care",
+    WARNING = (
+        "warning",
         "The model misses this by more than its tolerance; use what depends on it with care.",
     )
     FAIL = "fail", "The value is beyond its limit; do not use figures that depend on it."
 
-    def __new__(cls, value: str, message: str) -> "Verdict":
+    def __new__(cls, value: str, message: str) -> Verdict:
         """Member whose value is a text, with a message."""
         member = str.__new__(cls, value)
         member._value_ = value
@@ -24,12 +30,12 @@ class Verdict(StrEnum):
         return member
 
     @classmethod
-    def of(cls, good: bool) -> "Verdict":
+    def of(cls, good: bool) -> Verdict:
         """PASS or FAIL."""
         return cls.PASS if good else cls.FAIL
 
     @classmethod
-    def noted(cls, good: bool) -> "Verdict":
+    def noted(cls, good: bool) -> Verdict:
         """PASS or NOTE, of a check that cannot fail."""
         return cls.PASS if good else cls.NOTE
 
@@ -44,5 +50,39 @@ class Use(StrEnum):
     @property
     def mark(self) -> Verdict:
         """The verdict of a check that looks like it."""
-        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.CARE}
+        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.WARNING}
         return marks.get(self, Verdict.FAIL)
+
+
+SPOILING = re.compile(
+    "no force|force sign|both signs|channels|time unit|duplicate|actuation|unit of displacement"
+    "|unit of force|displacement|force|another device|beyond the priors"
+)
+"""Names of findings that say that something is wrong with a test: its results cannot be used."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A warning of a stage, which a reader of the results must know.
+
+    Attributes
+    ----------
+    subject : str
+        A test's id, or "laws".
+    name : str
+        Name of the fault, as `records.data_quality` and `records.cross_checks` have them.
+    message : Message
+        What is wrong, with figures and the likely cause.
+    stage : {"records", "results"}
+        Whether the records showed it before anything was fitted, or the results.
+    """
+
+    subject: str
+    name: str
+    message: Message
+    stage: str = "records"
+
+    @property
+    def spoils(self) -> bool:
+        """Whether something is wrong with the test, rather than to be kept in mind."""
+        return SPOILING.fullmatch(self.name) is not None

@@ -6,7 +6,7 @@ import json
 import os
 import secrets
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ _LARGEST_JSON = 64 * 2**20
 _DEEPEST = 50
 
 
-def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file under a temporary name beside its place, then rename it.
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a file under a temporary name in its folder, which is made, then rename it.
 
     Raises
     ------
@@ -31,15 +31,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         When the folder cannot be written to, or the place is no place for a file.
     """
     check_place(path)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.{secrets.token_hex(4)}{PART}")
-        part.open("xb").close()  # with the modes that the umask leaves
-    except OSError as error:
-        raise StoreError(f"cannot write {path}: {error.strerror}") from error
-    try:
-        write(part)
-        with part.open("rb") as file:
+        with part.open("xb") as file:  # with the modes that the umask leaves
+            file.write(content)
+            file.flush()
             os.fsync(file.fileno())
         part.replace(path)
     except OSError as error:
@@ -47,6 +44,70 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     finally:
         with suppress(OSError):  # the folder became read-only; the next run removes it
             part.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write valid JSON atomically; numbers that are not finite become null."""
+    write_text(path, json_text(content, indent=2) + "\n")
+
+
+def json_text(content: object, indent: int | None = None) -> str:
+    """Valid JSON; numbers that are not finite become null."""
+    return json.dumps(_to_json(content), indent=indent, allow_nan=False)
+
+
+def _to_json(content: object) -> object:
+    if isinstance(content, Mapping):
+        return {str(key): _to_json(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_to_json(value) for value in content]
+    if isinstance(content, np.ndarray | np.generic):
+        return _to_json(content.tolist())
+    if isinstance(content, float):
+        return content if np.isfinite(content) else None
+    return str(content) if isinstance(content, Path) else content
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Object of a JSON file.
+
+    Raises
+    ------
+    StoreError
+        When the file is missing, too large, or holds no JSON object.
+    """
+    try:
+        if reason := why_no_file(path):
+            raise StoreError(f"{path} {reason}")
+        if path.stat().st_size > _LARGEST_JSON:
+            raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: not of this program")
+        content = json.loads(path.read_text(encoding="utf-8"))
+        level, depth = [content], 0
+        while level:  # what could not be written again: nested too deeply, or invalid Unicode
+            depth += 1
+            if depth > _DEEPEST:
+                raise ValueError(f"nested more than {_DEEPEST} times")
+            below: list[object] = []
+            for part in level:
+                if isinstance(part, dict):
+                    below += [*part, *part.values()]
+                elif isinstance(part, list):
+                    below += part
+                elif isinstance(part, str):
+                    part.encode()
+            level = below
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise StoreError(f"{path} is not valid JSON: {why_invalid(error)}") from error
+    if not isinstance(content, dict):
+        raise StoreError(f"{path} must hold a JSON object")
+    return content
 
 
 def check_place(path: Path) -> None:
@@ -62,13 +123,10 @@ def check_place(path: Path) -> None:
             raise StoreError(f"cannot write {path}: it is a link out of its folder")
         mode = path.stat().st_mode if path.exists() else stat.S_IFREG
     except (OSError, RuntimeError, ValueError) as error:  # links in a circle, too long a name
-        raise StoreError(f"cannot write {path}: {_reason(error)}") from error
+        reason = getattr(error, "strerror", None) or str(error)
+        raise StoreError(f"cannot write {path}: {reason}") from error
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a folder is refused by the system
         raise StoreError(f"cannot write {path}: it is a device or a pipe, and would be replaced")
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
 
 
 def is_part(path: Path, name: str) -> bool:
@@ -93,77 +151,3 @@ def remove_file(path: Path) -> None:
 def cannot_remove(path: Path, error: OSError) -> StoreError:
     """Error that says what cannot be removed, and why."""
     return StoreError(f"cannot remove {error.filename or path}: {error.strerror or error}")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, content: bytes | memoryview) -> None:
-    """Write a binary file atomically."""
-    write_atomically(path, lambda part: part.write_bytes(content))
-
-
-def write_json(path: Path, content: object) -> None:
-    """Write valid JSON atomically; numbers that are not finite become null."""
-    write_text(path, json_text(content, indent=2) + "\n")
-
-
-def json_text(content: object, indent: int | None = None) -> str:
-    """Valid JSON; numbers that are not finite become null."""
-    return json.dumps(_plain(content), indent=indent, allow_nan=False)
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Object of a JSON file.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, too large, or holds no JSON object.
-    """
-    try:
-        if reason := why_no_file(path):
-            raise StoreError(f"{path} {reason}")
-        if path.stat().st_size > _LARGEST_JSON:
-            raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: not of this program")
-        content = json.loads(path.read_text(encoding="utf-8"))
-        _check_tree(content)
-    except OSError as error:
-        raise StoreError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise StoreError(f"{path} is not valid JSON: {why_invalid(error)}") from error
-    if not isinstance(content, dict):
-        raise StoreError(f"{path} must hold a JSON object")
-    return content
-
-
-def _check_tree(content: object) -> None:
-    """Refuse content that could not be written again: nested too deeply, or invalid Unicode."""
-    level, depth = [content], 0
-    while level:
-        depth += 1
-        if depth > _DEEPEST:
-            raise ValueError(f"nested more than {_DEEPEST} times")
-        below: list[object] = []
-        for part in level:
-            if isinstance(part, Mapping):
-                below += [*part, *part.values()]
-            elif isinstance(part, list):
-                below += part
-            elif isinstance(part, str):
-                part.encode()
-        level = below
-
-
-def _plain(content: object) -> object:
-    if isinstance(content, Mapping):
-        return {str(key): _plain(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_plain(value) for value in content]
-    if isinstance(content, np.ndarray | np.generic):
-        return _plain(content.tolist())
-    if isinstance(content, float):
-        return content if np.isfinite(content) else None
-    return str(content) if isinstance(content, Path) else content

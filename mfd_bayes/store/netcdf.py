@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,23 +20,23 @@ from mfd_bayes.records.motion import Array
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.arviz import import_arviz
 from mfd_bayes.store.files import json_text, write_bytes
-from mfd_bayes.store.hdf5 import UnsafeError, check_objects
 
 if TYPE_CHECKING:
     import h5py
     import xarray as xr
 
 _CHAINS = ("chain", "draw")
-_SLACK = 2**20
-"""Bytes of dimensions that a file may declare without holding them."""
+_GROUPS = ("posterior", "sample_stats", "observed_data", "constant_data")
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
-_OF_FORMAT = {
-    *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST"),
-    *("_Netcdf4Dimid", "_Netcdf4Coordinates"),
+_FORMAT_ATTRIBUTES = {
+    "CLASS",
+    "NAME",
+    "DIMENSION_LIST",
+    "REFERENCE_LIST",
+    "_Netcdf4Dimid",
+    "_Netcdf4Coordinates",
 }
 """Attributes by which NetCDF tells dimensions; the others are of the variable."""
-_PACKED = {"scale_factor", "add_offset"}
-"""Attributes of packed numbers, which this program does not write."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +62,12 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class StoredTest:
-    """A calibrated test as stored."""
+    """A calibrated test as stored; `facts` are its model, noise and figures of the sampler."""
 
     posterior: Group
     sample_stats: Group
     trace: Trace
-    facts: dict[str, Any]  # fingerprint, model, noise, figures of the sampler
+    facts: dict[str, Any]
 
     @property
     def draws(self) -> xr.Dataset:
@@ -98,17 +100,13 @@ def save_test(path: Path, test: CalibratedTest) -> None:
     """Write a calibrated test as NetCDF with the groups that ArviZ knows."""
     import xarray as xr
 
-    replicas = (("chain", "draw", "time"), test.predictive.astype(np.float32), {"units": "kip"})
-    numbers = _numbers({"force": test.predictive})
+    replicas = ((*_CHAINS, "time"), test.predictive.astype(np.float32), {"units": "kip"})
+    coordinates = {"time": test.trace.time, **_numbers({"force": test.predictive})}
+    stats = {name: (_CHAINS, value) for name, value in test.stats.items()}
     groups = {
         "posterior": _posterior(test.values, test.units, test.facts),
-        "sample_stats": xr.Dataset(
-            {name: (_CHAINS, value) for name, value in test.stats.items()},
-            coords=_numbers(test.stats),
-        ),
-        "posterior_predictive": xr.Dataset(
-            {"force": replicas}, coords={"time": test.trace.time, **numbers}
-        ),
+        "sample_stats": xr.Dataset(stats, coords=_numbers(test.stats)),
+        "posterior_predictive": xr.Dataset({"force": replicas}, coords=coordinates),
         **_trace_groups(test.trace),
     }
     _write_groups(path, groups)
@@ -123,39 +121,24 @@ def load_test(path: Path) -> StoredTest:
         When the file is missing, damaged or of another program.
     """
     with _reading(path):
-        names = ("posterior", "sample_stats", "observed_data", "constant_data")
-        groups = _read_groups(path, names)
-        posterior = groups["posterior"]
-        return StoredTest(
-            posterior=posterior,
-            sample_stats=groups["sample_stats"],
-            trace=_trace_of(groups),
-            facts=json.loads(posterior.attrs["facts"]),
-        )
+        groups = _read_groups(path, _GROUPS)
+        facts = json.loads(groups["posterior"].attrs["facts"])
+        return StoredTest(groups["posterior"], groups["sample_stats"], _trace_of(groups), facts)
+
+
+def load_groups(path: Path) -> dict[str, xr.Dataset]:
+    """Every group of a file written by `save_test`; errors as those of `load_test`."""
+    with _reading(path):
+        groups = _read_groups(path, ("posterior_predictive", *_GROUPS))
+        return {name: group.dataset for name, group in groups.items()}
 
 
 def arviz_data(groups: Mapping[str, xr.Dataset]) -> Any:
     """Groups as ArviZ's functions take them: InferenceData, or a DataTree from version 1 on."""
     import xarray as xr
 
-    az = import_arviz()
-    if hasattr(az, "InferenceData"):
-        inference_data: Any = az.InferenceData
-        return inference_data(**groups)
-    return xr.DataTree.from_dict(dict(groups))
-
-
-def load_groups(path: Path) -> dict[str, xr.Dataset]:
-    """Every group of a file written by `save_test`.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, damaged or of another program.
-    """
-    names = ("posterior", "sample_stats", "posterior_predictive", "observed_data", "constant_data")
-    with _reading(path):
-        return {name: group.dataset for name, group in _read_groups(path, names).items()}
+    inference_data: Any = getattr(import_arviz(), "InferenceData", None)
+    return inference_data(**groups) if inference_data else xr.DataTree.from_dict(dict(groups))
 
 
 def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
@@ -166,13 +149,7 @@ def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
 
 
 def load_trace(path: Path) -> tuple[Trace, dict[str, Any]]:
-    """Trace and facts written by `save_trace`.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, damaged or of another program.
-    """
+    """Trace and facts written by `save_trace`; errors as those of `load_test`."""
     with _reading(path):
         groups = _read_groups(path, ("observed_data", "constant_data"))
         return _trace_of(groups), json.loads(groups["constant_data"].attrs["facts"])
@@ -189,13 +166,7 @@ def save_arrays(
 
 
 def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Draws and facts written by `save_arrays`.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, damaged or of another program.
-    """
+    """Draws and facts written by `save_arrays`; errors as those of `load_test`."""
     with _reading(path):
         posterior = _read_groups(path, ("posterior",))["posterior"]
         return posterior.arrays, json.loads(posterior.attrs["facts"])
@@ -261,34 +232,6 @@ def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     write_bytes(path, memory.getbuffer())
 
 
-def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, Group]:
-    """Groups of a file by h5py, which takes a third of the time of xarray's own reader."""
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        # This program writes unpacked, so a file holds what it declares.
-        check_objects(file, 2 * path.stat().st_size + _SLACK, plain=True)
-        return {name: _read_group(file[name]) for name in names}
-
-
-def _read_group(group: h5py.Group) -> Group:
-    """Variables of a group; coordinates have the name of their dimension."""
-    variables: dict[str, tuple[list[str], Any, dict[str, Any]]] = {}
-    sizes: dict[str, int] = {}
-    for name, data in group.items():
-        if _NO_VARIABLE not in str(data.attrs.get("NAME")):
-            scales = [dim[0].name if len(dim) else data.name for dim in data.dims]
-            dims = [scale.rpartition("/")[2] for scale in scales]
-            about = {key: data.attrs[key] for key in data.attrs.keys() - _OF_FORMAT}
-            if packed := _PACKED & about.keys():
-                raise ValueError(f"{name} has the attribute {min(packed)}")
-            values = np.asarray(data[()])
-            if any(sizes.setdefault(d, n) != n for d, n in zip(dims, values.shape, strict=True)):
-                raise ValueError(f"the dimensions of {name} do not fit those of others")
-            variables[name] = (dims, values, about)
-    return Group(variables, dict(group.attrs))
-
-
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
     """Turn every error of reading a file into a `StoreError` that names the file."""
@@ -296,8 +239,72 @@ def _reading(path: Path) -> Iterator[None]:
         raise StoreError(f"{path} does not exist")
     try:
         yield
-    except UnsafeError as error:
-        raise StoreError(f"{path} {error}") from None
     except Exception as error:  # h5py, h5netcdf and xarray raise a dozen kinds
         reason = " ".join(str(error).split())
         raise StoreError(f"{path} is damaged or not of this program: {reason}") from error
+
+
+def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, Group]:
+    """Groups of a file by h5py, which takes a third of the time of xarray's own reader."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        _check_heaps(path)
+        groups = {name: _member(file, name) for name in names}
+        return {name: _read_group(group, path.stat().st_size) for name, group in groups.items()}
+
+
+def _read_group(group: h5py.Group, most: int) -> Group:
+    """Variables of a group, of at most so many bytes each; a coordinate is named as its dimension.
+
+    This program writes plain numbers: what is packed could be larger than the file, or a plugin's.
+    """
+    variables: dict[str, tuple[list[str], Any, dict[str, Any]]] = {}
+    sizes: dict[str, int] = {}
+    for name in group:
+        data = _member(group, name)
+        if _NO_VARIABLE in str(data.attrs.get("NAME")):
+            continue
+        if data.dtype.kind not in "fiub" or data.is_virtual or data.external:
+            raise ValueError(f"{name} holds no numbers of its own")
+        if data.id.get_create_plist().get_nfilters() or data.nbytes > most:
+            raise ValueError(f"{name} is packed, or larger than the file")
+        dims = [(dim[0].name if len(dim) else data.name).rpartition("/")[2] for dim in data.dims]
+        about = {key: data.attrs[key] for key in data.attrs.keys() - _FORMAT_ATTRIBUTES}
+        if packed := {"scale_factor", "add_offset"} & about.keys():
+            raise ValueError(f"{name} has the attribute {min(packed)}")
+        values = np.asarray(data[()])
+        if any(sizes.setdefault(d, n) != n for d, n in zip(dims, values.shape, strict=True)):
+            raise ValueError(f"the dimensions of {name} do not fit those of others")
+        variables[name] = (dims, values, about)
+    return Group(variables, dict(group.attrs))
+
+
+def _member(group: h5py.Group, name: str) -> Any:
+    """What a group itself holds of a name, and no link leads to."""
+    import h5py
+
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        raise ValueError(f"it has no {name} of its own")
+    return group[name]
+
+
+def _check_heaps(path: Path) -> None:
+    """Refuse a file with a heap of texts in which the HDF5 library would never stop reading.
+
+    A global heap is a header of 16 bytes, then one object after another, each behind its number
+    and size. The library steps from one to the next by these sizes alone, and does not move on
+    where one is 0 (HDF5 File Format Specification, III.E).
+    """
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
+        for header in re.finditer(rb"GCOL\x01\0\0\0", content):
+            begin = header.start()
+            end = begin + int.from_bytes(content[begin + 8 : begin + 16], "little")
+            at = begin + 16
+            while at + 16 <= end:
+                size = int.from_bytes(content[at + 8 : at + 16], "little")
+                is_object = content[at : at + 2] != b"\0\0"  # number 0 is free space
+                step = 16 + (size + 7) // 8 * 8 if is_object else size
+                if not 0 < step <= end - at or end > len(content):
+                    raise ValueError("it has a heap of texts whose sizes do not fit")
+                at += step

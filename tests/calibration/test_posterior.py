@@ -83,13 +83,13 @@ def test_points_of_long_records_are_computed_some_at_a_time(monkeypatch, most, e
     q = points(posterior)
     whole = posterior.log_likelihood(q)
     sizes = []
-    force = ThreeStage.force
+    force = ThreeStage.force_unbounded
 
     def count(self, theta, *rest, **more):
         sizes.append(len(theta))
         return force(self, theta, *rest, **more)
 
-    monkeypatch.setattr(ThreeStage, "force", count)
+    monkeypatch.setattr(ThreeStage, "force_unbounded", count)
     monkeypatch.setattr("mfd_bayes.calibration.posterior.AT_ONCE", int(most * TRACE.samples))
     np.testing.assert_allclose(posterior.log_likelihood(q), whole, rtol=1e-12)
     assert sizes == expected

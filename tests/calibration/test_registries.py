@@ -11,9 +11,9 @@ from mfd_bayes.calibration.noise import SD, Noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors, units
 from mfd_bayes.calibration.priors import WIDTH, Family
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.evaluation.models import check_models
+from mfd_bayes.evaluation.compare import check_models
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
@@ -121,7 +121,7 @@ def test_a_law_of_a_new_model_can_be_chosen_in_a_campaign(folder, monkeypatch):
     with pytest.raises(CampaignError, match=r"unknown key 'mu' in \[laws\]"):
         load_campaign(path)
     monkeypatch.setattr(models, "MODELS", {**models.MODELS, "coulomb": Coulomb()})
-    assert load_campaign(path).laws["mu"] == "affine"
+    assert load_campaign(path).settings.laws["mu"] == "affine"
 
 
 def test_a_new_noise_is_one_class_and_one_entry(folder, monkeypatch):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 
 ONE = Matrix(pressures=(0.0, 1000.0), frequencies=(0.5,), cycles=(2,), held_out=(500.0, 0.5))
@@ -35,8 +35,8 @@ def test_without_pressure_residual_friction_is_left(tmp_path):
 
 def test_its_laws_have_intercepts_where_the_truth_has(tmp_path):
     write_campaign(tmp_path, 1, ONE)
-    assert load_campaign(tmp_path / "campaign.toml").laws["Fc_fwd"] == "affine"
+    assert load_campaign(tmp_path / "campaign.toml").settings.laws["Fc_fwd"] == "affine"
     above = Matrix(pressures=(500.0,), frequencies=(0.5,), cycles=(2,))
     truth = write_campaign(tmp_path, 1, above)
-    assert load_campaign(tmp_path / "campaign.toml").laws["Fc_fwd"] == "proportional"
+    assert load_campaign(tmp_path / "campaign.toml").settings.laws["Fc_fwd"] == "proportional"
     assert "Fc_fwd_0" not in truth["population"]

@@ -1,13 +1,15 @@
 """What a command prints: nothing from a file is markup or a command to the terminal."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from mfd_bayes.cli.console import LISTED, clean, open_console, print_checks, print_end, say
-from mfd_bayes.evaluation.views import Judgement
-from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.verdict import Use
+from mfd_bayes.cli.console import LINES, WIDTH, clean, print_checks, print_end, say
+from mfd_bayes.evaluation.views import Check, Judgement
+from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.runs.unit_system import SYSTEMS
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 
 @pytest.mark.parametrize(
@@ -47,52 +49,63 @@ def test_a_line_is_one_line(capsys):
 
 
 def test_a_table_shows_names_as_they_are(capsys):
-    check = SimpleNamespace(
-        subject="[red]p[/red]", name=":smile:", target="\x1b[31mk3", value=1.0, limit="<= 1"
-    )
-    check.verdict = "pass"
-    check.tolerance = float("nan")
-    print_checks(SimpleNamespace(checks=[check], warnings=(), judgements=()), every=True)
+    check = Check("[red]p[/red]", ":smile:", "\x1b[31mk3", 1.0, 1.0, Verdict.PASS)
+    view = SimpleNamespace(checks=[check], warnings=(), judgements=(), systems=SYSTEMS, metric=0)
+    print_checks(view, every=True)
     out = capsys.readouterr().out
     assert "[red]p[/red]" in out
     assert ":smile:" in out
     assert "\x1b" not in out
 
 
-def test_a_console_takes_no_text_for_markup(capsys):
-    open_console().print("[bold]a[/bold] :smile:")
-    assert capsys.readouterr().out == "[bold]a[/bold] :smile:\n"
-
-
-def view_of(count, bad=()):
-    told = {i: Judgement(f"p{i}", Use.NOT_USABLE, "the sign is swapped", 9.0) for i in bad}
-    judged = [told.get(i, Judgement(f"p{i}", Use.USABLE, "", 0.1)) for i in range(count)]
+def view_of(count, bad=(), sentence="It is so."):
+    judged = [
+        Judgement(f"p{i}", Use.NOT_USABLE, (Message("the sign is swapped " * 9),), 9.0)
+        if i in bad
+        else Judgement(f"p{i}", Use.USABLE, (), 0.1)
+        for i in range(count)
+    ]
+    late = Message("it is {late} late", {"late": Quantity.of(0.8, unit="in")})
     return SimpleNamespace(
         judgements=judged,
-        warnings=[Finding("p0", "lag", "it is late")],
+        checks=[Check("p0", "R-hat", "k3", 1.2, 1.01, Verdict.FAIL)],
+        warnings=[Finding("p0", "lag", late)],
         verdict=Use.NOT_USABLE if bad else Use.USABLE,
-        sentence="It is so.",
+        sentences=[Message(sentence)],
+        systems=SYSTEMS,
+        metric=1,
     )
 
 
-def test_a_run_ends_with_every_verdict_and_where_to_look(capsys, tmp_path):
+def test_a_run_ends_with_its_verdict_and_what_misses(capsys, tmp_path):
     print_end(view_of(2, bad=[1]), tmp_path / "my out")
-    assert capsys.readouterr().out.splitlines() == [
-        "warning: p0: it is late",
-        "  p0  usable",
-        "  p1  not usable: the sign is swapped",
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == [
         "NOT USABLE: It is so.",
-        f"look next at {tmp_path}/my out/report.html; every check: "
-        f"mfd-bayes check '{tmp_path}/my out'",
+        "warning: p0: it is 20.3 mm late",
+        "fail: p0: R-hat of k3: 1.2 (<= 1.01)",
+    ]
+    assert lines[3].startswith("not usable: p1: the sign is swapped")
+    assert lines[4:] == [
+        f"every check: mfd-bayes check '{tmp_path}/my out'",
+        f"look next at {tmp_path}/my out/report.html",
     ]
 
 
-def test_of_many_tests_only_those_that_are_not_usable_are_listed(capsys, tmp_path):
-    print_end(view_of(LISTED + 1, bad=[3]), tmp_path)
-    lines = capsys.readouterr().out.splitlines()[1:]
-    assert lines[0] == f"{LISTED} of {LISTED + 1} tests are usable without more"
-    assert lines[1] == "  p3   not usable: the sign is swapped"
-    assert lines[2] == "NOT USABLE: It is so."
+def test_the_end_has_at_most_ten_lines_of_a_hundred_columns(capsys):
+    for count, words in ((50, 200), (50, 3), (1, 200), (3, 3)):
+        print_end(view_of(count, range(count), "All is lost. " * words), Path("out"))
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) <= LINES == 10
+        assert max(map(len, lines)) <= WIDTH == 100
+        assert lines[-1] == "look next at out/report.html"
+        assert ("more, and every check" in lines[-2]) == (count == 50)
+
+
+def test_check_lists_what_misses_a_line_each(capsys):
+    print_checks(view_of(20, bad=[3, 4]), every=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(": ")[0] for line in lines] == ["warning", "fail", *["not usable"] * 2]
 
 
 def test_quiet_ends_with_the_verdict_alone(capsys, tmp_path):

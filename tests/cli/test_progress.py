@@ -1,234 +1,255 @@
-"""The progress of a long command, on terminals of several sizes and without one."""
+"""The progress of a long command, in lines and on a terminal."""
 
-import io
 import math
+import os
 import re
+import select
+import signal
+import struct
+import subprocess
+import sys
 import time
-from dataclasses import dataclass
 
 import pytest
-from rich.console import Console
 
-from mfd_bayes.cli.progress import Board, _line, watch
+from mfd_bayes.cli.progress import line_of, watch
 from mfd_bayes.jobs.job import Progress, Step
 
-
-@dataclass
-class Clock:
-    """A clock that is set by hand."""
-
-    time: float = 0.0
-
-    def __call__(self):
-        return self.time
+SAMPLED = Progress(1200, 2400, 1.0123, 432.1, 10.0, 0.5)
 
 
-@pytest.fixture
-def clock():
-    return Clock()
+def steps():
+    yield Step("a", "waiting")
+    yield Step("b", "kept")
+    yield Step("a", "sampling", SAMPLED)
+    yield Step("a", "begins again:", message="its worker was lost")
+    yield Step("processes", "note:", message="one was killed")
+    yield Step("a", "failed", message="no\x1b[2J [b]mass[/b]")
+    yield Step("c", "done", SAMPLED)
 
 
-@pytest.fixture
-def board(clock):
-    return Board(now=clock)
+ALARMS = [
+    "a: begins again: its worker was lost",
+    "processes: note: one was killed",
+    "a: failed no [b]mass[/b]",
+]
 
 
-def sampled(steps=300, seconds=10.0, share=0.5, limit=2400):
-    return Progress(steps, limit, 1.0123, 432.1, seconds, share)
-
-
-def lines_of(board, width=80, height=24):
-    console = Console(
-        file=io.StringIO(), width=width, height=height, force_terminal=True, markup=False
-    )
-    console.print(board)
-    text = re.sub(r"\x1b\[[0-9;]*m", "", console.file.getvalue())  # colours are ours
-    return [line.rstrip() for line in text.splitlines()]
-
-
-def announce(board, count):
-    names = [f"p{500 + i}_f0.25" for i in range(count)]
-    for name in names:
-        board.hear(Step(name, "waiting"))
-    return names
-
-
-def finish(board, clock, name, seconds=10.0):
-    board.hear(Step(name, "finding modes"))
-    clock.time += seconds
-    board.hear(Step(name, "done", sampled(seconds=seconds)))
-
-
-@pytest.mark.parametrize("width", [80, 200])
-def test_a_test_has_a_row_with_its_figures(board, clock, width):
-    first, second, third = announce(board, 3)
-    finish(board, clock, first, 75.0)
-    board.hear(Step(second, "sampling", sampled(steps=300, seconds=10.0, share=0.5)))
-    clock.time += 3.0
-    top, head, *rows = lines_of(board, width)
-    assert head.split() == ["test", "stage", "steps", "R-hat", "ESS", "steps/s", "time", "left"]
-    assert rows[0].split() == [first, "done", "300", "1.012", "432", "4.0", "1:15"]
-    assert rows[1].split() == [second, "sampling", "300", "1.012", "432", "30", "0:03", "0:07"]
-    assert rows[2].split() == [third, "waiting"]
-    assert top.startswith("1 of 3 done, 1 running, 1 waiting, 1:18 so far, about")
-
-
-def test_diagnostics_that_are_not_measured_yet_are_blank(board, clock):
-    (name,) = announce(board, 1)
-    early = Progress(240, 2400, math.nan, math.nan, 10.0, 0.5)
-    board.hear(Step(name, "sampling", early))
-    assert lines_of(board)[2].split() == [name, "sampling", "240", "24", "0:00", "0:10"]
-    lines = list(map(_line, (Step("a", "sampling", early), Step("a", "sampling", sampled()))))
-    assert lines[0] == "a: sampling, 240 steps, 24 steps/s, at most 90 s left"
-    assert "R-hat 1.012, ESS 432" in lines[1]
-    stuck = Progress(240, 2400, math.nan, 432.1, 10.0, 0.5)  # a quantity that never moved
-    assert "R-hat nan, ESS 432" in _line(Step("a", "sampling", stuck))
-
-
-@pytest.mark.parametrize("count", [50, 500])
-@pytest.mark.parametrize(("width", "height"), [(80, 24), (200, 50), (40, 8)])
-def test_many_tests_stay_inside_the_terminal(board, clock, count, width, height):
-    names = announce(board, count)
-    for name in names[:40]:
-        finish(board, clock, name)
-    for name in names[40:43]:
-        board.hear(Step(name, "finding modes"))
-    lines = lines_of(board, width, height)
-    assert len(lines) <= height
-    assert all(len(line) <= width for line in lines)
-    shown = [name for name in names if any(line.startswith(name[:4]) for line in lines)]
-    assert set(names[40:43]) <= set(shown)  # all that run,
-    if height > 8:
-        assert names[39] in shown  # and the last that ended,
-    assert names[-1] not in shown or count <= height  # but not what waits
-    assert lines[0].startswith(f"40 of {count} done, 3 running")
-    if len(shown) < count:
-        assert lines[-1].startswith("and ")
-        assert lines[-1].endswith(f"{count - 43} waiting") or width == 40
-
-
-def test_tests_that_run_are_summed_up_where_there_are_too_few_lines(board):
-    for name in announce(board, 64):
-        board.hear(Step(name, "finding modes"))
-    lines = lines_of(board, 80, 24)
-    assert len(lines) <= 24
-    assert lines[-1] == "and 45 running"
-
-
-def test_tests_of_an_earlier_session_count_as_done(board):
-    (first, second) = announce(board, 2)
-    board.hear(Step(first, "kept"))
-    assert lines_of(board)[0].startswith("1 of 2 done, 1 waiting")
-    board.hear(Step(second, "failed", message="no mass"))
-    assert lines_of(board)[0].startswith("1 of 2 done, 1 failed")
-
-
-def test_work_that_is_no_test_has_a_row_but_is_not_counted(board):
-    (first,) = announce(board, 1)
-    board.hear(Step(first, "kept"))
-    board.hear(Step("report", "figures"))
-    lines = lines_of(board)
-    assert lines[0].startswith("1 of 1 done, 0:00 so far")
-    assert lines[-1].split()[:2] == ["report", "figures"]
-
-
-def test_nothing_is_drawn_before_the_first_test_begins(board):
-    assert lines_of(board) == []
-    announce(board, 5)
-    assert lines_of(board) == []
-
-
-def left_of(board):
-    found = re.search(r"about (.*) left", lines_of(board)[0])
-    if not found:
-        return math.nan
-    parts = [int(part) for part in found.group(1).split(":")]
-    return sum(part * 60**i for i, part in enumerate(reversed(parts)))
-
-
-def test_the_time_left_is_shown_as_soon_as_it_can_be_estimated(board, clock):
-    names = announce(board, 10)
-    board.hear(Step(names[0], "finding modes"))
-    board.hear(Step(names[1], "finding modes"))
-    assert math.isnan(left_of(board))
-    clock.time = 30.0
-    board.hear(Step(names[0], "done", sampled()))
-    board.hear(Step(names[1], "done", sampled()))
-    board.hear(Step(names[2], "finding modes"))
-    board.hear(Step(names[3], "finding modes"))
-    assert left_of(board) == 120  # eight of half a minute each, two at a time
-    clock.time = 45.0
-    assert left_of(board) == 105
-
-
-def test_the_time_left_never_exceeds_the_limit_of_steps(board, clock):
-    (name,) = announce(board, 1)
-    board.hear(Step(name, "sampling", sampled(steps=2000, seconds=100.0, share=0.1, limit=2400)))
-    assert left_of(board) == 20
-    clock.time = 300.0
-    assert left_of(board) == 0
-
-
-def test_a_test_that_begins_again_says_so_and_goes_on(board, clock):
-    (name,) = announce(board, 1)
-    board.hear(Step(name, "finding modes"))
-    board.hear(Step(name, "begins again:", message="its process was killed by SIGKILL"))
-    row = lines_of(board, 200)[2]
-    assert "begins again: its process" in row
-    finish(board, clock, name)
-    assert lines_of(board)[0].startswith("1 of 1 done")
-
-
-@pytest.mark.parametrize("width", [80, 200])
-def test_names_are_neither_markup_nor_commands_to_the_terminal(board, width):
-    board.hear(Step("[red]a[/red]\x1b[2J\x1b]0;title\x07\n[/]", "sampling [bold]", sampled()))
-    text = "\n".join(lines_of(board, width))
-    assert "[red]a[/red]" in text
-    assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", text)
-    assert len(text.splitlines()) == 3
-
-
-def told(capsys, *, quiet):
+@pytest.mark.parametrize("quiet", [False, True])
+def test_without_a_terminal_steps_are_lines_and_quiet_prints_only_what_must_be_known(capsys, quiet):
     with watch(quiet=quiet) as observe:
-        observe(Step("a", "waiting"))
-        observe(Step("b", "kept"))
-        observe(Step("a", "sampling", sampled(steps=1200, seconds=10.0)))
-        observe(Step("a", "begins again:", message="its process was killed"))
-        observe(Step("a", "failed", message="no\x1b[2J [b]mass[/b]"))
-        observe(Step("c", "done", sampled()))
-    return capsys.readouterr()
-
-
-def test_without_a_terminal_steps_are_lines(capsys):
-    out, err = told(capsys, quiet=False)
-    assert err == ""
-    assert out.splitlines() == [
+        for step in steps():
+            observe(step)
+    lines = [
         "b: done before",
         "a: sampling, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s, at most 10 s left",
-        "a: begins again: its process was killed",
-        "a: failed no [b]mass[/b]",
-        "c: done, 300 steps, R-hat 1.012, ESS 432, 30 steps/s",
+        *ALARMS,
+        "c: done, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s",
     ]
+    out, err = capsys.readouterr()
+    assert (out.splitlines(), err.splitlines()) == (([], ALARMS) if quiet else (lines, []))
 
 
-def test_after_a_silence_a_line_says_what_is_at_work(capsys, monkeypatch):
+def test_a_line_says_which_target_is_missing_and_nothing_that_is_not_measured():
+    early = Progress(240, 2400, math.nan, math.nan, 10.0, 0.5)
+    assert line_of(Step("a", "sampling", early)) == (
+        "a: sampling, 240 steps, 24 steps/s, at most 90 s left"
+    )
+    short = Progress(240, 2400, 1.003, 735.0, 10.0, 0.5, "ESS of k3 of 800")
+    assert "R-hat 1.003, ESS 735" in line_of(Step("a", "sampling", short))
+    assert "needs ESS of k3 of 800" in line_of(Step("a", "sampling", short))
+    stuck = Progress(240, 2400, math.nan, 432.1, 10.0, 0.5)  # a quantity that never moved
+    assert "R-hat nan, ESS 432" in line_of(Step("a", "sampling", stuck))
+
+
+def test_after_a_silence_a_line_says_what_is_at_work_and_what_is_missing(capsys, monkeypatch):
     monkeypatch.setattr("mfd_bayes.cli.progress.SILENCE", 0.05)
     with watch() as observe:
         observe(Step("a", "done"))
         time.sleep(0.3)
         assert capsys.readouterr().out == "a: done\n"
-        observe(Step("b", "in the earthquake"))
-        time.sleep(1.0)
+        observe(Step("b", "sampling", Progress(9, 10, 1.1, 5.0, 1.0, missing="R-hat of k3")))
+        time.sleep(0.5)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "b: in the earthquake"
     assert 2 <= len(lines) <= 20
-    assert re.fullmatch(r"b: in the earthquake, at work for [01] s", lines[1])
+    assert re.fullmatch(r"b: sampling, at work for [01] s, needs R-hat of k3", lines[1])
 
 
-def test_quiet_prints_only_failures_and_restarts(capsys):
-    out, err = told(capsys, quiet=True)
-    assert out == ""
-    assert err.splitlines() == [
-        "a: begins again: its process was killed",
-        "a: failed no [b]mass[/b]",
-    ]
+# --- on a terminal
+
+termios = pytest.importorskip("termios")
+pty = pytest.importorskip("pty")
+fcntl = pytest.importorskip("fcntl")
+
+# The command as installed, but for the work: only its news comes, as it would in a calibration.
+# In place of the modules that work are some that take no seconds to import.
+DRIVER = """\
+import sys
+import time
+from dataclasses import dataclass
+from types import ModuleType, SimpleNamespace
+
+import mfd_bayes.evaluation
+import mfd_bayes.pipeline
+from mfd_bayes.cli.commands import main
+from mfd_bayes.jobs.job import Progress, Step
+from mfd_bayes.messages import Message
+
+TESTS, PAUSE, LAST = {tests}, {pause}, {last}
+
+
+def work(plan, out, observe):
+    names = [f"p{{500 + k}}[red]_f0.25" for k in range(TESTS)]
+    for name in names:
+        observe(Step(name, "waiting"))
+    for name in names:
+        observe(Step(name, "finding modes"))
+        time.sleep(PAUSE)
+        observe(Step(name, "sampling", Progress(100, 2400, 1.05, 50.0, 1.0, 0.3, "more ESS")))
+        time.sleep(LAST if name == names[-1] else PAUSE)
+        observe(Step(name, "done", Progress(300, 300, 1.0123, 432.1, 3.0)))
+    return SimpleNamespace(
+        judgements=(), warnings=(), verdict="usable", sentences=(Message("It is so."),),
+        systems=(SimpleNamespace(words=None),), metric=False,
+    )
+
+
+@dataclass(frozen=True)
+class Options:
+    effort: str = ""
+    command: str = ""
+
+
+def stand_in(name, **content):
+    module = ModuleType(f"mfd_bayes.{{name}}")
+    vars(module).update(content)
+    sys.modules[module.__name__] = module
+    home, _, short = module.__name__.rpartition(".")
+    setattr(sys.modules[home], short, module)
+
+
+empty = SimpleNamespace(manifest=SimpleNamespace(warnings=()), system=None)
+stand_in("evaluation.summary", is_whole=lambda view: True)
+stand_in("pipeline.plan", Options=Options, effort_of=lambda *_, **__: "quick")
+sys.modules["mfd_bayes.pipeline.plan"].plan_campaign = lambda *_: empty
+stand_in("pipeline.calibrate", calibrate_plan=work)
+main()
+"""
+
+
+class Terminal:
+    """A command in its own terminal, and its output so far."""
+
+    def __init__(self, folder, tests=3, pause=0.05, last=0.05, options=(), term="xterm-256color"):
+        driver = folder / "driver.py"
+        driver.write_text(DRIVER.format(tests=tests, pause=pause, last=last))
+        self._ours, theirs = pty.openpty()
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+
+        def take():
+            os.setsid()
+            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+        plain = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
+        self.process = subprocess.Popen(
+            [sys.executable, str(driver), "calibrate", "campaign.toml", "-o", "out", *options],
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            env=plain | {"TERM": term, "PYTHONPATH": os.pathsep.join(sys.path)},
+            preexec_fn=take,
+        )
+        os.close(theirs)
+        self.written = ""
+
+    def read(self, until=None, seconds=30.0):
+        """Output so far; reads on until a text comes or the output ends."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and (until is None or until not in self.written):
+            if not select.select([self._ours], [], [], 0.1)[0]:
+                continue
+            try:
+                data = os.read(self._ours, 65536)
+            except OSError:  # Linux says so where the other side is closed
+                break
+            if not data:
+                break
+            self.written += data.decode()
+        return self.written
+
+    def type(self, text):
+        os.write(self._ours, text.encode())
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        os.close(self._ours)
+
+
+@pytest.fixture
+def terminal(tmp_path):
+    opened = []
+
+    def start(**how):
+        opened.append(Terminal(tmp_path, **how))
+        return opened[-1]
+
+    yield start
+    for each in opened:
+        each.close()
+
+
+def lines_of(written):
+    """All lines that were ever drawn, without colours and movements."""
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
+    return [line.rstrip() for line in re.split(r"[\r\n]+", text) if line.strip()]
+
+
+@pytest.mark.parametrize("tests", [3, 40])
+def test_a_terminal_shows_bars_and_keeps_a_line_of_each_test(terminal, tests):
+    calibration = terminal(tests=tests, pause=1.0 / tests)
+    written = calibration.read()
+    assert calibration.process.wait(timeout=10) == 0
+    lines = lines_of(written)
+    for k in range(tests):
+        done = f"p{500 + k}[red]_f0.25: done, 300 steps, R-hat 1.012, ESS 432, 100 steps/s"
+        assert lines.count(done) == 1
+    if tests == 3:  # those of 40 are too short for a frame each
+        assert any("sampling, R-hat 1.050, ESS 50, needs" in line for line in lines)
+    assert any(re.match(rf"all .* {tests} of {tests} done", line) for line in lines)
+    assert lines[-2] == "USABLE: It is so."
+    assert "mfd-bayes check out" in lines[-1]
+    assert all(len(line) <= 80 for line in lines if "━" in line)
+    assert written.rindex("\x1b[?25h") > written.rindex("\x1b[?25l")  # the cursor is back
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.13])
+def test_ctrl_c_leaves_the_bars_and_says_how_to_resume(terminal, delay):
+    calibration = terminal(last=60.0)
+    calibration.read(until="sampling")
+    time.sleep(delay)  # at any moment of a frame
+    calibration.type("\x03")
+    written = calibration.read()
+    assert calibration.process.wait(timeout=10) == 130
+    bars, _, words = written.rpartition("\x1b[0m\x1b[?25h")
+    assert "sampling" in bars
+    assert re.sub(r"\s+", " ", words).strip() == (
+        "mfd-bayes: interrupted; what is finished is kept, go on with: "
+        "mfd-bayes calibrate campaign.toml -o out --resume"
+    )
+
+
+def test_sigterm_is_named_in_the_last_line(terminal):
+    calibration = terminal(last=60.0)
+    calibration.read(until="sampling")
+    calibration.process.send_signal(signal.SIGTERM)
+    assert "interrupted by SIGTERM" in calibration.read().rpartition("\x1b[?25h")[2]
+    assert calibration.process.wait(timeout=10) == 143
+
+
+def test_quiet_draws_nothing_and_a_terminal_without_a_cursor_gets_lines(terminal):
+    assert terminal(options=["--quiet"]).read() == "USABLE: It is so.\r\n"
+    written = terminal(term="dumb").read()
+    assert "\x1b" not in written
+    assert "p500[red]_f0.25: done, 300 steps" in written

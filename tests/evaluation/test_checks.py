@@ -1,3 +1,5 @@
+"""Checks of one test: what is observed, what is expected, and the verdict."""
+
 import numpy as np
 import pytest
 
@@ -9,12 +11,16 @@ from mfd_bayes.calibration.identifiability import (
     Pair,
     Sensitivity,
 )
+from mfd_bayes.calibration.noise_sensitivity import quantiles_of
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.evaluation.checks import (
     convergence_checks,
     identifiability_checks,
     length_check,
     notes,
+    slip_checks,
 )
+from mfd_bayes.evaluation.test_summary import noise_rows
 from mfd_bayes.evaluation.views import (
     CONTRACTION,
     DIRECTIONS,
@@ -24,6 +30,8 @@ from mfd_bayes.evaluation.views import (
     TRADE_OFFS,
     Row,
 )
+from mfd_bayes.records.measured import measured_cycles
+from mfd_bayes.records.trace import Trace
 
 FOUND = Identifiability(
     directions=Directions(("k2", "d2"), np.array([80.0, 0.2]), np.array([[0.8, 0.6], [0.6, -0.8]])),
@@ -36,38 +44,38 @@ FOUND = Identifiability(
 
 
 def find(checks, name):
-    return [c for c in checks if c.name == name]
+    return [c for c in checks if c.check == name]
 
 
 def test_nothing_about_identifiability_is_a_failure():
     checks = identifiability_checks("p500", FOUND)
-    assert {c.verdict for c in checks} == {"pass", "note"}
-    assert {c.name for c in checks} < set(IDENTIFIABILITY)
-    assert {c.subject for c in checks} == {"p500"}
+    assert {c.status for c in checks} == {"pass", "note"}
+    assert {c.check for c in checks} < set(IDENTIFIABILITY)
+    assert {c.test for c in checks} == {"p500"}
 
 
 def test_directions_are_counted_and_the_ends_named():
     (check,) = find(identifiability_checks("p500", FOUND), DIRECTIONS)
-    assert (check.value, check.limit, check.verdict) == (1, ">= 2", "note")
-    assert check.target == "of 2 (best: k2 and d2; least: d2 and k2)"
+    assert (check.observed, check.expected, check.status) == (1, 2, "note")
+    assert check.feature == "of 2 (best: k2 and d2; least: d2 and k2)"
 
 
 def test_pairs_that_trade_off_are_noted():
     (check,) = find(identifiability_checks("p500", FOUND), TRADE_OFFS)
-    assert (check.target, check.value, check.verdict) == ("k2 and d2", -0.84, "note")
-    assert check.limit == "within +-0.7"
+    assert (check.feature, check.observed, check.status) == ("k2 and d2", -0.84, "note")
+    assert check.limit == "within ±0.7"
 
 
 def test_every_parameter_has_both_sensitivities():
     checks = identifiability_checks("p500", FOUND)
     prior = find(checks, PRIOR_SENSITIVITY)
-    assert [c.target for c in prior] == ["k2", f"d2 ({CONFLICT})"]
-    assert [(c.value, c.limit, c.verdict) for c in prior] == [
+    assert [c.feature for c in prior] == ["k2", f"d2 ({CONFLICT})"]
+    assert [(c.observed, c.limit, c.status) for c in prior] == [
         (0.01, "<= 0.05", "pass"),
         (0.09, "<= 0.07", "note"),
     ]
     told = find(checks, LIKELIHOOD_SENSITIVITY)
-    assert [(c.target, c.limit, c.verdict) for c in told] == [
+    assert [(c.feature, c.limit, c.status) for c in told] == [
         ("k2", "> 0.05", "pass"),
         ("d2", "> 0.05", "pass"),
     ]
@@ -81,9 +89,9 @@ def test_every_contraction_is_checked(contraction, verdict):
         Row("p500", "gamma1", "1", *spread, float("nan")),
     ]
     (check,) = notes("p500", rows, {"modes": 1})
-    assert (check.name, check.target, check.verdict) == (CONTRACTION, "k2", verdict)
+    assert (check.check, check.feature, check.status) == (CONTRACTION, "k2", verdict)
     (*_, modes) = notes("p500", rows, {"modes": 2})
-    assert (modes.name, modes.value, modes.verdict) == ("modes found", 2, "note")
+    assert (modes.check, modes.observed, modes.status) == ("modes found", 2, "note")
 
 
 def test_an_ensemble_that_is_stuck_fails_the_verdict():
@@ -95,18 +103,46 @@ def test_an_ensemble_that_is_stuck_fails_the_verdict():
         Row("p500", "d2", "in", *spread, np.inf, 0.0, 0.0, 0.9),
         Row("p500", "sigma1", "kip*s/in", *spread, np.nan, np.nan, np.nan, 0.0),
     ]
-    verdicts = {(c.name, c.target): c.verdict for c in convergence_checks("p500", rows, effort)}
+    verdicts = {(c.check, c.feature): c.status for c in convergence_checks("p500", rows, effort)}
     assert [verdicts["R-hat", name] for name in ("k2", "k3", "d2")] == ["pass", "fail", "fail"]
     assert verdicts["bulk ESS", "d2"] == "fail"
     assert not any(target == "sigma1" for _, target in verdicts)
     facts = {"autocorrelation": {"k2": 10.0, "d2": None}, "steps": 500, "discarded": 100}
     check = length_check("p500", facts, effort)
-    assert (check.target, check.value, check.verdict) == ("d2", 0.0, "fail")
+    assert (check.feature, check.observed, check.status) == ("d2", 0.0, "fail")
 
 
 def test_modes_are_noted_with_their_shares_of_the_draws():
     facts = {"modes": 2, "mode_shares": [[0.9, 0.1], [0.94, 0.06]]}
     (check,) = notes("p500", [], facts)
-    assert check.target == "posterior (92 %, 8 % of the draws)"
-    assert (check.value, check.verdict) == (2, "note")
+    assert check.feature == "posterior (92 %, 8 % of the draws)"
+    assert (check.observed, check.status) == (2, "note")
     assert notes("p500", [], {"modes": 1, "mode_shares": [[1.0]]}) == []
+    small = {"modes": 2, "mode_shares": [[0.995, 0.005]]}
+    assert notes("p500", [], small) == []
+
+
+TIME = np.arange(0.0, 10.0, 1 / 128)
+MOTION = np.sin(np.pi * TIME)
+SLIP = Trace.from_arrays(TIME, MOTION, 0.03, 0.3 + 2.0 * np.tanh(8.0 * np.cos(np.pi * TIME)))
+POSTERIOR = Posterior(SLIP, "brfd", "ou")
+
+
+@pytest.mark.parametrize(("level", "names"), [(1.9, []), (0.4, ["Fc_fwd"]), (5.0, ["Fc_fwd"])])
+def test_a_slip_force_that_is_not_the_measured_one_fails(level, names):
+    values = {"Fc_fwd": np.full(9, level), "Fc_bwd": np.full(9, 2.1), "offset": np.full(9, 0.3)}
+    checks = slip_checks("a", POSTERIOR, values, measured_cycles(SLIP))
+    assert [check.feature for check in checks] == names
+    assert all(check.status == "fail" for check in checks)
+
+
+def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
+    drawn = POSTERIOR.draw_prior(np.random.default_rng(0), 400)
+    own = quantiles_of(POSTERIOR, drawn)
+    quantities = {name: list(bounds) for name, bounds in own.items()}
+    moved = {name: [900.0, 950.0, 999.0] for name in ("sigma0", "k3", "Fc_bwd")}
+    fit = {"noise": "staged", "quantities": quantities | moved, "error": ""}
+    rows = noise_rows("80lb", POSTERIOR, drawn, {"other_noises": [fit]})
+    decided = [row.name for row in rows if row.decides]
+    assert decided == ["Fc_bwd", "k3", "sigma0"]
+    assert noise_rows("80lb", POSTERIOR, drawn, {}) == ()

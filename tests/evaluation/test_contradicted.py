@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.contradicted import contradicted_starts
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.evaluation.outliers import contradicted_order
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
 TIME = np.arange(201) / 50
 
@@ -18,10 +19,21 @@ def run(benchmark_module, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "out"
     benchmark_module("fuzz.runs").write_run(folder)
     run = open_run(folder)
-    tests = dict(run.manifest.settings.tests)
-    tests["b"] = tests["b"].model_copy(update={"after": "a"})
-    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    settings = run.manifest.settings
+    after = {"b": {"after": "a"}}
+    tests = tuple(t.model_copy(update=after.get(t.id, {})) for t in settings.test)
+    settings = settings.model_copy(update={"test": tests})
     return replace(run, manifest=run.manifest.changed(settings=settings))
+
+
+class Stub(TestResult):
+    """A test whose draws are made up."""
+
+    __test__ = False
+
+    @property
+    def stored(self):
+        return SimpleNamespace(values=lambda: self.extras)
 
 
 def with_start(run, start, first=1.0, sampled=True):
@@ -33,11 +45,11 @@ def with_start(run, start, first=1.0, sampled=True):
     begun = Trace.from_arrays(TIME, 10.0 + first * np.sin(np.pi * TIME))
     names = test.posterior.names if sampled else ("Fc_fwd",)
     stubs = {
-        name: SimpleNamespace(
-            id=name,
-            trace=trace,
-            posterior=SimpleNamespace(model=test.posterior.model, names=names, noise=None),
-            stored=SimpleNamespace(values=lambda w0=w0: {**values, "start": w0}),
+        name: Stub(
+            name,
+            SimpleNamespace(model=test.posterior.model, names=names, noise=None, trace=trace),
+            test.path,
+            extras={**values, "start": w0},
         )
         for name, trace, w0 in (
             ("a", ended, values["start"]),
@@ -49,24 +61,24 @@ def with_start(run, start, first=1.0, sampled=True):
 
 @pytest.mark.parametrize(("start", "first"), [(0.2, 1.0), (0.8, -1.0)])
 def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
-    (found,) = contradicted_starts(with_start(run, start, first))
+    (found,) = contradicted_order(with_start(run, start, first))
     assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
-    assert found.sentence.startswith("the test begins at 0.20 [0.1")
-    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in found.sentence
+    assert str(found.message).startswith("the test begins at 0.20 [0.1")
+    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
     assert not found.spoils
 
 
 @pytest.mark.parametrize(("start", "first"), [(1.0, 1.0), (0.0, -1.0), (0.88, 1.0)])
 def test_a_start_where_the_test_before_ended_is_none(run, start, first):
-    assert contradicted_starts(with_start(run, start, first)) == []
+    assert contradicted_order(with_start(run, start, first)) == []
 
 
 def test_a_start_that_was_not_sampled_contradicts_nothing(run):
-    assert contradicted_starts(with_start(run, 0.2, sampled=False)) == []
+    assert contradicted_order(with_start(run, 0.2, sampled=False)) == []
 
 
 def test_tests_that_follow_none_are_not_compared(run):
     settings = run.manifest.settings
-    tests = {n: t.model_copy(update={"after": ""}) for n, t in settings.tests.items()}
-    free = run.manifest.changed(settings=settings.model_copy(update={"tests": tests}))
-    assert contradicted_starts(replace(with_start(run, 0.2), manifest=free)) == []
+    tests = tuple(test.model_copy(update={"after": ""}) for test in settings.test)
+    free = run.manifest.changed(settings=settings.model_copy(update={"test": tests}))
+    assert contradicted_order(replace(with_start(run, 0.2), manifest=free)) == []

@@ -8,8 +8,8 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import FitError
-from mfd_bayes.evaluation.cycles import (
-    FEWEST,
+from mfd_bayes.evaluation.compare import (
+    FEWEST_CYCLES,
     conditional_density,
     cycle_log_likelihood,
     find_cycles,
@@ -146,7 +146,7 @@ def test_cycles_begin_behind_what_is_masked():
 
 
 def test_a_record_of_too_few_cycles_is_refused():
-    with pytest.raises(FitError, match=rf"at least {FEWEST} cycles, got 2"):
+    with pytest.raises(FitError, match=rf"at least {FEWEST_CYCLES} cycles, got 2"):
         find_cycles(harmonic(seconds=2.2))
 
 

@@ -11,7 +11,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BAND_NAMES, BANDS
 from mfd_bayes.reporting.conversion import convert_row
 from mfd_bayes.reporting.tables import design_csv
-from mfd_bayes.runs.systems import SI
+from mfd_bayes.runs.unit_system import SI
 
 UNIT = (np.arange(2000) + 0.5) / 2000.0
 DRAWN = {

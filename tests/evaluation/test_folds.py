@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation import folds
-from mfd_bayes.evaluation.folds import FOLDER, Fold, _pooled, leave_out, parts_of
+from mfd_bayes.evaluation import crossvalidate as folds
+from mfd_bayes.evaluation.crossvalidate import FOLDER, Fold, _pooled, leave_out, parts_of
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.inference import Inference
 from mfd_bayes.population.population import LawDraws
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.storage import save_test_draws
-from mfd_bayes.runs.folder import hash_stored, pooled_of
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.order import StoredPooled
+from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.runs.manifest import with_keys
+from mfd_bayes.runs.paths import pooled_of
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.test_sequence import StoredPooled
 
 
 def test_scores_of_an_earlier_version_are_computed_anew(tmp_path):
@@ -45,7 +47,8 @@ def test_folds_of_a_run_rest_on_its_laws_and_posteriors(benchmark_module, tmp_pa
     assert first.rests_on == second.rests_on != ""
     laws = {**run.manifest.settings.laws, "sigma0": "constant"}
     settings = run.manifest.settings.model_copy(update={"laws": laws})
-    other = replace(run, manifest=run.manifest.changed(settings=settings))
+    manifest = with_keys(run.manifest.changed(settings=settings), run.priors)
+    other = replace(run, manifest=manifest)
     assert folds.folds_of(other, "test", "quick")[0].rests_on != first.rests_on
 
 
@@ -84,7 +87,7 @@ def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
     files = {k: v for k, v in run.manifest.files.items() if k != pooled_of("b")}
     files |= hash_stored(run.folder, [pooled_of("b")])
     manifest = run.manifest.changed(files=files)
-    stored = StoredPooled(run.folder, manifest, population, ("a", "b"))("b")
+    stored = StoredPooled(run.folder, manifest, population)("b")
     found = _pooled(inference, run.tests, "b")
     assert set(found) >= set(names)
     for name in stored:
@@ -92,7 +95,7 @@ def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
     draws = {name: values[:, 1:] for name, values in vars(population.draws).items()}
     fewer = replace(population, draws=LawDraws(**draws))
     with pytest.raises(StoreError, match="does not hold the draws of its population"):
-        StoredPooled(run.folder, manifest, fewer, ("a", "b"))("b")
+        StoredPooled(run.folder, manifest, fewer)("b")
 
 
 @pytest.fixture
@@ -100,9 +103,7 @@ def left_out(benchmark_module, tmp_path, monkeypatch):
     """Function that leaves out some of the tests a and b, b after a; the forecasts of each."""
     benchmark_module("fuzz.runs").write_run(tmp_path / "out")
     run = open_run(tmp_path / "out")
-    tests = dict(run.manifest.settings.tests)
-    tests["b"] = tests["b"].model_copy(update={"after": "a"})
-    settings = run.manifest.settings.model_copy(update={"tests": tests})
+    settings = run.manifest.settings.with_test("b", after="a")
     run = replace(run, manifest=run.manifest.changed(settings=settings))
     drawn = drawn_of(run)
     monkeypatch.setattr(folds, "infer_population", lambda *_: drawn)

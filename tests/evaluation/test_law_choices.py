@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.evaluation.law_choices import law_choices, weighed
+from mfd_bayes.evaluation.laws import law_choices, law_label
 from mfd_bayes.population.law_scores import LawScore
 
 
@@ -43,8 +43,8 @@ def test_compared_laws_are_named_with_their_weights():
     assert choice.sentence.endswith("mix them (compared: power 0.5, proportional 0.5).")
     assert not any(row.chosen for row in choice.rows)
     weights = {"proportional": 0.3, "affine": 0.0, "power": 0.7}
-    assert weighed("compare", weights) == "compared: power 0.7, proportional 0.3"
-    assert weighed("power", {"power": 1.0}) == "power"
+    assert law_label("compare", weights) == "compared: power 0.7, proportional 0.3"
+    assert law_label("power", {"power": 1.0}) == "power"
 
 
 def test_a_score_that_cannot_be_trusted_is_named_and_never_best():

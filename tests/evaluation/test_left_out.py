@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.evaluation.left_out import left_out_view
-from mfd_bayes.runs.results import CampaignCrossValidation, Prediction, Score
+from mfd_bayes.evaluation.crossvalidate import left_out_view
+from mfd_bayes.runs.scores import CampaignCrossValidation, Prediction, Score
 
 
 def scored(width, crps):

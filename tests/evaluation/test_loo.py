@@ -8,14 +8,14 @@ from mfd_bayes.calibration.diagnostics import Effort, psis
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.calibration.sampling import sample
-from mfd_bayes.evaluation.evidence import log_evidence
-from mfd_bayes.evaluation.loo import (
+from mfd_bayes.evaluation.compare import (
     LARGEST_K,
     CrossValidation,
     cross_validate,
     difference,
     join,
     leave_out,
+    log_evidence,
     standard_error,
 )
 from mfd_bayes.records.trace import Trace

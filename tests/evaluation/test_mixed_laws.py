@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.mixed_laws import FEWEST, mixed_rows
+from mfd_bayes.evaluation.laws import FEWEST, _mixed_rows
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.runs.systems import SI, US
+from mfd_bayes.runs.unit_system import SI, US
 
 REFERENCE = 2.0  # ksi
 NUMBER = {name: number for number, name in enumerate(LAW_NAMES)}
@@ -36,7 +36,7 @@ class Mixed:
 
 
 def table(population, system=US):
-    rows = mixed_rows(population, "ksi", system)
+    rows = _mixed_rows(population, "ksi", system)
     return {(row.note.split(" law")[0], row.name): row for row in rows}
 
 
@@ -71,12 +71,12 @@ def test_units_are_those_of_the_constants():
 
 
 def test_a_law_of_few_draws_has_no_interval():
-    assert mixed_rows(Mixed(draws=FEWEST - 1), "ksi", US) == []
+    assert _mixed_rows(Mixed(draws=FEWEST - 1), "ksi", US) == []
 
 
 def test_parts_of_chains_have_no_convergence_of_their_own():
-    assert all(np.isnan(row.r_hat) for row in mixed_rows(Mixed(), "ksi", US))
+    assert all(np.isnan(row.r_hat) for row in _mixed_rows(Mixed(), "ksi", US))
 
 
 def test_a_quantity_with_one_law_is_left_to_the_table_of_slopes():
-    assert not any("sigma0" in row.name for row in mixed_rows(Mixed(), "ksi", US))
+    assert not any("sigma0" in row.name for row in _mixed_rows(Mixed(), "ksi", US))

@@ -13,9 +13,8 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.evaluation import models as comparison
-from mfd_bayes.evaluation.loo import CrossValidation
-from mfd_bayes.evaluation.models import ALL, candidates, compare_runs
+from mfd_bayes.evaluation import compare as comparison
+from mfd_bayes.evaluation.compare import ALL, CrossValidation, candidates, compare_runs
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import comparison_csv
@@ -231,7 +230,7 @@ def test_candidates_are_every_model_with_every_noise(models, noises, expected):
         ([], ["ou", "ou"], "each once"),
         ([], ["ou"], "--noises must name two or more of ou, iid.* got 'ou' alone"),
         (["lugre"], ["ou"], "--noises must name two or more"),
-        (["lugree"], ["ou", "iid"], "--models must be of three_stage"),
+        (["lugree"], ["ou", "iid"], "--models must name models of three_stage"),
         (["lugre", "lugre+travel"], [], "--models must name two or more"),
         (["lugre"], [], "--models must name two or more"),
     ],

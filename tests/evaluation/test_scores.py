@@ -3,8 +3,9 @@ import pytest
 from pydantic import TypeAdapter
 from scipy import stats
 
-from mfd_bayes.evaluation.scores import COVERAGES, crps, rrse, score
-from mfd_bayes.runs.results import Score
+from mfd_bayes.calibration.predictive import COVERAGES
+from mfd_bayes.evaluation.scores import crps, rrse, score
+from mfd_bayes.runs.scores import Score
 
 
 def normal_crps(mean, sd, y):

@@ -3,7 +3,7 @@
 import pytest
 
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.evaluation.zeros import zero_sentences
+from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.settings import Setting
 
@@ -13,7 +13,7 @@ IDS = ("idle", "low", "high")
 
 def sentences(laws, levels=(0.0, 0.5, 1.0)):
     design = design_of(load_priors("mfd"), NAMES, [Setting(p) for p in levels], laws)
-    return zero_sentences(design, IDS)
+    return zero_pressure_sentences(design, IDS)
 
 
 def test_laws_that_do_not_learn_from_a_test_at_zero_are_named():

@@ -170,26 +170,6 @@ def test_slip_is_at_the_friction_of_its_direction():
     assert np.min(force[fast]) == pytest.approx(-VALUES["Fc_bwd"], rel=1e-3)
 
 
-def test_forward_and_backward_mirror_each_other():
-    trace, batch = walk(11), vectors(5)
-    mirrored = Trace.from_arrays(
-        trace.time, -trace.displacement, velocity=-trace.velocity, hysteresis=0.0
-    )
-    pairs = (("k_fwd", "k_bwd"), ("Fc_fwd", "Fc_bwd"), ("static_excess_fwd", "static_excess_bwd"))
-    other = batch.copy()
-    for pair in pairs:
-        i, j = (MODEL.parameters.index(name) for name in pair)
-        other[:, [i, j]] = batch[:, [j, i]]
-    found = MODEL.force(other, mirrored, 0.7)
-    np.testing.assert_allclose(found, -MODEL.force(batch, trace, 0.3), atol=1e-8)
-
-
-def test_force_is_continuous_in_time():
-    coarse, fine = (sine(0.3, rate=rate, seconds=4.0) for rate in (250.0, 2000.0))
-    steps = [np.max(np.abs(np.diff(MODEL.force(vectors(8), t)))) for t in (coarse, fine)]
-    assert steps[1] < steps[0] / 6
-
-
 @pytest.mark.parametrize("back", [1.0, -1.0])
 @pytest.mark.parametrize("n", [1.0, 3.0, 20.0])
 def test_friction_that_falls_lets_go_as_the_motion_goes_on(n, back):
@@ -200,11 +180,6 @@ def test_friction_that_falls_lets_go_as_the_motion_goes_on(n, back):
     force = MODEL.force(theta(k_0=0.0, n=n), trace)[0]
     np.testing.assert_allclose(force[50:55], force[49], rtol=1e-9)  # nothing moves
     assert abs(force[-1]) < 1e-3 * force[49]
-
-
-def test_no_actuation_at_all_gives_no_nan():
-    force = MODEL.force(theta(sigma2=0.0), sine(actuation=np.zeros(1000)), 0.5)
-    assert np.max(np.abs(force[0, 200:])) < 1e-4
 
 
 @pytest.mark.parametrize("changes", [{"ell": 1e-5}, {"gap": 30.0}, {"n": 300.0}, {"k_fwd": 1e6}])

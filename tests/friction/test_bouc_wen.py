@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.records.trace import Trace
 
@@ -24,26 +23,11 @@ def theta(**changes):
     return np.array([[values[name] for name in MODEL.parameters]])
 
 
-def vectors(n, seed=0):
-    rng = np.random.default_rng(seed)
-    batch = theta() * rng.lognormal(0, 0.3, size=(n, 7))
-    batch[:, 4] = rng.uniform(0.5, 1.0, n)
-    batch[:, 5] = rng.uniform(1.0, 8.0, n)
-    return batch
-
-
 def sine(amplitude=1.0, seconds=5.0, rate=100.0, **options):
     time = np.arange(0, seconds, 1 / rate)
     motion = amplitude * np.sin(OMEGA * time)
     velocity = amplitude * OMEGA * np.cos(OMEGA * time)
     return Trace.from_arrays(time, motion, velocity=velocity, **options)
-
-
-def walk(seed, samples=200, **options):
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.005, 0.02, samples))
-    motion = np.cumsum(rng.normal(size=samples) * (rng.uniform(size=samples) < 0.8)) * 0.03
-    return Trace.from_arrays(time, motion, hysteresis=0.0, **options)
 
 
 def slope(x_slope, z, values, level=1.0):
@@ -72,19 +56,6 @@ def solved(trace, amplitude, values, level=lambda time: 1.0):
         z[inside], state = leg.sol(time[inside])[0], [leg.y[0, -1]]
     spring = values["alpha"] * values["k"] * trace.displacement
     return spring + (1 - values["alpha"]) * z + values["c"] * trace.velocity
-
-
-def stepped(batch, trace, reference=None, scales=None):
-    state = MODEL.start(batch, reference_actuation=reference)
-    forces = []
-    for i in range(trace.samples):
-        level = trace.actuation[i] if trace.varying else None
-        factors = None if scales is None else {name: s[:, i] for name, s in scales.items()}
-        dt = trace.time[i] - trace.time[i - 1] if i else 0.0
-        motion = trace.displacement[i], trace.velocity[i]
-        force, state = MODEL.step(state, *motion, dt, level, scales=factors)
-        forces.append(force)
-    return np.array(forces).T
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0, 5.0])
@@ -144,14 +115,6 @@ def test_a_large_exponent_is_a_spring_and_a_slider(exponent):
     assert np.max(np.abs(force - z)) < 3.0 / exponent + 0.01
 
 
-def test_a_long_stretch_is_worked_on_in_pieces():
-    time = np.linspace(0, 1, 40_000)
-    batch = theta(c=0.0, alpha=0.0)
-    force = MODEL.force(batch, Trace.from_arrays(time, 0.2 * time))[0]
-    few = MODEL.force(batch, Trace.from_arrays(time[::1000], 0.2 * time[::1000]))[0]
-    np.testing.assert_allclose(force[::1000], few, atol=1e-9)
-
-
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 4.0])
 @pytest.mark.parametrize("beta", [0.5, 1.0])
 def test_varying_actuation_equals_an_ode_solver(exponent, beta):
@@ -164,13 +127,6 @@ def test_varying_actuation_equals_an_ode_solver(exponent, beta):
     expected = solved(trace, 0.3, values, lambda time: level(time) / mean)
     force = MODEL.force(theta(**values), trace)[0]
     np.testing.assert_allclose(force, expected, atol=3e-3 * np.max(np.abs(expected)))
-
-
-def test_a_history_of_constant_actuation_is_a_constant_actuation():
-    batch = vectors(5)
-    constant = MODEL.force(batch, sine())
-    history = MODEL.force(batch, sine(actuation=np.full(500, 0.7)))
-    np.testing.assert_allclose(history, constant, atol=1e-9)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 20.0, 200.0])
@@ -195,36 +151,6 @@ def test_a_long_rest_holds_the_force_under_a_varying_actuation():
     np.testing.assert_array_equal(force[9:], force[9])
 
 
-def test_no_actuation_at_all_gives_no_nan():
-    force = MODEL.force(theta(alpha=0.0, c=0.0), sine(actuation=np.zeros(500)))
-    assert np.max(np.abs(force)) < 1e-5
-
-
-def test_force_is_continuous_in_time():
-    coarse, fine = (sine(0.3, rate=rate, seconds=4.0) for rate in (250.0, 2000.0))
-    steps = [np.max(np.abs(np.diff(MODEL.force(vectors(8), t)))) for t in (coarse, fine)]
-    assert steps[1] < steps[0] / 7
-
-
-def test_force_is_odd_when_friction_is_the_same_in_both_directions():
-    trace = walk(11)
-    mirrored = Trace.from_arrays(
-        trace.time, -trace.displacement, velocity=-trace.velocity, hysteresis=0.0
-    )
-    batch = vectors(5)
-    batch[:, 3] = batch[:, 2]
-    np.testing.assert_allclose(MODEL.force(batch, mirrored), -MODEL.force(batch, trace), atol=1e-12)
-
-
-@pytest.mark.parametrize("amplitude", [1.0, 0.06, 0.005])
-def test_a_steady_cycle_takes_up_energy(amplitude):
-    trace = sine(amplitude, seconds=20.005, rate=200.0)
-    last = slice(-401, None)
-    force = MODEL.force(vectors(30), trace)[:, last]
-    energy = np.trapezoid(force, trace.displacement[last], axis=1)
-    assert np.all(energy > 0)
-
-
 def test_full_slip_is_at_the_friction_of_its_direction():
     force = MODEL.force(theta(alpha=0.0, c=0.0), sine())[0]
     assert np.max(force) == pytest.approx(VALUES["Fy_fwd"], rel=1e-6)
@@ -238,42 +164,3 @@ def test_spring_and_dashpot_are_measured_from_the_first_sample():
     batch = theta(alpha=1.0)
     expected = VALUES["k"] * trace.displacement + VALUES["c"] * trace.velocity
     np.testing.assert_allclose(MODEL.force(batch, trace)[0], expected, atol=1e-12)
-
-
-def test_no_motion_gives_no_force():
-    trace = Trace.from_arrays([0.0, 1.0, 2.0], [0.3, 0.3, 0.3])
-    np.testing.assert_array_equal(MODEL.force(vectors(2), trace), np.zeros((2, 3)))
-
-
-def test_parameters_have_units_and_there_is_no_gap():
-    assert MODEL.parameters == tuple(VALUES)
-    assert [q.unit for q in MODEL.quantities] == ["kip/in", "1", "kip", "kip", "1", "1", "kip*s/in"]
-    assert MODEL.name == "bouc_wen"
-    assert not MODEL.has_gap
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("k", 0.0),
-        ("alpha", 1.1),
-        ("alpha", -0.1),
-        ("Fy_fwd", 0.0),
-        ("Fy_bwd", np.inf),
-        ("beta", 0.4),
-        ("beta", 1.01),
-        ("exponent", 0.9),
-        ("c", np.nan),
-        ("c", -1.0),
-    ],
-)
-def test_values_that_do_not_fit_are_refused_by_name(name, value):
-    for call in (MODEL.start, lambda batch: MODEL.force(batch, sine())):
-        with pytest.raises(FitError, match=f"parameter {name} must be .*, got {value}"):
-            call(theta(**{name: value}))
-
-
-def test_a_place_in_the_gap_is_without_effect():
-    plain, placed = MODEL.start(theta()), MODEL.start(theta(), np.array([0.2]))
-    forces = [MODEL.step(state, 0.1, 0.5, 0.01)[0] for state in (plain, placed)]
-    np.testing.assert_array_equal(*forces)

@@ -8,6 +8,7 @@ import pytest
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.quantity import Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from tests.friction import backlash_cases as backlash
@@ -145,7 +146,7 @@ def test_without_a_gap_the_place_is_without_effect():
 def test_a_model_of_ones_own_with_a_gap_must_say_where_it_ends():
     class Own(Model):
         name = "own"
-        quantities = ()
+        parameters = (Parameter("k"),)
         has_gap = True
 
     with pytest.raises(FitError, match="the model own does not say where in its gap"):

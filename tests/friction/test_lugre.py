@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mfd_bayes.errors import FitError
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.records.trace import Trace
 
@@ -107,35 +106,6 @@ def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms(way, 
     z = elastic[1] / VALUES["sigma0"]
     rate = velocity - VALUES["sigma0"] * abs(velocity) * z / VALUES["Fs_fwd"]
     assert force[2] == pytest.approx(elastic[2] + 0.03 * rate, rel=1e-9)
-
-
-def test_bristles_without_stiffness_give_no_nan():
-    # either refused by name, or the limit: only the viscous part
-    expected = VALUES["sigma2"] * 0.5
-    try:
-        force = LuGre().force(theta(sigma0=0.0, sigma1=0.0), ramp(0.5))[0]
-    except FitError as error:
-        force = expected if "sigma0" in str(error) else np.nan
-    np.testing.assert_allclose(force, expected)
-
-
-def test_lugre_has_eight_parameters_and_no_gap():
-    model = LuGre()
-    assert model.parameters == tuple(VALUES)
-    assert not model.has_gap
-    trace = ramp(0.5)
-    np.testing.assert_array_equal(
-        model.force(theta(), trace, start=0.2), model.force(theta(), trace)
-    )
-
-
-def test_a_stribeck_velocity_of_zero_gives_no_nan():
-    # either refused by name, or the limit: no static friction while it moves
-    try:
-        force = LuGre().force(theta(v_s=0.0), ramp(0.5))
-    except FitError as error:
-        force = np.zeros(1) if "v_s" in str(error) else np.full(1, np.nan)
-    assert np.all(np.isfinite(force))
 
 
 def test_lugre_takes_its_own_from_all_of_the_papers_parameters():

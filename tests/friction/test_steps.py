@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.errors import FitError
-from mfd_bayes.friction.banks import PlasticBank, bank_of
-from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.friction.models import MODELS
-from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.records.trace import Trace
 
 PRIORS = load_priors("mfd").parameters
@@ -98,7 +95,8 @@ def test_a_building_meets_the_device_of_the_record(model, level):
     reference = traces[0].reference_actuation
     levels = np.broadcast_to(level, TIME.size)
     shares = [model.proportional(np.full(n, p), reference) for p in levels]
-    bank = bank_of(model, theta, start, np.sign(sizes))
+    bank = model.start(theta, start, direction=np.sign(sizes))
+    bank = bank.step(np.zeros(n), np.zeros(n), 0.0)  # as in a building
     bank = bank.step(x[:, 0], v[:, 0], 1.0, shares[0])
     forces, rows = [bank.force], np.array([3, 1])
     for i in range(1, TIME.size):
@@ -131,22 +129,6 @@ def test_given_factors_replace_the_proportion(model):
     close(np.array(forces).T, model.force(theta, trace, scales=scales))
 
 
-def test_a_batch_equals_its_vectors(model):
-    theta = dampers(model, 6)
-    for level in LEVELS.values():
-        trace = trace_of(MOTIONS["partial"], level)
-        alone = [model.force(row[None], trace)[0] for row in theta]
-        close(model.force(theta, trace), np.array(alone))
-
-
-def test_a_record_cut_short_has_the_same_force(model):
-    theta, whole = dampers(model, 3), trace_of(MOTIONS["turns between samples"])
-    part = Trace.from_arrays(
-        TIME[:150], whole.displacement[:150], velocity=whole.velocity[:150], hysteresis=0.0
-    )
-    close(model.force(theta, part), model.force(theta, whole)[:, :150])
-
-
 def test_a_state_can_be_stepped_again(model):
     state = model.start(dampers(model, 2))
     for i in range(30):
@@ -171,29 +153,9 @@ def test_a_valve_that_is_closed_at_first_is_no_reference(model):
 
 
 def test_a_plastic_spring_slips_at_its_strength():
-    bank = PlasticBank.at_rest(np.array([10.0]), np.array([2.0]))
+    bank = ElastoPlastic.at_rest(np.array([10.0]), np.array([2.0]))
     forces = []
     for x in (0.1, 0.5, 0.4, 0.0):
         bank = bank.step(np.array([x]), np.zeros(1), 0.1)
         forces.append(float(bank.force[0]))
     np.testing.assert_allclose(forces, [1.0, 2.0, 1.0, -2.0])
-
-
-class Dashpot(Model):
-    """A user's own model: one class with a name, its quantities and a force."""
-
-    name = "dashpot"
-    quantities = (Quantity("c", "damping", "c", "c", "viscous damping"),)
-
-    def force(self, theta, trace, start=None, *, scales=None):
-        return self.columns(theta)["c"][:, None] * trace.velocity
-
-
-def test_a_model_of_ones_own_is_one_class():
-    trace = trace_of(MOTIONS["partial"])
-    np.testing.assert_allclose(Dashpot().force([[2.0]], trace)[0], 2.0 * trace.velocity)
-    assert Dashpot().force(np.ones((0, 1)), trace).shape == (0, trace.samples)
-    with pytest.raises(FitError, match="parameter c must be finite and not negative, got -1"):
-        Dashpot().force([[-1.0]], trace)
-    with pytest.raises(FitError, match="dashpot has no step in time"):
-        bank_of(Dashpot(), [[2.0]])

@@ -175,18 +175,6 @@ def test_agreement_is_not_for_lack_of_a_gap():
     assert np.max(np.abs(force - expected)) > 2e-3 * np.max(np.abs(expected))
 
 
-def test_batch_equals_single_vectors_():
-    rng = np.random.default_rng(0)
-    batch = random_theta(rng, 200)
-    start = rng.uniform(size=200)
-    trace = PARTIAL.trace()
-    together = MODEL.force(batch, trace, start=start)
-    assert together.shape == (200, trace.samples)
-    for i in {*range(0, 200, 13), 199}:
-        single = MODEL.force(batch[i : i + 1], trace, start=start[i : i + 1])[0]
-        np.testing.assert_allclose(together[i], single, rtol=1e-9, atol=1e-9)
-
-
 def test_force_retraces_inside_the_gap():
     # after slip at +1: into the gap by 0.13, back by 0.07, on through it
     time = np.arange(0, 4, 0.002)
@@ -205,20 +193,6 @@ def test_force_retraces_inside_the_gap():
         # straight between samples but near d2, where the path bends over a few samples
         straight = np.abs(1.0 - x - VALUES["d2"]) > 0.02
         np.testing.assert_allclose(force[later][deep[later]][straight], again[straight], atol=1e-6)
-
-
-def test_force_inside_the_gap_is_a_function_of_displacement_alone():
-    # every displacement is met exactly again: the motion runs back over the same samples
-    down = np.linspace(1.0, 0.87, 66)[1:]
-    loop = np.concatenate([down, down[-2:30:-1], down[31:]])
-    motion = np.concatenate([np.linspace(0, 1, 101), loop, np.linspace(0.87, -1, 300)[1:]])
-    trace = Trace.from_arrays(0.01 * np.arange(motion.size), motion)
-    force = MODEL.force(theta(gamma2=0.0012), trace)[0]
-    begin, end = 101 + 31, 101 + loop.size
-    seen = {}
-    for x, f in zip(motion[begin:end], force[begin:end], strict=True):
-        assert f == pytest.approx(seen.setdefault(x, f), abs=1e-8)
-    assert len(seen) < end - begin
 
 
 @st.composite
@@ -267,28 +241,6 @@ def test_force_is_continuous_in_time(vector, motion, start):
     assert largest_step(6400.0) < 0.25 * largest_step(400.0) + 1e-3 * peak
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
-@given(vector=dampers(), motion=motions(), start=st.floats(0, 1))
-def test_opposite_motion_gives_the_opposite_force_when_directions_are_equal(vector, motion, start):
-    names = MODEL.parameters
-    for kind in ("Fs", "Fc"):
-        vector[0, names.index(f"{kind}_bwd")] = vector[0, names.index(f"{kind}_fwd")]
-    time = np.arange(0, 4, 0.01)
-    there, back = (Trace.from_arrays(time, sign * motion.x(time)) for sign in (1, -1))
-    expected = -MODEL.force(vector, there, start=start)
-    np.testing.assert_allclose(
-        MODEL.force(vector, back, start=start), expected, rtol=1e-10, atol=1e-10
-    )
-
-
-def test_directions_differ_when_their_friction_does():
-    time = np.arange(0, 8, 0.01)
-    motion = FULL.x(time)
-    force = MODEL.force(theta(), Trace.from_arrays(time, motion))
-    back = MODEL.force(theta(), Trace.from_arrays(time, -motion))
-    assert np.max(np.abs(force + back)) > 0.3
-
-
 def test_a_closed_full_cycle_dissipates_about_the_slip_work():
     time = np.arange(0, 8, 0.01)
     x = np.sin(2 * np.pi * 0.5 * time)
@@ -322,14 +274,6 @@ def test_without_friction_the_force_is_finite_and_that_of_the_gap(motion):
     assert np.all(np.isfinite(force))
     deep = VALUES["k2"] * VALUES["d2"] + VALUES["k3"] * (VALUES["d3"] + 0.05)
     assert np.max(np.abs(force)) < deep
-
-
-def test_start_is_the_middle_of_the_gap_when_left_out():
-    trace = PARTIAL.trace()
-    batch = random_theta(np.random.default_rng(2), 3)
-    expected = MODEL.force(batch, trace)
-    for start in (0.5, np.full(3, 0.5)):
-        np.testing.assert_array_equal(MODEL.force(batch, trace, start=start), expected)
 
 
 def test_travel_begins_where_the_damper_starts_and_at_every_turn_after_slip():
@@ -368,47 +312,6 @@ def test_only_the_quotient_of_the_gammas_reaches_the_force():
     assert np.max(np.abs(MODEL.force(theta(gamma1=2.0), trace) - expected)) > 0.1
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"k3": -1.0}, "k3"),
-        ({"k2": np.nan}, "k2"),
-        ({"d2": np.inf}, "d2"),
-        ({"sigma0": -1e-9}, "sigma0"),
-        ({"Fs_fwd": 1.0}, "Fs_fwd"),
-        ({"Fs_bwd": 1.0}, "Fs_bwd"),
-        ({"gamma1": 0.0}, "gamma1"),
-        ({"gamma2": 0.0}, "gamma2"),
-    ],
-)
-def test_values_that_no_damper_has_are_refused_by_name(changes, expected):
-    batch = np.concatenate([theta(), theta(**changes)])
-    with pytest.raises(FitError, match=expected):
-        MODEL.force(batch, FULL.trace())
-
-
-@pytest.mark.parametrize("shape", [(14,), (1, 13), (1, 2, 14), ()])
-def test_theta_of_another_shape_is_refused(shape):
-    with pytest.raises(FitError, match=r"theta must have shape \(n, 14\)"):
-        MODEL.force(np.ones(shape), FULL.trace())
-
-
-@pytest.mark.parametrize("start", [-0.1, 1.1, np.nan, [0.5, 0.5], [[0.5]]])
-def test_a_start_outside_the_gap_is_refused(start):
-    with pytest.raises(FitError, match="start"):
-        MODEL.force(theta(), FULL.trace(), start=start)
-
-
-def test_constant_history_of_actuation_equals_the_level():
-    trace = PARTIAL.trace()
-    history = PARTIAL.trace(actuation=np.full(trace.samples, 0.8))
-    level = PARTIAL.trace(actuation=0.8)
-    batch = random_theta(np.random.default_rng(3), 3)
-    np.testing.assert_allclose(
-        MODEL.force(batch, history), MODEL.force(batch, level), rtol=1e-12, atol=1e-12
-    )
-
-
 def test_friction_follows_the_actuation():
     trace = FULL.trace()
     late = trace.time >= 4.0
@@ -437,30 +340,6 @@ def test_given_scales_replace_the_proportional_law():
     np.testing.assert_allclose(
         MODEL.force(vector, history, scales={}), MODEL.force(vector, trace), rtol=1e-12
     )
-
-
-def test_scales_may_differ_from_vector_to_vector():
-    trace = FULL.trace()
-    batch = random_theta(np.random.default_rng(4), 150)
-    factors = np.random.default_rng(5).uniform(0.5, 2, size=(150, 1)) * np.linspace(
-        1, 2, trace.samples
-    )
-    scales = dict.fromkeys(("sigma0", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd"), factors)
-    together = MODEL.force(batch, trace, scales=scales)
-    for i in (0, 74, 75, 149):
-        own = {name: factor[i : i + 1] for name, factor in scales.items()}
-        single = MODEL.force(batch[i : i + 1], trace, scales=own)[0]
-        np.testing.assert_allclose(together[i], single, rtol=1e-9, atol=1e-9)
-
-
-def test_zero_actuation_all_along_leaves_no_friction():
-    samples = FULL.trace().samples
-    vector = theta(sigma2=0.0, sigma1=0.0, k2=0.0)
-    trace = FULL.trace(actuation=np.zeros(samples))
-    force = MODEL.force(vector, trace)[0]
-    assert np.all(np.isfinite(force))
-    slipping = (np.abs(trace.velocity) > 2.9) & (trace.time > 1)
-    assert np.max(np.abs(force[slipping])) < 1e-6
 
 
 def test_actuation_that_drops_to_zero_and_comes_back_stays_finite_and_bounded():

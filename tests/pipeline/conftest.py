@@ -2,7 +2,7 @@
 
 import pytest
 
-from mfd_bayes.reporting import publication
+from mfd_bayes.reporting import figures, publish
 
 
 @pytest.fixture
@@ -11,5 +11,5 @@ def no_figures_of_tests(monkeypatch) -> None:
 
     A report of more than three tests is else drawn by other processes, which know nothing of this.
     """
-    monkeypatch.setattr(publication, "_ALONE", 100)
-    monkeypatch.setattr(publication, "draw_test", lambda *_: iter(()))
+    monkeypatch.setattr(publish, "ALONE", 100)
+    monkeypatch.setattr(figures, "draw_test", lambda *_: iter(()))

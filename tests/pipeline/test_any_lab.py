@@ -9,13 +9,12 @@ from typer.testing import CliRunner
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.campaign.draft.shapes import by_loop
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
+from mfd_bayes.campaign.draft.columns import by_loop
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline.preparation import inspect_campaign, system_of_records
+from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
 from mfd_bayes.records.loop_features import scales_of
 from mfd_bayes.records.record import read_record
-from mfd_bayes.runs.systems import SI, SI_SMALL, US, US_SMALL
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +55,7 @@ def test_init_and_inspect_read_a_device_of_any_size(devices, run, tmp_path, numb
     assert stroke == pytest.approx(device.length * in_mm, rel=1e-3)
     found, records = inspect_campaign(campaign)
     system = system_of_records(records)
-    force = system.reworded(found[0].facts["slip force, read off"])
+    force = found[0].facts["slip force"].to_text(system.words)
     assert f" {system.force} " in force
     assert 0.1 < float(force.split()[0]) < 3000.0  # to be read, whatever the device's size
 
@@ -161,21 +160,3 @@ def test_scales_are_those_of_the_device(devices, tmp_path):
     assert scales.build_up == pytest.approx(known["k3"], rel=1.0)
     assert 0.3 < scales.length / (known["d2"] + known["d3"]) < 3.0
     assert scales.noise < known["noise_sd"]
-
-
-@pytest.mark.parametrize(
-    ("text", "system", "expected"),
-    [
-        ("-0.0012 to 0.0021 kip, samples: 3", SI_SMALL, "-5.34 to 9.34 N, samples: 3"),
-        ("amplitude 0.5 (0.4 to 0.6) in, 1 Hz", SI, "amplitude 12.7 (10.2 to 15.2) mm, 1 Hz"),
-        ("k3 (47.6 [37.1, 59.7] kip/in)", SI, "k3 (8.34 [6.5, 10.5] kN/mm)"),
-        ("E, kip·in (observed 2, expected 3, off", SI, "E, kN·mm (observed 226, expected 339, off"),
-        ("+0.01 kip from the first", US_SMALL, "+10 lbf from the first"),
-        ("3 in the middle, 2 in 4 tests", SI, "3 in the middle, 2 in 4 tests"),
-        ("column 'x 3 in' of 1.0in.csv", SI, "column 'x 3 in' of 1.0in.csv"),
-        ("0.2 kip and 3 in", US, "0.2 kip and 3 in"),
-        ("5.1 kip·in (mean of 3)", SI_SMALL, "576000 N·mm (mean of 3)"),
-    ],
-)  # fmt: skip
-def test_sentences_are_in_the_units_of_the_campaign(text, system, expected):
-    assert system.reworded(text) == expected

@@ -94,7 +94,7 @@ def finished(tmp_path_factory):
     )
     with pytest.MonkeyPatch.context() as patch:
         for name in ("draw_shared", "draw_test"):
-            patch.setattr(f"mfd_bayes.reporting.publication.{name}", lambda *_: iter(()))
+            patch.setattr(f"mfd_bayes.reporting.figures.{name}", lambda *_: iter(()))
         lab.write(*USUAL).calibrate()
     return lab
 

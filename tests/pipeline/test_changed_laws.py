@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.pipeline.calibration import calibrate
+from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError
 

@@ -7,17 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from mfd_bayes.calibration import result
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
-from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation import assess
+from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.runs.opening import open_run
+from mfd_bayes.runs.run import open_run
 
-DATA = Path(__file__).parents[1] / "data" / "run_format_0"
+DATA = Path(__file__).parents[1] / "data" / "run"
 TEST = "p500_f0.5"
 
 
@@ -50,9 +48,7 @@ def campaign(tmp_path):
 def test_the_check_is_as_the_campaign_says_else_not_for_a_first_look(campaign, key, effort, checks):
     plan = plan_campaign(campaign(key), Options(effort=effort))
     assert [task.checks_noise for task in plan.tasks] == [checks]
-    stored = plan.manifest.content["settings"]
-    assert stored.get("noise_check") == ({"": None}.get(key, checks))
-    assert ("noise_check" in stored) is bool(key)  # runs begun before this key can go on
+    assert plan.manifest.settings.campaign.noise_check == ({"": None}.get(key, checks))
 
 
 def test_a_setting_that_is_no_yes_or_no_is_refused(campaign):
@@ -62,7 +58,7 @@ def test_a_setting_that_is_no_yes_or_no_is_refused(campaign):
 
 @pytest.fixture
 def run_with_check(tmp_path, monkeypatch):
-    """A run of an earlier version, as if one of its tests had been fitted with other noises."""
+    """A run, as if one of its tests had been fitted with other noises."""
     out = Path(shutil.copytree(DATA, tmp_path / "out"))
     load_test = result.load_test
 
@@ -91,34 +87,17 @@ def run_with_check(tmp_path, monkeypatch):
     return out
 
 
-def test_a_run_names_test_quantity_and_both_values(run_with_check):
+def test_what_another_noise_moves_stands_with_its_test_and_not_in_the_verdict(run_with_check):
     view = assess(open_run(run_with_check))
-    (warning,) = [w for w in view.warnings if w.name == "noise model"]
-    assert warning.subject == TEST
-    assert warning.sentence.startswith("k3 is ")
-    assert "kip/in with ou, " in warning.sentence
-    assert warning.sentence.endswith(" with staged: the noise model decides")
-    (judged,) = [j for j in view.judgements if j.subject == TEST]
-    assert f"note: {warning.sentence}" in judged.told
-    names = {c.target: c.verdict for c in view.checks if c.name == "noise model"}
-    assert f"{warning.sentence}" in names
-    assert names["no fit with iid: no prior for x"] == "note"
+    (test,) = [test for test in view.tests if test.id == TEST]
+    assert [row.name for row in test.noises if row.decides] == ["k3"]
+    (row,) = [row for row in test.rows if row.name == "k3"]
+    assert [other.other for other in row.other_noises] == ["staged"]
+    assert not [w for w in view.warnings if "noise" in w.name]
+    assert "noise" not in " ".join(map(str, view.sentences))
     (other,) = [test for test in view.tests if test.id == "p1000_f0.5"]
     assert other.noises == ()
-    assert any("Not fitted under another noise model: p1000_f0.5" in r for r in view.remarks)
-
-
-def test_the_command_check_says_so(run_with_check):
-    outcome = CliRunner().invoke(app, ["check", str(run_with_check)])
-    words = " ".join(outcome.stdout.split())
-    assert f"warning: {TEST}: k3 is " in words
-    assert "with staged: the noise model decides" in words
-
-
-def test_a_run_of_an_earlier_version_is_not_said_to_be_checked():
-    view = assess(open_run(DATA))
-    assert not [w for w in view.warnings if w.name == "noise model"]
-    assert any("p500_f0.5, p1000_f0.5" in r or "p1000_f0.5, p500_f0.5" in r for r in view.remarks)
+    assert any("Not fitted under another noise model: p1000_f0.5" in str(r) for r in view.remarks)
 
 
 def test_damaged_facts_of_the_check_are_refused():

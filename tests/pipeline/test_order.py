@@ -47,7 +47,6 @@ def test_the_order_is_in_the_plan_with_the_turns_outside_the_windows(tmp_path):
     of_one = plan_campaign(path, Options(effort="quick")).manifest.tests["t1"]
     assert of_one.before == pytest.approx(np.sin(np.pi * np.array([6.2, 6.5, 6.7])), abs=0.06)
     assert (manifest.tests["t2"].before, manifest.tests["t2"].after) == ((), ())
-    assert "after" not in manifest.content["settings"]["tests"]["t2"]
 
 
 def test_inspect_and_the_dry_run_say_which_test_follows_which(tmp_path):

@@ -5,15 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.pipeline import response_files
-from mfd_bayes.pipeline.response import Query, view_of
-from mfd_bayes.pipeline.response_files import write_response
+from mfd_bayes.pipeline import respond
+from mfd_bayes.pipeline.respond import Query, view_of, write_response
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import no_dampers
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.systems import US
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.unit_system import US
 
 EARLIER = ("history_2.png", "loops_2.png", "sweep.png", "sweep.csv")
 THEIRS = ("sweep_mine.csv", "notes.txt", "history.png")
@@ -26,7 +25,7 @@ def test_what_an_earlier_response_left_goes_and_what_is_anothers_stays(tmp_path,
     def stop(*_):
         raise InterruptedError
 
-    monkeypatch.setattr(response_files, "response_json", stop)
+    monkeypatch.setattr(respond, "response_json", stop)
     view = SimpleNamespace(title="", verdict=(), remarks=(), rows=(), limits=())
     with pytest.raises(InterruptedError):
         write_response(tmp_path, None, None, view, US)

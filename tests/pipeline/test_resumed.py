@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.pipeline import calibration
-from mfd_bayes.pipeline.calibration import calibrate
-from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.opening import open_run
-from mfd_bayes.runs.resumption import with_keys
+from mfd_bayes.pipeline import calibrate as calibration
+from mfd_bayes.pipeline.calibrate import calibrate
+from mfd_bayes.runs.manifest import read_manifest, with_keys
+from mfd_bayes.runs.run import open_run
 
 RESULTS = ("law_scores", "population_sampler", "crossvalidation", "comparison", "verdicts")
 OPTIONAL = (
@@ -67,7 +66,7 @@ def results_of(out):
 
 
 @pytest.mark.parametrize(
-    "name", ["write_bytes", "save_trace", "run_jobs", "load_result", "_finish"]
+    "name", ["write_bytes", "save_trace", "run_jobs", "load_result", "hash_stored"]
 )
 def test_a_finished_run_that_is_resumed_and_killed_has_all_its_results(
     plan, out, monkeypatch, name

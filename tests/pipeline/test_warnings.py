@@ -59,7 +59,7 @@ def test_what_the_dry_run_says_is_what_the_plan_of_a_calibration_holds(tmp_path)
     assert "warning: t1: the swapped sign is probably that of the force" in outcome.stdout
     warnings = plan_campaign(path, Options(effort="quick")).manifest.warnings
     for found in warnings:
-        assert f"warning: {found.subject}: {found.sentence}" in outcome.stdout
+        assert f"warning: {found.subject}: {found.message!s}" in outcome.stdout
     assert {found.name for found in warnings if found.subject == "t1"} == {"force sign"}
 
 
@@ -76,7 +76,7 @@ def test_a_gap_or_force_that_no_device_of_the_priors_has_is_named(tmp_path):
     )
     warnings = plan_campaign(path, Options(effort="quick")).manifest.warnings
     assert {found.name for found in warnings} >= {"beyond the priors"}
-    assert "probably in another unit" in " ".join(found.sentence for found in warnings)
+    assert "probably in another unit" in " ".join(str(found.message) for found in warnings)
 
 
 def test_tolerances_of_a_campaign_are_kept_and_checked(tmp_path):
@@ -139,9 +139,9 @@ def test_what_the_calibration_does_not_do_is_told(tmp_path):
     path.write_text(text)
     told = {f.name: f for f in plan_campaign(path, Options(effort="quick")).manifest.warnings}
     assert told["actuation history"].subject == "t1"
-    assert "whatever the law of Fc_fwd" in told["actuation history"].sentence
-    assert (
-        "names gap, which the tests of the model lugre do not share" in told["dependence"].sentence
+    assert "whatever the law of Fc_fwd" in str(told["actuation history"].message)
+    assert "names gap, which the tests of the model lugre do not share" in str(
+        told["dependence"].message
     )
     assert "laws" not in told
 

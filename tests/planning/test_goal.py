@@ -8,7 +8,7 @@ from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.next_test import goal_words
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
-from mfd_bayes.runs.systems import US
+from mfd_bayes.runs.unit_system import US
 
 
 def test_goals_are_read():

@@ -24,7 +24,7 @@ READER = """\
 import json, resource, sys, time
 from pathlib import Path
 from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.campaign.file import load_campaign
+from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.store.files import read_json

@@ -54,9 +54,11 @@ def test_a_name_that_agrees_or_says_nothing_is_not_named(tmp_path, name):
 def test_a_name_that_its_motion_contradicts_is_named(tmp_path, name, said, shown):
     record = record_of(tmp_path, name)
     (fault,) = contradictions(record)
-    assert fault.sentence.startswith(f"the name of {name}.csv says {said}, but the record")
-    assert shown in fault.sentence
-    assert fault.sentence in [other.sentence for other in inspect_record("a", record).faults]
+    assert str(fault.message).startswith(f"the name of {name}.csv says {said}, but the record")
+    assert shown in str(fault.message)
+    assert str(fault.message) in [
+        str(other.message) for other in inspect_record("a", record).faults
+    ]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +76,7 @@ def test_a_name_that_its_motion_contradicts_is_named(tmp_path, name, said, shown
 def test_an_actuation_that_the_name_does_not_have_is_named(tmp_path, name, actuation, shown):
     found = contradictions(record_of(tmp_path, name, actuation=actuation))
     assert len(found) == bool(shown)
-    assert all(shown in fault.sentence for fault in found)
+    assert all(shown in str(fault.message) for fault in found)
 
 
 @pytest.mark.parametrize(("unit", "level"), [("MPa", 7.0), ("kPa", 7000.0), ("kN", 4.0)])
@@ -85,7 +87,7 @@ def test_an_actuation_of_a_column_is_told_in_the_unit_of_the_column(tmp_path, un
     lines = [f"{head},actuation_{unit}", *(f"{row},{level:g}" for row in rows)]
     path.write_text("\n".join(lines) + "\n")
     (fault,) = contradictions(read_record(path))
-    assert fault.sentence.endswith(f"but its column has an actuation of {level:g} {unit}")
+    assert str(fault.message).endswith(f"but its column has an actuation of {level:g} {unit}")
 
 
 def test_a_motion_without_a_full_loop_is_not_compared(tmp_path):
@@ -109,8 +111,10 @@ def test_names_of_real_records_agree_and_the_old_wrong_one_is_named(data_folder,
     wrong = tmp_path / right.name
     np.savetxt(wrong, table, delimiter=",", header=head, comments="", fmt="%.9g")
     (fault,) = contradictions(read_record(wrong))
-    assert fault.sentence.startswith(f"the name of {right.name} says 1.0in, but the record has an ")
-    assert "amplitude of 1.51 in" in fault.sentence
+    assert str(fault.message).startswith(
+        f"the name of {right.name} says 1.0in, but the record has an "
+    )
+    assert "amplitude of 1.51 in" in str(fault.message)
 
 
 def test_inspect_init_and_a_dry_run_show_it(tmp_path):

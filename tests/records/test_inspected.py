@@ -38,7 +38,7 @@ def inspected(folder, motion, force):
     """What inspect finds in a record, as it prints it."""
     found = inspect_record("a", read_record(write(folder, motion, force)))
     facts = [f"  {name:20s} {text}" for name, text in found.facts.items()]
-    return "\n".join(facts + [f"  warning {f.name}: {f.sentence}" for f in found.faults])
+    return "\n".join(facts + [f"  warning {f.name}: {f.message!s}" for f in found.faults])
 
 
 def warned(said):

@@ -7,7 +7,7 @@ from mfd_bayes.records.readers import Table
 
 
 def table(tmp_path, *names, **units):
-    return Table(tmp_path / "a.csv", names, lambda wanted: {"": np.empty(0)}, str, units)
+    return Table(tmp_path / "a.csv", {name: np.empty(0) for name in names}, units=units)
 
 
 def test_header_units_may_be_quotients_and_stand_in_brackets():

@@ -136,7 +136,7 @@ def test_what_a_signal_is_made_of_is_said(tmp_path):
     record = read_record(path, {"time": "time_s", "displacement": "stroke_mm", "force": force})
     said = "load_N [N] − p_bar × 5 mm^2 − 3 kg × acceleration − its mean over 0 s to 2 s"
     assert record.derived == {"force": said}
-    assert inspect_record("a", record).facts["force is made of"] == said
+    assert inspect_record("a", record).facts["force is made of"].values["text"] == said
     assert record.other_columns == ()
     assert not [f for f in contradictions(record) if f.name == "column unit"]
 

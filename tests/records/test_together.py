@@ -84,14 +84,14 @@ WRONG = [
 def test_the_test_that_is_wrong_is_named_with_its_cause(k, wrong, name, words):
     found = compare_tests(campaign(k, **wrong))
     assert [(test, fault.name) for test, fault in found] == [(f"t{LEVELS[k]:g}", name)]
-    assert words in found[0][1].sentence
+    assert words in str(found[0][1].message)
 
 
 @pytest.mark.parametrize(("wrong", "of"), [("force", "force"), ("length", "displacement")])
 def test_two_other_tests_say_which_sign_is_swapped_where_the_work_is_negative(wrong, of):
     found = compare_tests(campaign(1, **{wrong: -1.0})[:3])
     assert [(test, fault.name) for test, fault in found] == [("t30", "force sign")]
-    assert f"probably that of the {of}" in found[0][1].sentence
+    assert f"probably that of the {of}" in str(found[0][1].message)
     assert compare_tests(campaign(1, force=-1.0)[:2]) == []
 
 
@@ -99,14 +99,14 @@ def test_two_other_tests_say_which_sign_is_swapped_where_the_work_is_negative(wr
 def test_an_actuation_that_is_wrong_by_ten_is_named(k, actuation):
     ((test, fault),) = compare_tests(campaign(k, actuation=actuation))
     assert (test, fault.name) == (f"t{LEVELS[k]:g}", "actuation")
-    assert "probably wrong, by a factor of ten" in fault.sentence
+    assert "probably wrong, by a factor of ten" in str(fault.message)
 
 
 def forces(*sizes, level=(35.0,)):
     """Findings about tests at like actuation, or at levels, whose forces are scaled."""
     levels = (*level, *(level[-1:] * (len(sizes) - len(level))))
     return [
-        (name, fault.sentence)
+        (name, str(fault.message))
         for name, fault in compare_tests(
             [
                 put(f"r{n}", trace_of(at, n, force=by))
@@ -136,7 +136,7 @@ def test_a_tension_in_kn_is_named_with_the_unit_of_the_others():
     tests[2] = put("t35", trace, "35 kN")
     ((test, fault),) = compare_tests(tests)
     assert test == "t35"
-    assert "the actuation is probably 35 lbf, not 35 kN" in fault.sentence
+    assert "the actuation is probably 35 lbf, not 35 kN" in str(fault.message)
 
 
 def test_another_device_is_named_as_such():
@@ -188,8 +188,8 @@ def test_a_twin_is_named_once_and_with_its_original():
         ("again", "duplicate"),
         ("part", "duplicate"),
     ]
-    assert found[0][1].sentence == "same record as t35: it would count twice"
-    assert "the same measurement as t35 in" in found[1][1].sentence
+    assert str(found[0][1].message) == "same record as t35: it would count twice"
+    assert "the same measurement as t35 in" in str(found[1][1].message)
 
 
 def test_the_same_test_made_twice_is_no_twin():

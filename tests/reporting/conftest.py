@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from mfd_bayes.calibration.identifiability import (
@@ -12,7 +13,9 @@ from mfd_bayes.calibration.identifiability import (
     Pair,
     Sensitivity,
 )
+from mfd_bayes.evaluation.datasheet import Datasheet
 from mfd_bayes.evaluation.views import (
+    PREDICTIVE,
     CampaignView,
     Check,
     DerivedRow,
@@ -31,9 +34,9 @@ from mfd_bayes.evaluation.views import (
     TruthRow,
 )
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import shown_in
-from mfd_bayes.reporting.figure_data import shared_tables, tables_of_test
+from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.figures import draw_shared, draw_test
 from mfd_bayes.runs.verdict import Use, Verdict
 
@@ -78,15 +81,8 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
         chains={name: rng.normal(size=(4, 40)) for name in ("Fc_fwd", "k3")},
         corner=("Fc_fwd", "k3"),
         checks=(
-            Check(identity, "R-hat", "Fc_fwd", 1.002, "<= 1.01", Verdict.PASS),
-            Check(
-                identity,
-                "posterior predictive p-value",
-                "energy",
-                0.4,
-                "0.01 to 0.99",
-                Verdict.PASS,
-            ),
+            Check(identity, "R-hat", "Fc_fwd", 1.002, 1.01, Verdict.PASS),
+            Check(identity, PREDICTIVE, "energy", 3.3, 3.2, Verdict.PASS, "kip*in", p_value=0.4),
         ),
         score=score,
         derived=make_derived(identity, role),
@@ -148,7 +144,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     return CampaignView(
         title="Drum brake",
         verdict=Use.USABLE,
-        sentence="All checks passed.",
+        sentences=(Message("All checks passed."),),
         actuation_unit="ksi",
         tests=tests,
         failures={},
@@ -162,10 +158,10 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
             TruthRow("a", "offset", "kip", 0.0, -1.0, 0.0, 1.0, inside=True, informed=True),
         ),
         provenance={"seed": "1"},
-        remarks=("The data are synthetic.",),
+        remarks=(Message("The data are synthetic."),),
         law_choices=(make_choice(),),
         left_out=make_left_out(),
-        judgements=tuple(Judgement(test.id, Use.USABLE, "", 0.5) for test in tests if test.rows),
+        judgements=tuple(Judgement(test.id, Use.USABLE, (), 0.5) for test in tests if test.rows),
     )
 
 
@@ -175,30 +171,17 @@ def test_view() -> Callable[..., TestView]:
 
 
 def draw_pngs(view: CampaignView) -> dict[str, bytes]:
-    system = shown_in(view)
+    system = system_of(view)
     pngs = dict(draw_shared(view))
     for test in view.tests:
         pngs |= draw_test(test, system, view.actuation_unit)
     return pngs
 
 
-def write_tables(view: CampaignView) -> dict[str, str]:
-    tables = dict(shared_tables(view))
-    for test in view.tests:
-        tables |= tables_of_test(test)
-    return tables
-
-
 @pytest.fixture(scope="session")
 def draw() -> Callable[[CampaignView], dict[str, bytes]]:
     """PNG of every figure of a report, by its key."""
     return draw_pngs
-
-
-@pytest.fixture(scope="session")
-def tables_behind() -> Callable[[CampaignView], dict[str, str]]:
-    """The table behind every figure of a report, by its path from the run folder."""
-    return write_tables
 
 
 @pytest.fixture(scope="session")
@@ -210,3 +193,46 @@ def images(campaign: CampaignView) -> dict[str, bytes]:
 @pytest.fixture(scope="session")
 def campaign() -> CampaignView:
     return make_campaign((make_test("p800_f0.25"), make_test("held", "validate")))
+
+
+def make_datasheet() -> Datasheet:
+    """Two conditions, the second of which was not tested; a measured slip force is too large."""
+    nan = float("nan")
+    rows = []
+    for at, level, tested in ((0, 0.8, True), (1, 1.0, False)):
+        head = {"condition": f"c{at}", "actuation": level, "actuation_unit": "ksi"}
+        head |= {"stroke": 1.0, "frequency": 0.5, "tested": tested}
+        for quantity, direction, unit, cycle in (
+            ("slip_force", "forward", "kip", 0),
+            ("effective_damping", "", "1", 0),
+            ("energy", "", "kip*in", 1),
+        ):
+            outside = tested and quantity == "slip_force"
+            values = {"measured_low": 1.3, "measured": 1.35, "measured_high": 1.4}
+            values = values if tested else dict.fromkeys(values, nan)
+            rows.append(
+                head
+                | {"quantity": quantity, "direction": direction, "unit": unit, "cycle": cycle}
+                | values
+                | {"n_cycles": 3 * tested, "n_outside": int(outside), "nominal": 1.0}
+                | {"lower": 0.8, "upper": 1.25, "lambda_min": 0.8, "lambda_max": 1.25}
+                | {"note": "" if tested else "no test was made there"}
+            )
+    within = {"range": Quantity.of(0.8, unit="in")}
+    return Datasheet(
+        rows=pd.DataFrame(rows),
+        measured=pd.DataFrame(),
+        tested={"stroke": Message("{range}", within)},
+        verdict=(
+            Message("usable"),
+            Message("1 of 3 lies outside"),
+            Message("within {range}", within),
+        ),
+        not_known=(Message("Temperature: no record has one."),),
+        formulas={"slip_force": "force at zero displacement"},
+    )
+
+
+@pytest.fixture(scope="session")
+def datasheet() -> Datasheet:
+    return make_datasheet()

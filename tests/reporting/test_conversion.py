@@ -1,12 +1,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import in_system
-from mfd_bayes.runs.systems import SI, SI_SMALL, US, named_system, system_of, systems_beside
+from mfd_bayes.reporting.conversion import convert_law, convert_row, convert_test, to_units
+from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, both_systems, named_system, system_of
 from mfd_bayes.units import convert
 
 
@@ -55,13 +56,13 @@ def test_most_records_decide_the_system(units, expected):
 @pytest.mark.parametrize(
     ("actuations", "pressure"),
     [
-        (("3 bar", "5 bar"), "bar"),
-        (("300 kPa", {"name": "p", "unit": "kPa"}), "kPa"),
-        (("3 bar", "500 kPa"), "MPa"),
-        (("40 psi",), "MPa"),
-        (("5 MPa", {"name": "p", "unit": None}), "MPa"),
-        (("200 N",), "MPa"),
-        ((None, "three bar", 3.0), "MPa"),
+        (("bar", "bar"), "bar"),
+        (("kPa", "kPa"), "kPa"),
+        (("bar", "kPa"), "MPa"),
+        (("psi",), "MPa"),
+        (("MPa", ""), "MPa"),
+        (("N",), "MPa"),
+        (("three bar",), "MPa"),
         ((), "MPa"),
     ],
 )
@@ -69,13 +70,13 @@ def test_a_metric_pressure_is_in_the_unit_of_the_campaign(actuations, pressure):
     system = system_of(["mm"], [2.0], actuations)
     assert system == replace(SI, pressure=pressure)
     assert system_of(["in"], [2.0], actuations) == US
-    assert systems_beside(system) == (US, system)
+    assert both_systems(system) == (US, system)
     assert named_system("si", system) == system
     assert named_system("us", system) == US
 
 
 def test_a_report_in_bar_has_stiffness_per_bar():
-    system = system_of(["mm"], [0.01], ["3 bar"])
+    system = system_of(["mm"], [0.01], ["bar"])
     assert system == replace(SI_SMALL, pressure="bar")
     trace = Trace.from_arrays(np.arange(30.0), np.arange(30.0), 0.3 / 6.894757)
     assert system.actuation(trace, "ksi") == "3 bar"
@@ -93,29 +94,33 @@ def test_actuations_in_words():
     assert "mean of a history" in SI.actuation(varying, "ksi")
 
 
-def test_a_report_keeps_its_meaning_in_the_other_system(campaign):
-    metric = in_system(campaign, SI)
-    ours, theirs = campaign.tests[0], metric.tests[0]
+def test_what_figures_show_keeps_its_meaning_in_the_other_system(campaign):
+    ours, theirs = campaign.tests[0], convert_test(campaign.tests[0], SI, "ksi")
     kip, inch = SI.factor("kip"), SI.factor("in")
     np.testing.assert_allclose(theirs.trace.force, ours.trace.force * kip)
     np.testing.assert_allclose(theirs.trace.displacement, ours.trace.displacement * inch)
     np.testing.assert_allclose(theirs.observation.median, ours.observation.median * kip)
-    rows = {row.name: row for row in theirs.rows}
+    assert theirs.actuation == "5.516 MPa"
+    assert convert_test(ours, US, "ksi") is ours
     k3 = next(row for row in ours.rows if row.name == "k3")
-    assert rows["k3"].unit == "kN/mm"
-    assert rows["k3"].upper == pytest.approx(k3.upper * SI.factor("kip/in"))
-    assert rows["k3"].r_hat == k3.r_hat
-    assert rows["k3"].contraction == k3.contraction
-    law, before = metric.laws[0], campaign.laws[0]
+    metric = convert_row(k3, SI)
+    assert metric.unit == "kN/mm"
+    assert metric.upper == pytest.approx(k3.upper * SI.factor("kip/in"))
+    assert (metric.r_hat, metric.contraction) == (k3.r_hat, k3.contraction)
+    law, before = convert_law(campaign.laws[0], SI, "ksi"), campaign.laws[0]
     slope = law.device.median[-1] / law.actuation[-1]  # kN/MPa, of kip/ksi
     expected = before.device.median[-1] / before.actuation[-1] * SI.factor("in^2")
     assert slope * 1e3 == pytest.approx(expected)
-    assert metric.actuation_unit == "MPa"
-    assert in_system(campaign, US) is campaign
 
 
-def test_rows_without_a_measurement_stay_so(campaign):
-    test = campaign.tests[0]
-    row = replace(test.derived[2], measured=float("nan"))
-    view = replace(campaign, tests=(replace(test, derived=(row,)),))
-    assert np.isnan(in_system(view, SI).tests[0].derived[0].measured)
+def test_a_table_is_converted_by_row_and_by_column():
+    frame = pd.DataFrame(
+        {"unit": ["kip", "1"], "mean": [1.0, 2.0], "crps_kip": 1.0, "k3 [kip/in]": 1.0, "n": 3}
+    )
+    metric = to_units(frame, SI)
+    assert list(metric) == ["unit", "mean", "crps_kN", "k3 [kN/mm]", "n"]
+    assert metric["unit"].tolist() == ["kN", "1"]
+    assert metric["mean"].tolist() == pytest.approx([SI.factor("kip"), 2.0])
+    assert metric["k3 [kN/mm]"][0] == pytest.approx(SI.factor("kip/in"))
+    assert metric["n"].tolist() == [3, 3]
+    assert to_units(frame, US) is frame

@@ -1,16 +1,23 @@
+import io
 import re
 from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from PIL import Image
 
 from mfd_bayes.evaluation.views import Marginal
+from mfd_bayes.messages import Message
+from mfd_bayes.records.data_quality import Fault, find_faults
+from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BANDS
-from mfd_bayes.reporting.conversion import convert_test, shown_in
-from mfd_bayes.reporting.figures import laws, loops
-from mfd_bayes.reporting.figures.campaign import figures_of_test, shared_figures
+from mfd_bayes.reporting.conversion import convert_test, system_of
+from mfd_bayes.reporting.figures import campaign as shared
+from mfd_bayes.reporting.figures import draw_inspection, loops, style
+from mfd_bayes.reporting.figures.campaign import draw_laws, figures_of_test, shared_figures
 from mfd_bayes.reporting.figures.loops import (
     Marks,
     draw_history,
@@ -18,9 +25,16 @@ from mfd_bayes.reporting.figures.loops import (
     draw_overview,
     stretches,
 )
-from mfd_bayes.reporting.figures.posteriors import draw_corner, draw_marginals, draw_truth
-from mfd_bayes.reporting.figures.residuals import draw_residuals
+from mfd_bayes.reporting.figures.posteriors import (
+    draw_corner,
+    draw_marginals,
+    draw_ranks,
+    draw_residuals,
+    draw_truth,
+)
 from mfd_bayes.reporting.figures.style import to_png
+from mfd_bayes.reporting.publish import Drawing
+from mfd_bayes.runs.unit_system import US
 
 UNIT = re.compile(r", (in|in/s|s|kip|kip/in|ksi)$")
 
@@ -32,7 +46,7 @@ def labels(figure):
 
 def figures_of(view):
     found = dict(shared_figures(view))
-    system = shown_in(view)
+    system = system_of(view)
     for test in view.tests:
         shown = convert_test(test, system, view.actuation_unit)
         found |= figures_of_test(shown, system)
@@ -45,7 +59,7 @@ def drawn(campaign):
 
 
 def test_every_figure_is_drawn_once_under_its_key(drawn):
-    kinds = ("loops", "history", "residuals", "corner", "trace", "marginals")
+    kinds = ("loops", "history", "residuals", "corner", "ranks", "marginals")
     per_test = {f"tests/p800_f0.25/{kind}" for kind in kinds}
     predicted = {"tests/held/loops", "tests/held/history"}
     assert set(drawn) == {"overview", "laws", "truth"} | per_test | predicted
@@ -89,8 +103,38 @@ def test_figures_say_what_they_show(drawn, key):
 def test_quantities_carry_their_units(drawn):
     texts = labels(drawn["tests/p800_f0.25/corner"])
     assert any(text.endswith(", kip/in") for text in texts)
-    titles = [axes.get_title(loc="left") for axes in drawn["tests/p800_f0.25/trace"].axes]
-    assert titles[0].endswith(", kip")
+
+
+def test_ranks_show_a_chain_that_differs(test_view):
+    (marginal, *_) = test_view("a").marginals
+    rng = np.random.default_rng(1)
+
+    def highest(draws):
+        figure = draw_ranks("ranks", [replace(marginal, posterior=draws)], 4)
+        return max(patch.get_data().values.max() for patch in figure.axes[0].patches)
+
+    draws = rng.normal(size=4000)
+    assert highest(draws) < 1.3
+    draws[:1000] += 1.0  # the first of four chains
+    assert highest(draws) > 2.0
+    assert draw_ranks("ranks", [marginal], 1) is None
+
+
+def test_rows_are_frequencies_and_columns_actuations(test_view):
+    def at(name, frequency, level):
+        time = np.arange(300) / 25.0
+        motion = np.sin(2 * np.pi * frequency * time)
+        one = test_view(name, samples=300)
+        return replace(one, trace=replace(one.trace, **vars_of(time, motion, level)))
+
+    def vars_of(time, motion, level):
+        trace = Trace.from_arrays(time, motion, level)
+        return {n: getattr(trace, n) for n in ("displacement", "velocity", "actuation")}
+
+    tests = [at("a", 1.0, 0.8), at("b", 0.25, 0.8), at("c", 0.25, 0.5), at("d", 1.0, 0.5)]
+    figure = draw_overview("all", tests)
+    names = [axes.get_title(loc="left").split("\n")[0] for axes in figure.axes]
+    assert names == ["c", "b", "d", "a"]
 
 
 def test_uninformed_quantities_are_marked(drawn):
@@ -190,17 +234,17 @@ def test_truths_that_are_not_positive_are_left_out(campaign):
 
 
 def test_no_laws_no_figure():
-    assert laws.draw_laws("laws", (), "ksi") is None
+    assert draw_laws("laws", (), "ksi") is None
 
 
 def test_tests_at_zero_are_drawn_inside_the_panel(campaign):
     (law, *_) = campaign.laws
     idle = tuple((name, 0.0, 0.1, 0.2, 0.3) for name in ("a", "b", "c", "d"))
-    (axes,) = laws.draw_laws("laws", (replace(law, tested=law.tested + idle),), "ksi").axes
+    (axes,) = draw_laws("laws", (replace(law, tested=law.tested + idle),), "ksi").axes
     places = np.concatenate([line.get_xdata() for line in axes.lines])
     assert places.min() < 0.0  # the control: they stand side by side
     assert places.min() > axes.get_xlim()[0]
-    (plain,) = laws.draw_laws("laws", (law,), "ksi").axes
+    (plain,) = draw_laws("laws", (law,), "ksi").axes
     assert plain.get_xlim()[0] == 0.0
 
 
@@ -219,7 +263,80 @@ def test_one_colour_has_one_meaning():
 @pytest.mark.parametrize("number", [1, 3, 50])
 def test_tests_at_one_level_stay_near_it(number):
     levels = np.array([0.5, 0.6, 1.5])
-    shifted = laws._apart(np.repeat(levels, number)).reshape(3, number)
+    shifted = shared.spread(np.repeat(levels, number)).reshape(3, number)
     assert np.max(np.abs(shifted - levels[:, None])) < 0.05  # half of the way to the next one
     assert len(np.unique(shifted)) == 3 * number
     np.testing.assert_allclose(shifted.mean(axis=1), levels)
+
+
+def trace_of(*, force=True, spikes=()):
+    time = np.arange(1201) / 100.0
+    signal = np.tanh(4 * np.cos(np.pi * time)) + 1e-3 * np.sin(50 * time)
+    signal[list(spikes)] += 3.0
+    return Trace.from_arrays(time, np.sin(np.pi * time), force=signal if force else None)
+
+
+def test_faults_of_a_record_are_marked_where_they_are_and_all_are_named():
+    trace = trace_of(spikes=[300, 700])
+    nowhere = Fault("time unit", Message("everywhere"), np.empty(0, dtype=np.intp))
+    faults = (*(f for f in find_faults(trace) if f.name == "spikes"), nowhere)
+    figure = draw_inspection("a $test$", trace, find_loops(trace), faults)
+    kinds = ("None", "", ".", None)
+    marks = [line.get_xdata() for line in figure.axes[1].lines if line.get_marker() not in kinds]
+    assert any(np.array_equal(mark, trace.time[[300, 700]]) for mark in marks)
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["warning: spikes", "warning: time unit"]
+    assert to_png(figure).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_a_record_without_force_or_full_loop_is_drawn(force):
+    full = trace_of(force=force)
+    part = full.force[:180] if force else None
+    cut = Trace.from_arrays(full.time[:180], full.displacement[:180], force=part)
+    figure = draw_inspection("a", cut, find_loops(cut))
+    assert len(figure.axes) == (4 if force else 1)
+    assert not figure.legends
+    assert to_png(figure).startswith(b"\x89PNG")
+
+
+def test_paper_surfaces_and_dots_keep_their_colours_in_a_png(monkeypatch):
+    """A pale surface, grey lines on white, and one small red dot, with soft edges."""
+    pale, grey, red = (255, 243, 214), (230, 230, 230), (213, 94, 0)
+
+    def png():
+        figure = Figure(figsize=(4, 3), dpi=100)
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.set_axis_off()
+        axes.axvspan(0.0, 0.3, color=np.divide(pale, 255))
+        for height in np.linspace(0.0, 1.0, 23):
+            axes.plot([0.0, 1.0], [height, 1.0 - 0.7 * height], color=np.divide(grey, 255))
+        axes.plot([0.8], [0.05], "o", color=np.divide(red, 255), markersize=4)
+        return np.asarray(Image.open(io.BytesIO(to_png(figure))).convert("RGB"))
+
+    def number(picture, colour):
+        return int(np.count_nonzero(np.all(picture == colour, axis=2)))
+
+    picture = png()
+    assert number(picture, (255, 255, 255)) > 10_000
+    assert number(picture, pale) > 5_000
+    assert np.count_nonzero(np.abs(picture.astype(int) - red).max(axis=2) < 20) > 4
+    means = lambda few, _: np.reshape(few.getpalette(), (-1, 3))  # noqa: E731
+    monkeypatch.setattr(style, "_most_frequent", means)  # the control: an octree's means
+    assert number(png(), (255, 255, 255)) == 0
+
+
+def test_a_figure_that_is_registered_is_drawn_and_written(test_view, tmp_path, monkeypatch):
+    """A figure of a test is added by one function and one line: see architecture.md."""
+
+    def draw_velocity(test, system):
+        figure = Figure()
+        figure.subplots().plot(test.trace.time, system.factor("in") * test.trace.velocity)
+        return figure
+
+    registered = {"velocity": draw_velocity, "empty": lambda *_: None}
+    monkeypatch.setattr(shared, "OF_TEST", registered)
+    monkeypatch.setattr("mfd_bayes.reporting.figures.OF_TEST", registered)
+    Drawing(test_view("a"), US, "ksi").run(tmp_path, lambda _: None)
+    assert (tmp_path / "tests/a/velocity.png").read_bytes().startswith(b"\x89PNG")
+    assert not (tmp_path / "tests/a/empty.png").exists()

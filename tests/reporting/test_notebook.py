@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, ReportError
-from mfd_bayes.runs.opening import open_run as open_plain
+from mfd_bayes.runs.run import open_run as open_plain
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
+from mfd_bayes.evaluation.design import design_rows
 from mfd_bayes.population.population import LawDraws
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building
@@ -138,6 +139,33 @@ def test_the_call_of_the_contract(run, path, ground):
     worst = response.drift_ratio[:, 0].max(axis=1)
     assert limit.probability == np.mean(worst > 0.005)
     assert 0 < limit.error < 0.2
+
+
+def test_all_dampers_at_a_bound_stand_beside_the_band(run, path, ground):
+    response = run.respond(path, [ground], draws=12, seed=1)
+    lower, upper = (response.references[name] for name in ("lower", "upper"))
+    for bound, sign in ((lower, -1.0), (upper, 1.0)):
+        assert bound.draws == 1
+        assert np.all(sign * (bound.dampers.slip - np.median(response.dampers.slip)) > 0)
+        assert not np.allclose(bound.drift, np.median(response.drift, axis=0), rtol=1e-3)
+    # as the data sheet has them
+    trace = next(iter(run.tests.values())).trace
+    model = next(iter(run.tests.values())).posterior.model
+    trace = replace(trace, actuation=1.0)
+    rows = {(row.name, row.basis): row for row in design_rows(run, trace)}
+    for name, parameter in (("slip_fwd", "Fc_fwd"), ("slip_bwd", "Fc_bwd")):
+        column, design = model.parameters.index(parameter), rows[name, "new_test"]
+        got = [float(bound.dampers.theta[0, 0, column]) for bound in (lower, upper)]
+        assert got == pytest.approx([design.lower, design.upper], rel=0.05)
+    static, kinetic = (model.parameters.index(f"F{x}_fwd") for x in "sc")
+    ratios = [
+        bound.dampers.theta[0, :, static] / bound.dampers.theta[0, :, kinetic]
+        for bound in (lower, upper)
+    ]
+    assert np.allclose(*ratios)
+    shown = next(row for row in response.rows() if row.quantity == "damper force")
+    assert shown.lower < shown.upper
+    assert np.isnan(shown.bare)
 
 
 def test_shares_add_up_and_find_what_matters(run, path, ground):
@@ -295,15 +323,20 @@ def test_an_answer_beyond_the_tests_says_so_beside_it(finished_run, path, quake,
     words = "--ground", quake, "--ground", quake, "--scale", "6"
     far = command(finished_run.out, path, tmp_path / "f", *words, "--quiet")
     assert far.exit_code == 0, far.output
-    answer, beside, *_ = far.output.splitlines()
+    answer, bounds, matters, beside, *_ = far.output.splitlines()
     assert "the largest storey drift is" in answer
+    assert "with all dampers at their bound, lower " in bounds
+    assert "% of the variance of the largest drift is " in matters
     assert "beyond the tests: the stroke, " in beside
     assert "times the largest" in beside
+    head, *rows = (tmp_path / "f" / "peaks.csv").read_text().splitlines()
+    assert head.endswith(",all_at_lower_bound,all_at_upper_bound")
+    assert all(float(cell) > 0 for row in rows for cell in row.split(",")[-2:])
     page = (tmp_path / "f" / "report.html").read_text()
     assert "! Answered, but beyond the tests" in page
     assert "✓ Answered" not in page
     said = json.loads((tmp_path / "f" / "response.json").read_text())["verdict"]
-    assert "beyond the tests: the stroke" in said[1]
+    assert "beyond the tests: the stroke" in said[3]
     head, *rows = (tmp_path / "f" / "shares.csv").read_text().splitlines()
     assert head == "quantity,ground,source,share"
     assert not any("record to record" in row for row in rows)

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.quantity import Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.response.building import building_of
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
@@ -187,3 +189,30 @@ def test_kept_forces_begin_with_that_at_rest():
     at_rest = dampers.state(-np.sign(ground.acceleration[:1])).force
     assert np.max(np.abs(at_rest)) > 1.0
     assert np.allclose(found.forces[0][:, 0, 0], at_rest, rtol=1e-5)
+
+
+class Dashpot(Model):
+    """A user's own model that can stand in a building."""
+
+    name = "dashpot"
+    parameters = (Parameter("c", "kip*s/in"),)
+
+    def force(self, theta, trace):
+        return theta * trace.velocity
+
+    def start(self, theta):
+        return {"c": theta[:, 0]}
+
+    def step(self, state, displacement, velocity, dt):
+        return state["c"] * velocity, state
+
+
+def test_a_model_of_ones_own_stands_in_a_building():
+    c = 0.8
+    dampers = Dampers(Dashpot(), np.full((2, 2, 1), c), np.full((2, 2), 0.5), np.ones((2, 2)))
+    found = integrate(shear_building(2), shaking(), dampers, FINE)
+    bare = shear_building(2, dampers=False)
+    damped = replace(bare, damping=bare.damping + c * bare.drifts.T @ bare.drifts)
+    expected = integrate(damped, shaking(), no_dampers(), FINE)
+    assert np.allclose(found.drift, expected.drift, rtol=1e-3)
+    assert not np.allclose(integrate(bare, shaking(), no_dampers(), FINE).drift, expected.drift)

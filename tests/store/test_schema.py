@@ -15,35 +15,27 @@ class Sample(Part):
     count: Index = 0
 
 
-def test_what_fits_is_read():
-    found = check(Sample, {"name": "a", "figure": 3, "more": 1}, "manifest.json")
-    assert (found.name, found.figure) == ("a", 3.0)
-
-
-def test_null_is_a_figure_that_was_not_finite():
+def test_what_fits_is_read_and_null_is_a_figure_that_was_not_finite():
+    sample = check(Sample, {"name": "a", "figure": 3, "more": 1}, "manifest.json")
+    assert (sample.name, sample.figure) == ("a", 3.0)
     assert math.isnan(check(Sample, {"name": "a", "figure": None}, "manifest.json").figure)
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        *(("name", None), ("name", 3), ("figure", "1"), ("figure", True), ("figure", 1e300)),
+        *(("name", None), ("name", ["x" * 10_000] * 100), ("figure", "1"), ("figure", True)),
         *(("figure", math.inf), ("figure", 10**400), ("size", 0.0), ("size", math.nan)),
         *(("size", None), ("count", -1), ("count", 1.0)),
     ],
 )
-def test_what_does_not_fit_is_told_with_its_file_and_key(key, value):
-    with pytest.raises(StoreError, match=rf"manifest\.json is damaged .*: {key}: .*, got "):
+def test_what_does_not_fit_is_named_with_its_file_and_key(key, value):
+    with pytest.raises(StoreError, match=rf"manifest\.json .*: {key}: .*, got ") as caught:
         check(Sample, {"name": "a"} | {key: value}, "manifest.json")
+    assert len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize("content", [[], None, "a", {}])
 def test_something_else_than_the_object_is_refused(content):
-    with pytest.raises(StoreError, match=r"manifest\.json is damaged"):
+    with pytest.raises(StoreError, match=r"manifest\.json"):
         check(Sample, content, "manifest.json")
-
-
-def test_long_content_is_cut():
-    with pytest.raises(StoreError) as caught:
-        check(Sample, {"name": ["x" * 10_000] * 100}, "manifest.json")
-    assert len(str(caught.value)) < 400

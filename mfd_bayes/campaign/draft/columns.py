@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 from typing import Any
 from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.campaign.draft.shapes import by_loop
 from mfd_bayes.errors import MfdError, UnitError
 from mfd_bayes.records.channels import Source
 from mfd_bayes.records.columns import stated_unit
 from mfd_bayes.records.file_name_check import SLOW_PERIOD, SLOW_RATE
-from mfd_bayes.records.loops import roughness
+from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.motion import cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.table import own_name
@@ -45,35 +45,16 @@ _WORDS: Mapping[str, Mapping[str, int]] = {
 }
 """Score of a word in a column's name for each role."""
 
-_UNIT_ALONE = 1.0
-"""Score of a unit for a role where no word has a score."""
-
-_NOT_MEASURED = frozenset(
-    {"command", "cmd", "setpoint", "target", "ref", "reference", "desired", "error", "nominal"}
+_UNIT_ALONE = 1.0  # score of a unit for a role where no word has a score
+_NOT_MEASURED = re.compile(r"command|cmd|setpoint|target|ref|reference|desired|error|nominal")
+_COUNTER = re.compile(
+    r"#|n|i|k|no|nr|num|number|id|idx|index|seq|sequence|counts?|counter|scans?|samples?|rec|record"
+    r"|pts?|points?|datapoint|row|line|lfd|frame|reading|step|ticks?|block|set|obs|observation"
 )
-
-_ANY = "any actuation"
-
-_KINDS = {
-    "time": ("time",),
-    "displacement": ("displacement",),
-    "force": ("force",),
-    "velocity": ("velocity",),
-    "actuation": ("pressure", "force", _ANY),
-}
+"""Words in the name of a column that counts samples."""
 
 FAST_CYCLE, SLOWEST_STEP = 100.0, 10.0
 """Without a unit, times with longer cycles may be ms; with such steps too, in s, they are ms."""
-
-_COUNTERS = frozenset(
-    {
-        *("scan", "scans", "sample", "samples", "index", "idx", "no", "nr", "num", "number"),
-        *("#", "n", "count", "counter", "counts", "record", "rec", "point", "points", "pt"),
-        *("pts", "row", "line", "frame", "reading", "step", "lfd", "i", "k", "id", "seq"),
-        *("sequence", "datapoint", "tick", "ticks", "block", "set", "obs", "observation"),
-    }
-)
-"""Words in the name of a column that counts samples."""
 
 _EARLIEST = 20_000.0
 _DATES = {
@@ -82,37 +63,52 @@ _DATES = {
 }
 """Ranges of dates of these decades: days of Excel and of MATLAB, seconds since 1970 and 1904."""
 
-_BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$")
-_BEHIND = re.compile(r"[\s,/:]+([^\s,:]+)\s*$")
-_SUFFIX = re.compile(r"_((?:[^_\s]+_per_)?[^_\s]+)$")
+_IN_BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$")
+_AT_THE_END = (
+    _IN_BRACKETS,
+    re.compile(r"_((?:[^_\s]+_per_)?[^_\s]+)$"),
+    re.compile(r"[\s,/:]+([^\s,:]+)\s*$"),
+)
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _METRIC = re.compile(r"\b(?:N|kN|MN|mm|cm|m|kPa|MPa|bar)\b")
+
+SURE = 0.3  # correlation of a force with the direction of a motion from which two make a loop
+_MOST_PAIRED = 8  # signals of which all pairs are compared
+
+NO_TIME = 'the file has none, and states no rate: write time = { rate = "100 Hz" } with its own'
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A column guessed for a role; `unit` is None where it is unknown."""
+    """A column guessed for a role.
+
+    Attributes
+    ----------
+    name : str
+        "" where a rate stands in place of a column of times.
+    unit : str or None
+        None where it is unknown.
+    doubts : tuple of str
+        What is not certain, with the alternatives.
+    number : int, optional
+        Number of a column, from 1, that has no name of its own.
+    lacking : str
+        Why its unit is unknown, and what may be written; empty where nothing more is known.
+    rate : str
+        The rate, or the step, that the file states.
+    """
 
     name: str
     unit: str | None
     doubts: tuple[str, ...] = ()
-    """What is not certain, with the alternatives."""
     number: int | None = None
-    """Number of a column, from 1, that has no name of its own; None of others."""
     lacking: str = ""
-    """Why its unit is unknown, and what may be written; empty where nothing more is known."""
     sign: int = 1
     rate: str = ""
-    """In place of a column of times: the rate, or the step, that the file states."""
-
-    @property
-    def key(self) -> tuple[str, str | None, int | None, int, str]:
-        """What the campaign file says of it."""
-        return self.name, self.unit, self.number, self.sign, self.rate
 
     @property
     def source(self) -> Source:
-        """The column as it is read; one of an unknown unit or rate is read somehow."""
+        """The column as it is read; one of an unknown rate is read somehow."""
         if not self.name:
             return Source(rate=self.rate or "1 Hz")
         return Source(self.name, self.unit, sign=self.sign)
@@ -124,88 +120,75 @@ def guess_columns(table: Table) -> dict[str, Guess]:
     Only time, displacement and force are guessed from numbers. Where no unit of time is given, its
     steps decide between s and ms.
     """
-    found: dict[str, Guess] = {}
-    taken: set[str] = set()
+    guesses: dict[str, Guess] = {}
     for role in ("actuation", "time", "displacement", "force", "velocity"):
-        guess = _by_name(table, role, taken)
+        guess = _by_name(table, role, [guess.name for guess in guesses.values()])
         if guess is not None:
-            found[role] = guess
-            taken.add(guess.name)
-    missing = {"time", "displacement", "force"} - found.keys()
+            guesses[role] = guess
+    missing = [role for role in ("time", "displacement", "force") if role not in guesses]
     if missing:
-        found |= _by_numbers(table, missing, taken)
-    found = {role: _with_unit(table, role, guess, found) for role, guess in found.items()}
-    found = _checked_velocity(table, found)
-    return {role: _numbered(table, guess) for role, guess in found.items()}
+        guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
+    guesses = {role: _with_unit(table, role, guess, guesses) for role, guess in guesses.items()}
+    if "velocity" in guesses and not _is_slope(table, guesses):
+        del guesses["velocity"]
+    for role, guess in guesses.items():
+        if guess.name and own_name(guess.name) != guess.name:  # no name of its own
+            guesses[role] = replace(guess, number=table.number_of(guess.name))
+    return guesses
 
 
-NO_TIME = 'the file has none, and states no rate: write time = { rate = "100 Hz" } with its own'
-
-
-def timed_by_rate(found: dict[str, Guess], rate: str, doubt: str) -> dict[str, Guess]:
+def timed_by_rate(guesses: dict[str, Guess], rate: str, doubt: str) -> dict[str, Guess]:
     """Guesses with the rate that a file states, where no column is a time.
 
     Where it states none, the time is left open, if displacement and force have their names.
     """
-    time = found.get("time")
-    if time is None and not {"displacement", "force"} <= found.keys():
-        return found
+    time = guesses.get("time")
+    if time is None and not {"displacement", "force"} <= guesses.keys():
+        return guesses
     if time is None or (rate and time.lacking):
         doubts = (doubt,) if doubt else ()
         guess = Guess("", "s", doubts, rate=rate) if rate else Guess("", None, lacking=NO_TIME)
-        return found | {"time": guess}
-    return found
-
-
-def _numbered(table: Table, guess: Guess) -> Guess:
-    """Guess with the column's number where it has no name of its own."""
-    if own_name(guess.name) == guess.name:
-        return guess
-    return replace(guess, number=table.number_of(guess.name))
+        return guesses | {"time": guess}
+    return guesses
 
 
 def unit_of(table: Table, name: str, role: str) -> str | None:
     """Unit of a column for a role, from its name or the file's row of units; None if unknown."""
     own = normalize("NFKC", own_name(name))
-    candidates = [m[1] for m in (p.search(own) for p in (_BRACKETS, _SUFFIX, _BEHIND)) if m]
-    candidates += [table.units.get(name, ""), own.strip()]
-    for text in candidates:
+    texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
+    for text in (*texts, table.units.get(name, ""), own.strip()):
         for unit in (text.replace("_per_", "/"), text.lower().replace("_per_", "/")):
-            if any(_measures(unit, kind) for kind in _KINDS[role]):
+            if _fits(unit, role):
                 return unit
     return None
 
 
-def numbers_of(table: Table, name: str) -> Array | None:
-    """Numbers of a column, (T,), or None where it holds anything else."""
+def _fits(unit: str, role: str) -> bool:
+    """Whether a unit is one of a role, or of the dimension "pressure"."""
     try:
-        numbers = table.columns([name])[name]
-        check_magnitude(name, numbers)
-    except MfdError:
-        return None
-    return numbers
-
-
-def times_of(table: Table, name: str) -> Array | None:
-    """As `numbers_of`, for a time: a date in ns or us may be large."""
-    try:
-        return table.columns([name])[name]
-    except MfdError:
-        return None
-
-
-def _measures(unit: str, kind: str) -> bool:
-    try:
-        if kind != _ANY:
-            factor(unit, kind)
-        elif actuation_factor(unit)[1] == "%" and unit != "%":
-            return False
+        if role == "actuation":
+            return actuation_factor(unit)[1] != "%" or unit == "%"
+        factor(unit, role)
     except UnitError:
         return False
     return True
 
 
-def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
+def numbers_of(table: Table, name: str, *, is_time: bool = False) -> Array | None:
+    """Numbers of a column, (T,), or None where it holds anything else.
+
+    A time may be as large as a date in ns.
+    """
+    try:
+        numbers = table.columns([name])[name]
+        if not is_time:
+            check_magnitude(name, numbers)
+    except MfdError:
+        return None
+    return numbers
+
+
+def _by_name(table: Table, role: str, taken: Sequence[str]) -> Guess | None:
     """Column whose name and unit have the highest score for a role."""
     scores = {
         name: score
@@ -216,76 +199,86 @@ def _by_name(table: Table, role: str, taken: set[str]) -> Guess | None:
     if not scores:
         return None
     best = max(scores, key=lambda name: scores[name])
-    unit = unit_of(table, best, role)
     fewest = max(scores[best] - 1, min(scores[best], 2))
-    rivals = [n for n, score in scores.items() if n != best and score >= fewest]
+    rivals = [name for name, score in scores.items() if name != best and score >= fewest]
     doubts: list[str] = []
     if scores[best] == _UNIT_ALONE:
         doubts.append(f"column for {role} chosen by its unit alone")
     if rivals:
         doubts.append(f"column for {role} could also be {_listed(rivals)}")
-    return Guess(best, unit, tuple(doubts))
+    return Guess(best, unit_of(table, best, role), tuple(doubts))
 
 
 def _score(table: Table, name: str, role: str) -> float:
     """Score of a column's name and unit for a role; 0 where it cannot have the role."""
-    plain = _BRACKETS.sub("", normalize("NFKC", own_name(name)))
-    words = re.findall(r"[a-z]+", _CAMEL.sub(" ", plain).lower())
+    text = normalize("NFKC", own_name(name))
+    words = re.findall(r"[a-z]+", _CAMEL.sub(" ", _IN_BRACKETS.sub("", text)).lower())
     own = max((_WORDS[role].get(word, 0) for word in words), default=0)
-    others = [known.get(w, 0) for r, known in _WORDS.items() if r != role for w in words]
-    other = max(others, default=0)
-    if own and _NOT_MEASURED & set(words):
+    others = (scores for other, scores in _WORDS.items() if other != role)
+    other = max((scores.get(word, 0) for scores in others for word in words), default=0)
+    if own and any(map(_NOT_MEASURED.fullmatch, words)):
         own = 1
     unit = unit_of(table, name, role)
-    if own and unit is None and _measures_else(table, name, role):
-        return 0.0
     if not own:
         # of actuations, a unit alone can tell only a pressure: load cells are many
-        alone = unit is not None and (role != "actuation" or _measures(unit, "pressure"))
-        return _UNIT_ALONE if alone and not other else 0.0
-    return own + (1.0 if unit is not None else 0.0) if own >= other else 0.0
+        tells = unit is not None and (role != "actuation" or _fits(unit, "pressure"))
+        return _UNIT_ALONE if tells and not other else 0.0
+    if unit is None:
+        match = _IN_BRACKETS.search(text)
+        stated = match[1] if match else table.units.get(name, "")
+        dimensions = ("time", "displacement", "force", "velocity", "pressure")
+        if stated and any(_fits(stated, dimension) for dimension in dimensions):
+            return 0.0  # the unit is that of another role
+    return own + (unit is not None) if own >= other else 0.0
 
 
-def _measures_else(table: Table, name: str, role: str) -> bool:
-    """Whether the unit of a column is that of another role."""
-    match = _BRACKETS.search(normalize("NFKC", own_name(name)))
-    stated = match[1] if match else table.units.get(name, "")
-    return bool(stated) and any(
-        _measures(stated, kind)
-        for r, kinds in _KINDS.items()
-        if r != role
-        for kind in kinds
-        if kind != _ANY
-    )
-
-
-def _by_numbers(table: Table, missing: set[str], taken: set[str]) -> dict[str, Guess]:
+def _by_numbers(table: Table, missing: Sequence[str], taken: Sequence[str]) -> dict[str, Guess]:
     """Time: the column that increases steadily; then the pair that looks most like a loop."""
-    columns = {
-        name: values
-        for name in table.names
-        if name not in taken and table.names.count(name) == 1
-        if (values := times_of(table, name)) is not None and values.size > 2
-        if _steady(values) or numbers_of(table, name) is not None
-    }
-    found: dict[str, Guess] = {}
-    if "time" in missing:
-        steady = [name for name, values in columns.items() if _steady(values)]
-        steady.sort(key=lambda name: bool(np.ptp(np.diff(columns[name])) == 0.0))  # a counter last
-        if steady:
-            found["time"] = _guessed("time", steady)
-            del columns[steady[0]]
-    moving = sorted(
-        (name for name, v in columns.items() if np.ptp(v) > 0 and not _steady(v)),
-        key=lambda name: roughness(columns[name]),
-    )
-    if {"displacement", "force"} <= missing:
-        moving = by_loop({name: columns[name] for name in moving})
+    signals: dict[str, Array] = {}
+    steady: dict[str, bool] = {}  # to whether it is a counter
+    for name in table.names:
+        if name in taken or table.names.count(name) > 1:
+            continue
+        values = numbers_of(table, name, is_time=True)
+        if values is None or values.size < 3:
+            continue
+        steps = np.diff(values)
+        if np.all(steps > 0) and steps.max() < 20 * np.median(steps):
+            steady[name] = bool(np.ptp(steps) == 0.0)
+        elif np.ptp(values) > 0 and numbers_of(table, name) is not None:
+            signals[name] = values
+    guesses: dict[str, Guess] = {}
+    if "time" in missing and steady:
+        guesses["time"] = _guessed("time", sorted(steady, key=lambda name: steady[name]))
+    names = sorted(signals, key=lambda name: roughness(signals[name]))
+    if {"displacement", "force"} <= set(missing):
+        names = by_loop({name: signals[name] for name in names})
     for role in ("displacement", "force"):
-        if role in missing and moving:
-            found[role] = _guessed(role, moving)
-            moving = moving[1:]
-    return found
+        if role in missing and names:
+            guesses[role] = _guessed(role, names)
+            names = names[1:]
+    return guesses
+
+
+def by_loop(signals: Mapping[str, Array]) -> list[str]:
+    """Names of signals, the displacement first, then the force, then the others in their order.
+
+    A friction force follows the direction of the motion, and is rougher than the motion: that the
+    motion follows the direction of the force is seldom. Where no two signals follow each other,
+    the order stays as given.
+    """
+    names = list(signals)
+    pairs = {
+        (x, f): follows(signals[x], signals[f]) for x, f in permutations(names[:_MOST_PAIRED], 2)
+    }
+    best = max(pairs, key=lambda pair: pairs[pair], default=None)
+    if best is None or pairs[best] < SURE:
+        return names
+    motion, force = best
+    rougher = np.log10(roughness(signals[force]) / roughness(signals[motion]))
+    if pairs[motion, force] - pairs[force, motion] + rougher < 0.0:
+        motion, force = force, motion
+    return [motion, force, *(name for name in names if name not in best)]
 
 
 def _guessed(role: str, names: list[str]) -> Guess:
@@ -293,147 +286,109 @@ def _guessed(role: str, names: list[str]) -> Guess:
     return Guess(names[0], None, (f"column for {role} guessed from the numbers{others}",))
 
 
-def _steady(values: Array) -> bool:
-    steps = np.diff(values)
-    return bool(np.all(steps > 0) and steps.max() < 20 * np.median(steps))
-
-
-def _with_unit(table: Table, role: str, guess: Guess, found: Mapping[str, Guess]) -> Guess:
+def _with_unit(table: Table, role: str, guess: Guess, guesses: Mapping[str, Guess]) -> Guess:
     """Guess with a unit where its name, the other columns or the steps of time tell it."""
     unit = guess.unit or unit_of(table, guess.name, role)
+    stated = stated_unit(own_name(guess.name), table.units.get(guess.name, ""))
+    lacking = (
+        f"{stated!r}, as the file says, is no known unit of {role}{force_meant(stated)}"
+        if stated
+        else ""
+    )
     if role == "time":
-        return _timed(table, replace(guess, unit=unit), found)
+        if problem := _equal_stamps(table, guess.name):
+            return Guess("", None, lacking=problem)
+        if unit is not None or lacking:
+            return replace(guess, unit=unit, lacking="" if unit else lacking)
+        return replace(guess, **_unit_of_time(table, guess, guesses.get("displacement")))
     if unit is not None:
         return replace(guess, unit=unit)
-    if said := stated_unit(own_name(guess.name), table.units.get(guess.name, "")):
-        return replace(guess, unit=None, lacking=unread(said, role))
-    if role == "actuation":
-        return guess
-    metric = _is_metric(table, found)
-    if metric is None:
+    if lacking:
+        return replace(guess, unit=None, lacking=lacking)
+    others = [
+        other
+        for r in ("displacement", "force", "velocity")
+        if r in guesses and (other := unit_of(table, guesses[r].name, r)) is not None
+    ]
+    if role == "actuation" or not others:
         return guess
     units = {"displacement": ("in", "mm"), "force": ("kip", "kN"), "velocity": ("in/s", "mm/s")}
-    unit = units[role][metric]
-    other = units[role][not metric]
+    unit, other = units[role]
+    if _METRIC.search(" ".join(others)):
+        unit, other = other, unit
     doubt = f"no unit of {role} is given; {unit} matches the other columns, {other} does not"
     return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
-def unread(said: str, role: str) -> str:
-    """Sentence on a unit that a file states and that is none of a role."""
-    return f"{said!r}, as the file says, is no known unit of {role}{force_meant(said)}"
+def _equal_stamps(table: Table, name: str) -> str:
+    """What to write in place of time stamps that are equal in several rows; empty of others."""
+    stamps = numbers_of(table, name, is_time=True) if name in table.stamped else None
+    if stamps is None or np.all(np.diff(stamps) != 0.0) or not stamps[-1] > stamps[0]:
+        return ""
+    new = np.flatnonzero(np.diff(stamps) > 0.0)
+    first, last = (new[0], new[-1]) if new.size > 1 else (0, stamps.size - 1)
+    rate = (last - first) / (stamps[last] - stamps[first])
+    return (
+        f"time stamps of {name!r} are equal in several rows, about {rate:.3g} in a second: write "
+        'the rate in place of the column, time = { rate = "100 Hz" }'
+    )
 
 
-def _is_metric(table: Table, found: Mapping[str, Guess]) -> bool | None:
-    """Whether the given units of displacement, force and velocity are metric; None without any."""
-    stated = [
-        unit
-        for role in ("displacement", "force", "velocity")
-        if role in found and (unit := unit_of(table, found[role].name, role)) is not None
-    ]
-    return bool(_METRIC.search(" ".join(stated))) if stated else None
-
-
-def _timed(table: Table, guess: Guess, found: Mapping[str, Guess]) -> Guess:
-    """Time with its unit, from the steps where none is given and they can tell it."""
-    stamps = times_of(table, guess.name) if guess.name in table.stamped else None
-    if stamps is not None and np.any(np.diff(stamps) == 0.0) and stamps[-1] > stamps[0]:
-        new = np.flatnonzero(np.diff(stamps) > 0.0)
-        first, last = (new[0], new[-1]) if new.size > 1 else (0, stamps.size - 1)
-        rate = (last - first) / (stamps[last] - stamps[first])
-        return Guess(
-            *("", None),
-            lacking=f"time stamps of {guess.name!r} are equal in several rows, about {rate:.3g} in "
-            'a second: write the rate in place of the column, time = { rate = "100 Hz" }',
-        )
-    if guess.unit is not None:
-        return guess
-    if said := stated_unit(own_name(guess.name), table.units.get(guess.name, "")):
-        return replace(guess, lacking=unread(said, "time"))
-    values = times_of(table, guess.name)
+def _unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> dict[str, Any]:
+    """Unit of a time by its numbers, with a doubt; or what it lacks: a count, a date, s or ms."""
+    values = numbers_of(table, guess.name, is_time=True)
     if values is None or values.size < 3 or values[-1] <= values[0]:
-        return guess
-    if (since := float(values[0])) >= _EARLIEST and np.ptp(values) < 0.05 * since:
-        return replace(guess, **_date_unit(since))
-    if lacking := _no_time(own_name(guess.name), values) or _of_two_units(table, values, found):
-        return replace(guess, lacking=lacking)
-    unit = "ms" if _is_slow(table, values, found) else "s"
-    doubt = f"no unit of time is given; the steps look like {unit}"
-    return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
-
-
-def _no_time(name: str, values: Array) -> str:
-    """Why a column is a count or a date, and what to write; empty where it may be a time."""
-    steps = np.diff(values)
-    whole = bool(np.all(values == np.round(values)))
-    words = set(re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower()))
-    if whole and (words & _COUNTERS or np.all(steps == 1.0)):
-        return (
-            f"{name or 'this column'!r} counts samples and is no time: at which rate? Write it in "
-            'place of the column, time = { rate = "100 Hz" }'
-        )
-    return ""
-
-
-def _date_unit(since: float) -> dict[str, Any]:
-    """Unit of a time that counts from 1900, 1904, 1970 or the year 0, and the doubt about it."""
-    for unit, (low, high) in _DATES.items():
-        if low < since < high:
-            doubt = f"no unit of time is given; it looks like a date, counted in {unit}"
-            return {"unit": unit, "doubts": (doubt,)}
-    return {"lacking": "it begins at a number too large for a time: what does it count?"}
-
-
-def _of_two_units(table: Table, values: Array, found: Mapping[str, Guess]) -> str:
-    """Why the steps of a time do not tell its unit; empty where they do."""
-    cycle = _cycle(table, values, found.get("displacement"))
-    step = float(np.median(np.diff(values)))
-    if step < SLOWEST_STEP and FAST_CYCLE < cycle < SLOW_PERIOD and step * SLOW_RATE >= 1.0:
-        return (
-            f"its steps may be s or ms: one gives a cycle of {cycle:.3g} s, the other of "
-            f"{cycle / 1000:.3g} s"
-        )
-    if cycle / 1000 > SLOW_PERIOD and step >= 1000 * SLOWEST_STEP:
-        return "its steps are neither those of s nor of ms"
-    return ""
-
-
-def _is_slow(table: Table, values: Array, found: Mapping[str, Guess]) -> bool:
-    """Whether times without a unit are ms: in s, a cycle would take hours, or a sample too long."""
-    cycle = _cycle(table, values, found.get("displacement"))
-    step = float(np.median(np.diff(values)))
-    return cycle > FAST_CYCLE and step * SLOW_RATE >= 1.0
-
-
-def _cycle(table: Table, time: Array, displacement: Guess | None) -> float:
-    """Time of a cycle, in the unit of the time; 0 where it cannot be told."""
+        return {}
+    given, since = "no unit of time is given; ", float(values[0])
+    if since >= _EARLIEST and np.ptp(values) < 0.05 * since:
+        for unit, (low, high) in _DATES.items():
+            if low < since < high:
+                return {
+                    "unit": unit,
+                    "doubts": (f"{given}it looks like a date, counted in {unit}",),
+                }
+        return {"lacking": "it begins at a number too large for a time: what does it count?"}
+    name, steps = own_name(guess.name), np.diff(values)
+    words = re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower())
+    is_whole = bool(np.all(values == np.round(values)))
+    if is_whole and (any(map(_COUNTER.fullmatch, words)) or np.all(steps == 1.0)):
+        return {
+            "lacking": f"{name or 'this column'!r} counts samples and is no time: at which rate? "
+            'Write it in place of the column, time = { rate = "100 Hz" }'
+        }
     motion = None if displacement is None else numbers_of(table, displacement.name)
-    if motion is None or motion.size != time.size:
-        return 0.0
-    turns = cycle_turns(motion).size
-    return float(np.ptp(time)) / max(turns / 2, 1.0)
+    cycle = 0.0  # time of a cycle, in the unit of the time
+    if motion is not None and motion.size == values.size:
+        cycle = float(np.ptp(values)) / max(cycle_turns(motion).size / 2, 1.0)
+    step = float(np.median(steps))
+    is_slow = step * SLOW_RATE >= 1.0
+    if step < SLOWEST_STEP and FAST_CYCLE < cycle < SLOW_PERIOD and is_slow:
+        return {
+            "lacking": f"its steps may be s or ms: one gives a cycle of {cycle:.3g} s, the other "
+            f"of {cycle / 1000:.3g} s"
+        }
+    if cycle / 1000 > SLOW_PERIOD and step >= 1000 * SLOWEST_STEP:
+        return {"lacking": "its steps are neither those of s nor of ms"}
+    unit = "ms" if cycle > FAST_CYCLE and is_slow else "s"
+    return {"unit": unit, "doubts": (*guess.doubts, f"{given}the steps look like {unit}")}
 
 
-def _checked_velocity(table: Table, found: dict[str, Guess]) -> dict[str, Guess]:
-    """Guesses, without the velocity unless it has a unit and is the displacement's slope."""
-    if "velocity" not in found:
-        return found
+def _is_slope(table: Table, guesses: Mapping[str, Guess]) -> bool:
+    """Whether the velocity has a unit and is the slope of the displacement."""
     roles = ("time", "displacement", "velocity")
-    wanted = [found[role].name for role in roles if role in found]
+    if guesses["velocity"].unit is None or not all(role in guesses for role in roles):
+        return False
+    names = [guesses[role].name for role in roles]
     try:
-        values = table.columns(wanted)
+        columns = table.columns(names)
     except MfdError:
-        values = {}
-    if found["velocity"].unit is not None and len(wanted) == len(roles) == len(values):
-        time, displacement, velocity = (values[name] for name in wanted)
-        with np.errstate(all="ignore"):
-            slope = np.gradient(displacement, time)
-            alike = np.corrcoef(slope, velocity)[0, 1]
-        if alike > 0.9:
-            return found
-    return {role: guess for role, guess in found.items() if role != "velocity"}
+        return False
+    time, displacement, velocity = (columns[name] for name in names)
+    with np.errstate(all="ignore"):
+        slope = np.gradient(displacement, time)
+        return bool(np.corrcoef(slope, velocity)[0, 1] > 0.9)
 
 
-def _listed(names: list[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     shown = ", ".join(repr(name) for name in names[:4])
     return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"

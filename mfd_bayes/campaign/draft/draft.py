@@ -9,13 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.campaign.draft.actuation import (
-    Candidate,
+    TestFile,
     actuation_of,
+    level_in_header,
+    levels_in,
     prevailing_unit,
+    rate_in_header,
     without_shared_levels,
 )
 from mfd_bayes.campaign.draft.columns import Guess, guess_columns, timed_by_rate
-from mfd_bayes.campaign.draft.levels import level_in_header, levels_in, rate_in_header
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.records.data_quality import force_sign
@@ -29,9 +31,12 @@ from mfd_bayes.units import ActuationUnit, actuation_factor
 
 _ESSENTIAL = ("time", "displacement", "force")
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip", "velocity": "in/s"}
-_TABLES = ("parameters", "derived", "laws", "law_scores", "checks", "scores", "crossvalidation")
-_OWN = frozenset(f"{name}{suffix}" for name in _TABLES for suffix in (".csv", ".json"))
-_OWN |= {"comparison.csv", "manifest.json"}
+_OWN = re.compile(
+    r"(?:parameters|derived|laws|law_scores|checks|scores|crossvalidation)\.(?:csv|json)"
+    r"|comparison\.csv|manifest\.json"
+)
+"""Names of the tables of a run."""
+
 _EARTHQUAKE = re.compile(
     r"quake|seism|(?<![a-z])(?:eq|gm|dbe|mce|sle)(?![a-z])|dbe|mce|kobe|centro|northridge"
     r"|imperial|kocaeli|chi-?chi|prieta|tabas|landers|duzce|ground.?motion|random|white.?noise",
@@ -41,40 +46,58 @@ _EARTHQUAKE = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class TestDraft:
-    """A test, as guessed from its file."""
+    """A test, as guessed from its file.
+
+    Attributes
+    ----------
+    columns : dict of str to Guess
+        Role to column, without the actuation.
+    actuation : str or Guess or None
+        A level, a column with a history, or None where it is unknown.
+    source : str
+        Where the actuation stands, or which columns might hold it.
+    doubts : tuple of str
+        What is not certain about the actuation, and what contradicts the file's name.
+    earthquake : bool
+        Whether the file's name is that of an earthquake.
+    scales : Scales or None
+        What its loops show; None where a unit is unknown.
+    """
+
+    __test__ = False
 
     id: str
     file: str
     columns: dict[str, Guess]
-    """Role to column, without the actuation."""
     actuation: str | Guess | None
-    """A level, a column with a history, or None where it is unknown."""
     source: str
-    """Where the actuation was found, or which columns might hold it."""
     doubts: tuple[str, ...]
-    """What is not certain about the actuation, and what contradicts the file's name."""
     earthquake: bool
-    """Whether the file's name is that of an earthquake."""
     scales: Scales | None = None
-    """What its loops show; None where a unit is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A campaign, as guessed from the files of a folder."""
+    """A campaign, as guessed from the files of a folder.
+
+    Attributes
+    ----------
+    left_out : tuple of (str, str)
+        Files that are not tests of the campaign, and why.
+    unit : str or None
+        "ksi" where actuations are pressures, "kip" of tensions, …; None if unknown.
+    """
 
     folder: Path
     tests: tuple[TestDraft, ...]
     left_out: tuple[tuple[str, str], ...]
-    """Files that are not tests of the campaign, and why."""
     unit: ActuationUnit | None
-    """"ksi" where actuations are pressures, "kip" of tensions, …; None if unknown."""
 
     @property
     def scales(self) -> dict[str, Scales]:
         """What the loops show, by file; empty where a unit of a test is unknown."""
-        found = {test.file: test.scales for test in self.tests if test.scales is not None}
-        return found if len(found) == len(self.tests) else {}
+        scales = {test.file: test.scales for test in self.tests if test.scales is not None}
+        return scales if len(scales) == len(self.tests) else {}
 
 
 def draft_campaign(folder: Path) -> Draft:
@@ -85,21 +108,25 @@ def draft_campaign(folder: Path) -> Draft:
     CampaignError
         When the folder cannot be read or holds no test.
     """
-    files: list[Candidate] = []
+    try:
+        paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
+    except OSError as error:
+        raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
+    files: list[TestFile] = []
     left_out: list[tuple[str, str]] = []
-    for path in _files(folder):
+    for path in sorted(paths, key=_natural):
         try:
-            files.append(_look_at(path, folder))
+            files.append(_read_file(path, folder))
         except MfdError as error:
             left_out.append(_reason(path, error))
     files = without_shared_levels(files)
     unit = prevailing_unit(files)
     tests: list[TestDraft] = []
-    for one in files:
+    for file in files:
         try:
-            tests.append(_test(one, unit, [test.id for test in tests]))
+            tests.append(_draft_test(file, unit, [test.id for test in tests]))
         except MfdError as error:
-            left_out.append(_reason(one.path, error))
+            left_out.append(_reason(file.path, error))
     if not tests:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:5])
         raise CampaignError(
@@ -107,6 +134,12 @@ def draft_campaign(folder: Path) -> Draft:
             + (f": {reasons}" if reasons else f" and one of the suffixes {', '.join(SUFFIXES)}")
         )
     return Draft(folder, tuple(tests), tuple(left_out), unit)
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Key of sorting, with p500 before p1000."""
+    parts = re.split(r"([0-9]+)", path.name.lower())
+    return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], path.name
 
 
 def _reason(path: Path, error: MfdError) -> tuple[str, str]:
@@ -117,29 +150,10 @@ def _reason(path: Path, error: MfdError) -> tuple[str, str]:
 
 
 def _is_utf8(name: str) -> bool:
-    """Whether UTF-8 can encode a name."""
-    try:
-        name.encode("utf-8")
-    except UnicodeEncodeError:
-        return False
-    return True
+    return not any("\ud800" <= letter <= "\udfff" for letter in name)
 
 
-def _files(folder: Path) -> list[Path]:
-    """Files of a folder that may be tests, sorted with p500 before p1000."""
-    try:
-        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
-    except OSError as error:
-        raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
-    return sorted((path for path in found if path.is_file()), key=lambda path: _natural(path.name))
-
-
-def _natural(name: str) -> tuple[list[tuple[int, str]], str]:
-    parts = re.split(r"([0-9]+)", name.lower())
-    return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], name
-
-
-def _look_at(path: Path, folder: Path) -> Candidate:
+def _read_file(path: Path, folder: Path) -> TestFile:
     """Guessed columns and actuations of a file; raises where it cannot be a test."""
     if not _is_utf8(path.name):
         raise RecordError("its name is not UTF-8, as a campaign file must be: rename it")
@@ -156,23 +170,19 @@ def _look_at(path: Path, folder: Path) -> Candidate:
     missing = [role for role in _ESSENTIAL if role not in columns]
     if missing:
         again = next(iter(table.blocks.values()), "")
-        blocks = (
-            f"; the heading is repeated from {again}: keep one block in a file" if again else ""
-        )
-        blocks += "".join(f"; {note}" for note in table.notes)
+        notes = [f"the heading is repeated from {again}: keep one block in a file"] if again else []
         raise RecordError(
-            f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}{blocks}"
+            f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}"
+            + "".join(f"; {note}" for note in (*notes, *table.notes))
         )
-    odd = [
-        guess.name for guess in (*columns.values(), column) if guess and not _is_utf8(guess.name)
-    ]
-    if odd:
-        raise RecordError(f"the name of its column {odd[0]!a} is not UTF-8: rename it")
+    for guess in (*columns.values(), column):
+        if guess and not _is_utf8(guess.name):
+            raise RecordError(f"the name of its column {guess.name!a} is not UTF-8: rename it")
     header, named = level_in_header(table.head, table.names), levels_in(path.stem)
-    other = column is not None and column.unit and actuation_factor(column.unit)[1]
-    if (header or named) and other not in (None, False, "ksi", "kip"):
+    other = column and column.unit and actuation_factor(column.unit)[1] not in ("ksi", "kip")
+    if other and (header or named):
         column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
-    return Candidate(path, table, columns, column, header, named)
+    return TestFile(path, table, columns, column, header, named)
 
 
 def _is_own(path: Path, table: Table) -> bool:
@@ -181,14 +191,14 @@ def _is_own(path: Path, table: Table) -> bool:
     units = [name.removeprefix("lower_") for name in names if name.startswith("lower_")]
     bands = any({f"median_{unit}", f"upper_{unit}"} <= names for unit in units)
     derived = path.stem.endswith("_derived") and "quantity" in table.names
-    return bands or derived or path.name in _OWN
+    return bands or derived or _OWN.fullmatch(path.name) is not None
 
 
-def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> TestDraft:
+def _draft_test(file: TestFile, unit: ActuationUnit | None, taken: Sequence[str]) -> TestDraft:
     """Draft of a file; raises where the file cannot be read with the guessed columns."""
-    actuation, source, doubts = actuation_of(one, unit)
-    roles = dict(one.columns)
-    record = _record(one.path, roles, actuation)
+    actuation, source, doubts = actuation_of(file, unit)
+    roles = dict(file.columns)
+    record = _read_record(file.path, roles, actuation)
     sound = without_spikes(record.trace())
     if any(force_sign(sound)) and not channels_swapped(sound):
         doubt = (
@@ -197,25 +207,26 @@ def _test(one: Candidate, unit: ActuationUnit | None, taken: Sequence[str]) -> T
         )
         force = roles["force"]
         roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
-        record = _record(one.path, roles, actuation)
+        record = _read_record(file.path, roles, actuation)
     known = {role for role, guess in roles.items() if guess.unit is not None}
-    doubts += tuple(fault.sentence for fault in contradictions(record, known=known))
+    doubts += tuple(str(fault.message) for fault in contradictions(record, roles=known))
     if "displacement" not in known and (length := length_in_name(record)):
         lacking = f'write unit = "{length[0]}": {length[1]}'
         roles["displacement"] = replace(roles["displacement"], lacking=lacking)
+    complete = known.issuperset(_ESSENTIAL)
     return TestDraft(
-        id=_id(one.path.stem, taken),
-        file=one.path.name,
+        id=_new_id(file.path.stem, taken),
+        file=file.path.name,
         columns=roles,
         actuation=actuation,
         source=source,
         doubts=doubts,
-        earthquake=_EARTHQUAKE.search(one.path.stem) is not None,
-        scales=_scales(record, roles),
+        earthquake=_EARTHQUAKE.search(file.path.stem) is not None,
+        scales=scales_of(without_spikes(record.trace())) if complete else None,
     )
 
 
-def _record(path: Path, roles: dict[str, Guess], actuation: str | Guess | None) -> Record:
+def _read_record(path: Path, roles: dict[str, Guess], actuation: str | Guess | None) -> Record:
     """Record of the guessed columns; unknown units are taken for the internal ones."""
     sources = {role: guess.source for role, guess in roles.items()}
     units = {r: _INTERNAL[r] for r, g in roles.items() if g.unit is None and g.name}
@@ -224,18 +235,12 @@ def _record(path: Path, roles: dict[str, Guess], actuation: str | Guess | None) 
     return read_record(path, sources, units, actuation if isinstance(actuation, str) else None)
 
 
-def _scales(record: Record, roles: dict[str, Guess]) -> Scales | None:
-    """Scales of a record whose units are known."""
-    known = all(roles[role].unit is not None for role in _ESSENTIAL)
-    return scales_of(without_spikes(record.trace())) if known else None
-
-
-def _id(stem: str, taken: Sequence[str]) -> str:
+def _new_id(stem: str, taken: Sequence[str]) -> str:
     """Id from a file's name; no id in `taken` differs from it in the case of letters only."""
-    plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
-    name = re.sub(r"[^A-Za-z0-9+_.-]+", "_", plain).lstrip(".").strip("_")[:90] or "test"
+    ascii_ = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^A-Za-z0-9+_.-]+", "_", ascii_).lstrip(".").strip("_")[:90] or "test"
     used = {other.lower() for other in taken} | RESERVED
-    number, found = 2, name
-    while found.lower() in used:
-        found, number = f"{name}_{number}", number + 1
-    return found
+    number, new = 2, name
+    while new.lower() in used:
+        new, number = f"{name}_{number}", number + 1
+    return new

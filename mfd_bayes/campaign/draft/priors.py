@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,62 +47,77 @@ class Units:
 
     def quantity(self, value: float, kind: str) -> str:
         """Value of an internal unit, by its kind such as "force/length", in these units."""
-        named = {"force": self.force, "length": self.length, "speed": f"{self.length}/s"}
-        over, _, under = kind.partition("/")
-        pairs = {"force/speed": f"{self.force}*s/{self.length}", "length/speed": "s"}
-        unit = pairs.get(kind) or (f"{named[over]}/{named[under]}" if under else named[over])
+        unit = {
+            "force": self.force,
+            "length": self.length,
+            "speed": f"{self.length}/s",
+            "force/length": f"{self.force}/{self.length}",
+            "force/speed": f"{self.force}*s/{self.length}",
+            "length/speed": "s",
+        }[kind]
         return f"{in_digits(value * convert(_INTERNAL[kind], unit), 3)} {unit}"
 
 
-def knows(priors: str, found: Mapping[str, Scales]) -> bool:
+def knows(priors: str, scales: Mapping[str, Scales]) -> bool:
     """Whether a shipped prior file expects slip forces and lengths such as these."""
-    file, scales = load_priors(priors), middle(found.values())
+    file, usual = load_priors(priors), middle(scales.values())
     slip = file.parameters["Fc_fwd"].figures
-    away = abs(np.log(scales.force / slip["median"])) / slip["spread"]
-    gap = file.gap or scales.length
-    return bool(away < OTHER and scales.length < LONG * gap and scales.stroke > SHORT * gap)
+    away = abs(np.log(usual.force / slip["median"])) / slip["spread"]
+    gap = file.gap or usual.length
+    return bool(away < OTHER and usual.length < LONG * gap and usual.stroke > SHORT * gap)
 
 
-def priors_text(found: Mapping[str, Scales], units: Units) -> str:
+def priors_text(scales: Mapping[str, Scales], units: Units) -> str:
     """Prior file for records whose scales are known, by the names of their tests or files."""
-    whole = middle(found.values())
-    content = read_toml(find_priors("any"))
-    values = {"force": whole.force, "length": whole.length, "speed": whole.speed}
-    own = _own(found, whole, units)
+    usual = middle(scales.values())
+    sizes = {"force": usual.force, "length": usual.length, "speed": usual.speed}
+    content, own = read_toml(find_priors("any")), _own_priors(scales, usual, units)
     tables = []
     for section in ("parameters", "scatter"):
         for name, table in content[section].items():
-            table = own.get(name, table) if section == "parameters" else table
-            tables.append(_table(f"{section}.{name}", table, values, units))
-    title = f"{SCALED}: {_records(found)}"
-    return f"{_HEAD}title = {quoted(title)}\n" + "".join(tables)
+            lines = [f"\n[{section}.{name}]"]
+            for key, value in (own.get(name, table) if section == "parameters" else table).items():
+                note, match = "", _MULTIPLE.fullmatch(value) if isinstance(value, str) else None
+                if isinstance(value, tuple):
+                    value = units.quantity(*value)
+                elif match is not None:  # a multiple of scales
+                    over, _, under = match[2].partition("/")
+                    size = float(match[1]) * sizes[over] / sizes.get(under, 1.0)
+                    note = f"  {commented(value)}"
+                    value = units.quantity(size, match[2])
+                lines.append(f"{key} = {_toml(value)}{note}")
+            tables.append("\n".join(lines) + "\n")
+    return f"{_HEAD}title = {quoted(f'{SCALED}: {_names(scales)}')}\n" + "".join(tables)
 
 
-def _own(found: Mapping[str, Scales], whole: Scales, units: Units) -> dict[str, dict[str, object]]:
+def _own_priors(
+    scales: Mapping[str, Scales], usual: Scales, units: Units
+) -> dict[str, dict[str, object]]:
     """Priors that are read off the records themselves, by parameter."""
-    forces = [scales.force for scales in found.values()]
+
+    def lognormal(value: float, kind: str, spread: float, reason: str) -> dict[str, object]:
+        reason = f"{reason}; spread a factor of {np.exp(spread):.2g}"
+        return {"family": "lognormal", "median": (value, kind), "spread": spread, "reason": reason}
+
+    forces = [own.force for own in scales.values()]
+    ends = dict.fromkeys(units.quantity(f, "force") for f in (min(forces), max(forces)))
     spread = max(_WIDE, 0.5 * float(np.log(max(forces) / min(forces))) + 0.7)
-    slips = f"the plateau of {_records(found)}, {_range(forces, units)}"
-    slip = _lognormal(whole.force, "force", spread, f"{slips}; {_factor(spread)}")
-    noise = max(3.0 * whole.noise, 0.03 * whole.force)
-    offset = max(0.3 * whole.force, 2.0 * max(abs(s.offset) for s in found.values()))
-    figures = {
-        "sigma0": (whole.unloading, "the slope after reversals"),
-        "k3": (whole.build_up, "the slope at which the force comes back"),
-        **dict.fromkeys(
-            ("k", "k_fwd", "k_bwd"), (whole.build_up, "the slope at which the force comes back")
-        ),
-    }
-    slopes = {
-        name: _lognormal(value, "force/length", 1.5, f"{what}; {_factor(1.5)}")
-        for name, (value, what) in figures.items()
-    }
-    shown = units.quantity(whole.noise, "force")
-    read = f"samples differ by {shown} from their neighbours; model error is some percent more"
+    where = f"the plateau of {_names(scales)}, {' to '.join(ends)}"
+    slip = lognormal(usual.force, "force", spread, where)
+    build_up = "the slope at which the force comes back"
+    slope = lognormal(usual.build_up, "force/length", 1.5, build_up)
+    unloading = lognormal(usual.unloading, "force/length", 1.5, "the slope after reversals")
+    noise = (
+        f"samples differ by {units.quantity(usual.noise, 'force')} from their neighbours; model "
+        "error is some percent more"
+    )
+    noise_sd = max(3.0 * usual.noise, 0.03 * usual.force)
+    offset = max(0.3 * usual.force, 2.0 * max(abs(own.offset) for own in scales.values()))
     return {
         **dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"), slip),
-        **slopes,
-        "noise_sd": _lognormal(noise, "force", 1.2, f"{read}; {_factor(1.2)}"),
+        **dict.fromkeys(("k3", "k", "k_fwd", "k_bwd"), slope),
+        "sigma0": unloading,
+        "noise_sd": lognormal(noise_sd, "force", 1.2, noise),
         "offset": {
             "family": "normal",
             "mean": "0 force",
@@ -112,44 +127,13 @@ def _own(found: Mapping[str, Scales], whole: Scales, units: Units) -> dict[str, 
     }
 
 
-def _lognormal(value: float, kind: str, spread: float, reason: str) -> dict[str, object]:
-    return {"family": "lognormal", "median": (value, kind), "spread": spread, "reason": reason}
-
-
-def _table(
-    name: str, table: Mapping[str, object], values: Mapping[str, float], units: Units
-) -> str:
-    """A table in TOML, with multiples of scales in units."""
-    lines = [f"\n[{name}]"]
-    for key, given in table.items():
-        value, note = given, ""
-        match = _MULTIPLE.fullmatch(given) if isinstance(given, str) else None
-        if isinstance(given, tuple):
-            value = units.quantity(*given)
-        elif match is not None:
-            over, _, under = match[2].partition("/")
-            size = float(match[1]) * values[over] / values.get(under, 1.0)
-            value, note = units.quantity(size, match[2]), f"  {commented(str(given))}"
-        lines.append(f"{key} = {_toml(value)}{note}")
-    return "\n".join(lines) + "\n"
+def _names(records: Iterable[str]) -> str:
+    first, *others = records
+    more = f" and {len(others)} more" if len(others) > 1 else f" and {others[0]}" if others else ""
+    return f"{first}{more}"
 
 
 def _toml(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_toml, value))}]"
     return quoted(value) if isinstance(value, str) else f"{value:.3g}"
-
-
-def _records(found: Mapping[str, Scales]) -> str:
-    first, *others = found
-    more = f" and {len(others)} more" if len(others) > 1 else f" and {others[0]}" if others else ""
-    return f"{first}{more}"
-
-
-def _range(values: list[float], units: Units) -> str:
-    low, high = (units.quantity(value, "force") for value in (min(values), max(values)))
-    return low if low == high else f"{low} to {high}"
-
-
-def _factor(spread: float) -> str:
-    return f"spread a factor of {np.exp(spread):.2g}"

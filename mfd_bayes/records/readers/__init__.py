@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers.excel import read_excel
-from mfd_bayes.records.readers.json_lists import read_json
+from mfd_bayes.records.readers.json import read_json
 from mfd_bayes.records.readers.matlab import read_matlab
 from mfd_bayes.records.readers.table import Table
 from mfd_bayes.records.readers.tdms import read_tdms

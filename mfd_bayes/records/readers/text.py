@@ -21,7 +21,7 @@ from mfd_bayes.records.readers.grid import (
     kinds,
     table_of,
 )
-from mfd_bayes.records.readers.table import SURELY_DECIMAL, Column, Table, check_names, labels
+from mfd_bayes.records.readers.table import SURELY_DECIMAL, Array, Table, check_names, labels
 
 SIZE, LINE = 256, 2**17  # largest file, MB, and most characters of a line
 BLANKS = " "
@@ -31,8 +31,6 @@ _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _COMMENT = re.compile(r"\s*#(?!N/A|VALUE!|REF!|DIV/0!|NUM!|NAME\?|NULL!)")  # no error of Excel
 _COMMENTS = "#%/;!"  # signs before names, from programs of all kinds
 _OPEN = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')
-# What numbers and time stamps are written with, so that no line is a heading.
-_PLAIN = re.compile(r"[\d\s.,;:/eE+\-TZAPM]*", re.ASCII)
 
 
 def read_text(path: Path) -> Table:
@@ -44,47 +42,42 @@ def read_text(path: Path) -> Table:
     Blank lines and those that begin with # are skipped, and headings that are repeated between the
     numbers.
     """
-    lines = _decoded(path).split("\n")
+    lines = _decode(path).split("\n")
     comment = _COMMENT.match
     kept = [i for i, line in enumerate(lines) if line.strip() and not comment(line)]
     if not kept:
         raise RecordError(f"{path} is empty")
     separator, rows, layout = _layout(path, [lines[i] for i in kept[:SEARCHED]])
-    row = rows[layout.data if layout.names is None else layout.names]
-    width = len(row) if layout.names is None else max(len(kinds(row).rstrip("-")), 1)
-    names: Sequence[str] | None = None
-    units: Row = ()
-    top = kept[layout.data if layout.names is None else layout.names]
-    if layout.names is None and (said := _commented(lines[:top], separator, width)):
-        top, names, units = said
+    top = layout.data if layout.names is None else layout.names
+    width = len(rows[top]) if layout.names is None else max(len(kinds(rows[top]).rstrip("-")), 1)
+    top, heading = kept[top], None
+    if layout.names is None and (above := _heading_in_comments(lines[:top], separator, width)):
+        top, heading = above[0], above[1:]
     body = [lines[i] for i in kept[layout.data :]]
-    text = _clean(body, separator, width)
-    if text is None:  # line by line, for what stands between the numbers
-        odd = next((i for i in kept[layout.data :] if _OPEN.search(lines[i])), None)
-        if odd is not None:
+    numbers = _numbers(body, separator, width)
+    if numbers is None:  # line by line, for what stands between the numbers
+        unclosed = next((i for i in kept[layout.data :] if _OPEN.search(lines[i])), None)
+        if unclosed is not None:
             raise RecordError(
-                f"line {odd + 1} of {path} has a quotation mark without its partner, which would "
-                "join it with the next lines"
+                f"line {unclosed + 1} of {path} has a quotation mark without its partner, which "
+                "would join it with the next lines"
             )
         rows = [*rows[: layout.data], *(_split(line, separator) for line in body)]
     places = [f"line {i + 1}" for i in kept]
-    table, at = table_of(
+    table, used = table_of(
         path,
-        str(path),
         rows,
         places,
         layout,
-        place=places.__getitem__,
-        names=names,
-        units=units,
-        load=None if text is None else lambda columns: _parsed(text, separator, columns),
+        heading=heading,
+        numbers=numbers,
+        blank="",
         decimals=(".",) if separator == "," else (".", ","),
         head=tuple(lines[:top]),
-        blank="",
     )
     if table.headed and len(lines) > len(kept):
         _check_order(path, lines, table.names, top)
-    for number in at if text is None else ():
+    for number in used if numbers is None else ():
         row = rows[number]
         # Between blanks no cell can be empty.
         if any(row[width:]) or (separator == BLANKS and len(row) < width):
@@ -96,7 +89,7 @@ def read_text(path: Path) -> Table:
     return table
 
 
-def _decoded(path: Path) -> str:
+def _decode(path: Path) -> str:
     """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan.
 
     Numbers and units are the same in all of these; names may look odd.
@@ -120,31 +113,29 @@ def _decoded(path: Path) -> str:
         raise RecordError(f"{path} is not UTF-8 text, as a {path.suffix} file must be")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if long := re.search(rf"[^\n]{{{LINE + 1}}}", text):
-        number = text.count("\n", 0, long.start()) + 1
         raise RecordError(
-            f"line {number} of {path} is longer than {LINE:,} characters, the most that is read; "
-            "expected a line for every sample"
+            f"line {text.count(chr(10), 0, long.start()) + 1} of {path} is longer than {LINE:,} "
+            "characters, the most that is read; expected a line for every sample"
         )
     return text
 
 
-def _layout(path: Path, head: list[str]) -> tuple[str, list[Row], Layout]:
+def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
     """Separator whose table has the largest share of numbers, its first rows, and its layout.
 
     A table has names; without any, it is the longest block of rows of numbers.
     """
-    whole = "\n".join(head)
-    found: list[tuple[str, list[Row], Layout]] = []
+    candidates: list[tuple[str, list[Row], Layout]] = []
     for separator in SEPARATORS:
-        if separator != BLANKS and separator not in whole:
+        if separator != BLANKS and not any(separator in line for line in lines):
             continue
-        rows: list[Row] = [_split(line, separator) for line in head]
+        rows: list[Row] = [_split(line, separator) for line in lines]
         if separator != BLANKS:
             check_names(path, [""] * max(map(len, rows)))
         layout = find_table(rows, exact=separator != BLANKS)
         while separator == BLANKS and layout is not None and layout.names is not None:
             # Words with single blanks between them are names only where each has a column.
-            spaced = re.split(r"\s{2,}|\t", head[layout.names].strip())
+            spaced = re.split(r"\s{2,}|\t", lines[layout.names].strip())
             if len(spaced) == len(rows[layout.data]):
                 rows[layout.names] = spaced
             if len(rows[layout.names]) == len(rows[layout.data]):
@@ -152,85 +143,67 @@ def _layout(path: Path, head: list[str]) -> tuple[str, list[Row], Layout]:
             rows[layout.names] = ()
             layout = find_table(rows)
         if layout is not None:
-            found.append((separator, rows, layout))
-    if found:
-        return max(found, key=lambda f: (f[2].names is not None, f[2].weight, f[2].count))
-    separator = next((sign for sign in SEPARATORS[:-1] if sign in head[0]), ",")
-    return separator, [_split(line, separator) for line in head], Layout(0, None, 1, 0.0, 0)
+            candidates.append((separator, rows, layout))
+    if candidates:
+        return max(candidates, key=lambda c: (c[2].names is not None, c[2].weight, c[2].count))
+    separator = next((sign for sign in SEPARATORS[:-1] if sign in lines[0]), ",")
+    return separator, [_split(line, separator) for line in lines], Layout(0, None, 1, 0.0, 0)
 
 
 def _split(line: str, separator: str) -> list[str]:
     if separator == BLANKS:
         return line.split()
-    if separator not in line:
-        return [line.strip().strip('"')]
     if '"' not in line:
         return [cell.strip() for cell in line.split(separator)]
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
 
 
-def _clean(body: list[str], separator: str, width: int) -> str | None:
-    """Text of rows of numbers that stand alone, each with as many cells as names; else None."""
-    text = "\n".join(body).replace("\N{MINUS SIGN}", "-")
-    if not body or not _PLAIN.fullmatch(text):
-        return None
-    codes = np.frombuffer(text.encode("ascii"), np.uint8)
-    ends = np.append(np.flatnonzero(codes == 10), codes.size)
-    if separator == BLANKS:
-        blank = codes <= 32
-        marks, each = np.flatnonzero(~blank & np.append(True, blank[:-1])), width
-    else:
-        marks, each = np.flatnonzero(codes == ord(separator)), width - 1
-        each += bool(np.all(codes[ends - 1] == ord(separator)))  # one at the end of each line
-    return text if np.all(np.diff(np.searchsorted(marks, ends), prepend=0) == each) else None
-
-
-def _parsed(text: str, separator: str, positions: Sequence[int]) -> Sequence[Column]:
-    """Columns of clean rows: numbers where a column holds them alone, else its cells."""
+def _numbers(body: list[str], separator: str, width: int) -> list[Array] | None:
+    """Columns of rows that hold finite numbers alone, one for each name; None of other rows."""
     import pandas as pd
 
-    if not positions:
-        return []
-    comma = separator != "," and "." not in text and SURELY_DECIMAL.search(text) is not None
-    options: dict[str, Any] = {"dtype": np.float64, "decimal": "," if comma else "."}
+    text = "\n".join(body).replace("\N{MINUS SIGN}", "-")
+    options: dict[str, Any] = {"sep": r"\s+" if separator == BLANKS else separator}
     if pd.__version__.startswith("2."):  # its own parser reads 1e4294967297 as 10
         options["float_precision"] = "round_trip"
-    for kind in (options, {"dtype": str, "keep_default_na": False}):
+    for decimal in "." if separator == "," else ".,":
+        if decimal == "," and not SURELY_DECIMAL.search(text):
+            return None  # which refuses a comma that may be of thousands
         try:
             frame = pd.read_csv(
                 StringIO(text),
-                sep=r"\s+" if separator == BLANKS else separator,
                 header=None,
-                usecols=sorted(set(positions)),
+                dtype=np.float64,
+                decimal=decimal,
                 skipinitialspace=True,
                 index_col=False,
-                **kind,
+                **options,
             )
         except (ValueError, OverflowError):  # pandas' own are a ValueError too
             continue
-        columns = [frame[k].to_numpy() for k in positions]
-        if kind is not options:
-            return [column.tolist() for column in columns]
-        if all(np.all(np.isfinite(column)) for column in columns):
+        columns = [frame[k].to_numpy() for k in frame]
+        if len(columns) == width + 1 and np.all(np.isnan(columns[-1])):
+            columns.pop()  # a separator ends each line
+        if len(columns) == width and all(np.all(np.isfinite(column)) for column in columns):
             return columns
-    return []
+    return None
 
 
-def _commented(
+def _heading_in_comments(
     above: Sequence[str], separator: str, width: int
 ) -> tuple[int, tuple[str, ...], list[str]] | None:
-    """Names, and units, in the comments right above numbers that have none, with their line."""
+    """Line, names and units in the comments right above numbers that have no names."""
     comments = [at for at, line in enumerate(above) if line.lstrip().startswith(tuple(_COMMENTS))]
-    rows = {at: _words_of(above[at], separator, width) for at in comments[-2:]}
-    found = [at for at in rows if rows[at]]
-    if not found:
+    words = {at: row for at in comments[-2:] if (row := _words(above[at], separator, width))}
+    if not words:
         return None
-    at = found[0] if len(found) == 2 and gives_units(rows[found[1]], rows[found[0]]) else found[-1]
-    units = rows[found[1]] if at != found[-1] else []
-    return at, labels(rows[at]), units
+    first, *_, last = *words, *words
+    if len(words) == 2 and gives_units(words[last], words[first]):
+        return first, labels(words[first]), words[last]
+    return last, labels(words[last]), []
 
 
-def _words_of(comment: str, separator: str, width: int) -> list[str]:
+def _words(comment: str, separator: str, width: int) -> list[str]:
     """Words of a comment, one for each column; empty where it has not so many, or a number."""
     whole = comment.strip()
     for text in (whole.lstrip(_COMMENTS).strip(), whole):  # a column may be called #
@@ -244,8 +217,8 @@ def _words_of(comment: str, separator: str, width: int) -> list[str]:
 def _check_order(path: Path, lines: Sequence[str], names: Sequence[str], top: int) -> None:
     """Refuse a comment below the names that has them in another order."""
     for at, line in enumerate(lines[top + 1 :], start=top + 2):
-        if line.startswith("#") or line[:1].isspace():
-            words = _words_of(line, ",", len(names)) if line.lstrip().startswith("#") else []
+        if line.lstrip().startswith("#"):
+            words = _words(line, ",", len(names))
             if words and words != list(names) and sorted(words) == sorted(names):
                 raise RecordError(
                     f"line {at} of {path} names the columns in another order than line {top + 1}: "

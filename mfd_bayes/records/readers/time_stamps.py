@@ -15,125 +15,115 @@ from mfd_bayes.errors import RecordError
 _NAMES = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _MONTHS = {name: number for number, name in enumerate(_NAMES, start=1)}
 _MONTHS |= {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
-_DATE = (
-    r"(?:(?P<y>\d{4})(?P<s1>[-/.])(?P<m>\d{1,2})(?P=s1)(?P<d>\d{1,2})"  # 2024-03-05
-    r"|(?P<cy>\d{4})(?P<cm>\d{2})(?P<cd>\d{2})"  # 20240305
-    r"|(?P<a>\d{1,2})(?P<s2>[-/.])(?P<b>\d{1,2})(?P=s2)(?P<ab>\d{4}|\d{2})"  # 03/05/2024
-    r"|(?P<nd>\d{1,2})[- .]{1,2}(?P<nm>[^\W\d_]{3,9})\.?[- ,]{1,2}(?P<ny>\d{4}|\d{2})"  # 5-Mar-24
-    r"|(?:[^\W\d_]{3}\s+)?(?P<um>[^\W\d_]{3,9})\.?\s+(?P<ud>\d{1,2}),?\s+(?P<uy>\d{4})"  # Mar 5 24
-    r")"
+_CLOCK = re.compile(
+    r"(?<![\d:.,])(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d):(?P<s>[0-5]\d)(?:[.,:](?P<f>\d{1,9}))?"
+    r"|(?P<m2>\d{1,3}):(?P<s2>[0-5]\d)[.,](?P<f2>\d{1,9}))"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?(?=$|[,; ])"
 )
-_CLOCK = (
-    r"(?:(?P<h>\d{1,4}):(?P<min>[0-5]\d):(?P<sec>[0-5]\d)(?:[.,:](?P<frac>\d{1,9}))?"
-    r"|(?P<min2>\d{1,3}):(?P<sec2>[0-5]\d)[.,](?P<frac2>\d{1,9}))"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-    r"\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?"
+_DATE = re.compile(
+    r"|\d{8}|\d{4}([-/.])\d{1,2}\1\d{1,2}|\d{1,2}([-/.])\d{1,2}\2(?:\d{4}|\d\d)"
+    r"|\d{1,2}[- .]{1,2}[^\W\d_]{3,9}\.?[- ,]{1,2}(?:\d{4}|\d\d)"  # 5-Mar-24
+    r"|(?:[^\W\d_]{3}\s+)?[^\W\d_]{3,9}\.?\s+\d{1,2},?\s+\d{4}"  # Tue Mar 05 2024
+    r"|\d+\s*d(?:ays?)?"
 )
-_STAMP = re.compile(rf"(?:{_DATE}(?:[T,;_ ]\s*|\s+))?{_CLOCK}")
-_REVERSED = re.compile(rf"{_CLOCK}[,; ]\s*{_DATE}")
-_NAMED = re.compile(  # Tue Mar 05 10:00:00 2024
-    rf"(?:[^\W\d_]{{3}}\s+)?(?P<um>[^\W\d_]{{3}})\s+(?P<ud>\d{{1,2}})\s+{_CLOCK}\s+(?P<uy>\d{{4}})"
-)
-_DAYS = re.compile(rf"(?P<days>\d+)\s*(?:days?|d)[, ]\s*{_CLOCK}")  # 0 days 00:00:01.5
 _DAY = 86_400 * 10**9  # ns
 _GAP = 10  # an order of dates makes a gap where a step is so many times longer than usual
 
 
-def _match(text: str) -> re.Match[str] | None:
+def _match(cell: object) -> tuple[re.Match[str], str] | None:
+    """Clock time of a cell and the text of its date, which may be empty; None if it has none."""
+    if not isinstance(cell, str) or (":" not in cell and "T" not in cell):
+        return None
+    text = cell.strip().strip("'")
     text = re.sub(r"^(\d{8})[T ](\d{2})(\d{2})(\d{2})", r"\1T\2:\3:\4", text)  # 20240305T100000
-    forms = (_STAMP, _REVERSED, _NAMED, _DAYS)
-    return next((match for form in forms if (match := form.fullmatch(text))), None)
+    text = re.sub(r"(?<=\d)[T_](?=\d)", " ", text)
+    clock = _CLOCK.search(text)
+    if clock is None:
+        return None
+    day = f"{text[: clock.start()].rstrip(' ,;')} {text[clock.end() :].lstrip(' ,;')}".strip()
+    return (clock, day) if _DATE.fullmatch(day) else None
 
 
 def is_stamp(cell: object) -> bool:
     """Whether a cell is a text with a clock time, with or without a date."""
-    return isinstance(cell, str) and _match(cell.strip().strip("'")) is not None
+    return _match(cell) is not None
 
 
 def elapsed(path: Path, name: str, cells: Sequence[object], dates: str = "") -> NDArray[np.float64]:
     """Seconds since the first row of a column of time stamps, (T,); NaN for other cells.
 
     Clock times without a date go on after midnight. `dates` is "day first", "month first", or ""
-    where the stamps themselves must tell which.
-
-    Raises
-    ------
-    RecordError
-        When both orders of day and month are possible and give other times.
+    where the stamps themselves must tell which: the order that reads most of them, without a time
+    that goes back or a step far longer than usual. Refused where both do, with other times.
     """
-    texts = [cell.strip().strip("'") if isinstance(cell, str) else "" for cell in cells]
-    matches = [_match(text) for text in texts]
+    matches = [_match(cell) for cell in cells]
     orders = [dates] if dates else ["day first", "month first"]
     read = [_seconds(matches, month_first=order == "month first") for order in orders]
-    counts = [int(np.isfinite(seconds).sum()) for seconds in read]
-    found = [seconds for seconds, n in zip(read, counts, strict=True) if n == max(counts)]
-    if len(found) == 1 or np.array_equal(found[0], found[1], equal_nan=True):
-        return found[0]
-    whole = []  # without a time that goes back, or a step far longer than usual
-    for seconds in found:
+    counts = [np.isfinite(seconds).sum() for seconds in read]
+    read = [seconds for seconds, n in zip(read, counts, strict=True) if n == max(counts)]
+    if len(read) == 1 or np.array_equal(read[0], read[1], equal_nan=True):
+        return read[0]
+    even = []
+    for seconds in read:
         steps = np.diff(seconds[np.isfinite(seconds)])
         if not steps.size or (steps.min() >= 0.0 and steps.max() <= _GAP * np.median(steps)):
-            whole.append(seconds)
-    if len(whole) != 1:
+            even.append(seconds)
+    if len(even) != 1:
         raise RecordError(
-            f"the dates of column {name!r} of {path}, such as {texts[-1]!r}, may have the day "
-            'or the month first: write dates = "day first" or dates = "month first" for it'
+            f"the dates of column {name!r} of {path}, such as {str(cells[-1]).strip()!r}, may have "
+            'the day or the month first: write dates = "day first" or dates = "month first" for it'
         )
-    return whole[0]
+    return even[0]
 
 
-def _seconds(matches: Sequence[re.Match[str] | None], *, month_first: bool) -> NDArray[np.float64]:
+def _seconds(
+    matches: Sequence[tuple[re.Match[str], str] | None], *, month_first: bool
+) -> NDArray[np.float64]:
     """Seconds of stamps, to the nanosecond, since the first of them."""
-    days, clocks = np.full(len(matches), -1, np.int64), np.zeros(len(matches), np.int64)
-    dated = False
+    days = {text: _day(text, month_first) for text in {match[1] for match in matches if match}}
     twelve = True  # whether hours run from 1 to 12, without AM and PM
-    for at, match in enumerate(matches):
-        if match is None:
+    rows, times = [], []
+    for row, match in enumerate(matches):
+        if match is None or (day := days[match[1]]) is None:
             continue
-        part = match.groupdict()
-        try:
-            day = _day(part, month_first)
-        except ValueError:  # there is no such day
-            continue
+        part = match[0].groupdict()
         hour = int(part["h"] or 0)
+        twelve = twelve and part["h"] is not None and 1 <= hour <= 12 and not part["half"]
         if part["half"]:
-            twelve = False
             hour = hour % 12 + 12 * (part["half"][0] in "Pp")
-        twelve = twelve and part["h"] is not None and 1 <= hour <= 12
-        minutes = 60 * hour + int(part["min"] or part["min2"])
+        minutes = 60 * hour + int(part["m"] or part["m2"])
         if part["zone"] and part["zone"][0] in "+-":
             digits = part["zone"][1:].replace(":", "")
             minutes -= int(part["zone"][0] + "1") * (60 * int(digits[:2]) + int(digits[2:]))
-        fraction = int((part["frac"] or part["frac2"] or "").ljust(9, "0"))
-        clocks[at] = (60 * minutes + int(part["sec"] or part["sec2"])) * 10**9 + fraction
-        days[at] = 0 if day is None else day
-        dated = dated or day is not None
-    good = np.flatnonzero(days >= 0)
+        seconds = 60 * minutes + int(part["s"] or part["s2"])
+        rows.append(row)
+        times.append(
+            (86_400 * day + seconds) * 10**9 + int((part["f"] or part["f2"] or "").ljust(9, "0"))
+        )
     out = np.full(len(matches), np.nan)
-    if not good.size:
-        return out
-    total = clocks[good] + (days[good] - days[good[0]]) * _DAY
-    if not dated:
-        turn = _DAY // 2 if twelve else _DAY
-        passed = np.concatenate([[0], np.cumsum(np.diff(total) < -turn // 2)])
-        total = total + passed * turn
-    out[good] = (total - total[0]) / 1e9
+    if rows:
+        total = np.array([time - times[0] for time in times], dtype=np.int64)
+        if not any(days):  # clock times alone
+            turn = _DAY // 2 if twelve else _DAY
+            total += turn * np.concatenate([[0], np.cumsum(np.diff(total) < -turn // 2)])
+        out[rows] = total / 1e9
     return out
 
 
-def _day(part: dict[str, str | None], month_first: bool) -> int | None:
-    """Day of a stamp, since the year 1; None where it has no date."""
-
-    def of(*names: str) -> str:
-        return next((text for name in names if (text := part.get(name))), "")
-
-    if days := of("days"):
-        return int(days)
-    year, month, day = of("y", "cy", "ab", "ny", "uy"), of("m", "cm", "b"), of("d", "cd", "a")
-    if not year:
+def _day(text: str, month_first: bool) -> int | None:
+    """Number of a day, 0 where there is no date; None of a date that does not exist."""
+    if text.isdigit():  # 20240305
+        text = f"{text[:4]}-{text[4:6]}-{text[6:]}"
+    numbers = re.findall(r"\d+", text)
+    if len(numbers) < 2:  # none, or a number of days
+        return int(numbers[0]) if numbers else 0
+    if len(numbers) == 2:  # 5-Mar-24
+        words = re.findall(r"[^\W\d_]{3,}", text.lower())
+        numbers.insert(1, str(_MONTHS.get(words[-1][:3], 0)))
+    elif month_first and len(numbers[0]) < 4:
+        numbers = [numbers[1], numbers[0], numbers[2]]
+    day, month, year = numbers if len(numbers[0]) < 4 else numbers[::-1]
+    try:
+        return date(int(year) + 2000 * (len(year) == 2), int(month), int(day)).toordinal()
+    except ValueError:
         return None
-    if month_first and of("a"):
-        month, day = day, month
-    number = _MONTHS.get(of("nm", "um")[:3].lower(), 0) if not month else int(month)
-    full = int(year) + 2000 * (len(year) == 2)
-    return date(full, number, int(day or of("nd", "ud"))).toordinal()

@@ -1,40 +1,35 @@
-"""All figures of a report."""
+"""The figures of a report, by their keys; and those that show all tests together."""
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from mfd_bayes.evaluation.views import CampaignView, Fan, TestView
-from mfd_bayes.reporting.conversion import convert_test, in_system, shown_in
-from mfd_bayes.reporting.figures.laws import draw_laws
+from mfd_bayes.evaluation.views import Array, CampaignView, Fan, LawView, TestView
+from mfd_bayes.planning.study import Advice
+from mfd_bayes.reporting import colours
+from mfd_bayes.reporting.conversion import convert_law, convert_row, convert_test, system_of
+from mfd_bayes.reporting.figures import posteriors
+from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview
-from mfd_bayes.reporting.figures.next_test import draw_next
-from mfd_bayes.reporting.figures.panels import Sheets
-from mfd_bayes.reporting.figures.posteriors import (
-    draw_chains,
-    draw_corner,
-    draw_marginals,
-    draw_truth,
-)
-from mfd_bayes.reporting.figures.residuals import draw_residuals
-from mfd_bayes.reporting.figures.style import to_png
-from mfd_bayes.reporting.figures.tested import draw_tested
-from mfd_bayes.runs.systems import System
+from mfd_bayes.reporting.symbols import in_figure, label, plain
+from mfd_bayes.runs.unit_system import System
+from mfd_bayes.units import percent
 
-_FIGURES_HELD = 8
-_SHEETS = Sheets()  # of this process: each figure is a PNG before the next is drawn
+_MEDIAN = "#4db894"
 
 
 def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
     """PNGs of the figures that show all tests together, one at a time, each with its key.
 
-    Keys are "overview", "tested", "next", "laws" and "truth"; what has nothing to show is left out.
+    Keys are "overview", "laws", "truth" and "next"; what has nothing to show is left out.
     """
     return _pngs(shared_figures(view))
 
@@ -45,116 +40,213 @@ def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[t
     Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out. The
     test and `actuation_unit` are in internal units, the figures in those of `system`.
     """
-    return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system, _SHEETS))
+    return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system))
 
 
 def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     """Figures that show all tests together, each with its key."""
-    system = shown_in(view)
+    system, unit = system_of(view), view.actuation_unit
     if view.tests:
-        shown = in_system(view, system).tests
-        yield "overview", draw_overview("Measured loops over 50 and 95 % bands", shown, system)
-        del shown
-    tested = draw_tested(view, system)
-    if tested is not None:
-        yield "tested", tested
+        tests = [convert_test(test, system, unit) for test in view.tests]
+        yield "overview", draw_overview("Measured loops over their bands", tests, system, unit)
+    laws = [convert_law(law, system, unit) for law in view.laws]
+    figure = draw_laws("Quantities against the actuation", laws, system.unit(unit))
+    if figure is not None:
+        yield "laws", figure
+    truth = [convert_row(row, system) for row in view.truth]
+    figure = posteriors.draw_truth("Posterior against the known truth", truth)
+    if figure is not None:
+        yield "truth", figure
     if view.next_test is not None:
-        yield "next", draw_next(view.next_test, system, view.actuation_unit, "Which test next")
-    view = in_system(replace(view, tests=()), system)
-    drawn = {
-        "laws": draw_laws(
-            "How the parameters follow the actuation", view.laws, view.actuation_unit
-        ),
-        "truth": draw_truth("Posterior against the known truth", view.truth),
-    }
-    yield from ((key, figure) for key, figure in drawn.items() if figure is not None)
+        yield "next", draw_next(view.next_test, system, unit, "Which test next")
+
+
+def figures_of_test(test: TestView, system: System) -> Iterator[tuple[str, Figure]]:
+    """Figures of one test in the units of a system, each with its key."""
+    for name, draw in OF_TEST.items():
+        figure = draw(test, system)
+        if figure is not None:
+            yield f"tests/{test.id}/{name}", figure
 
 
 def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
-    with _collecting_rarely():
-        for number, (key, figure) in enumerate(drawn, start=1):
-            yield key, to_png(figure)
-            if number % _FIGURES_HELD == 0:
-                gc.collect()
-        gc.collect()
-
-
-@contextmanager
-def _collecting_rarely() -> Iterator[None]:
-    """Switch automatic garbage collection off, and leave out what is there already.
-
-    Matplotlib's many small objects trigger it so often that it takes a quarter of the time.
-    """
+    """PNGs of figures; Matplotlib's many small objects would call the collector too often."""
     enabled = gc.isenabled()
     gc.disable()
     gc.freeze()
     try:
-        yield
+        for key, figure in drawn:
+            yield key, to_png(figure)
+            gc.collect()
     finally:
         gc.unfreeze()
         if enabled:
             gc.enable()
 
 
-def figures_of_test(
-    test: TestView, system: System, sheets: Sheets | None = None
-) -> Iterator[tuple[str, Figure]]:
-    """Figures of one test in the units of a system, each with its key; new ones without sheets."""
-    for name, draw in OF_TEST.items():
-        with sheets.in_use() if sheets else nullcontext():
-            figure = draw(test, system)
-        if figure is not None:
-            yield f"tests/{test.id}/{name}", figure
+to_png = look.to_png
 
 
-def _title(test: TestView) -> str:
-    return f"{test.id}, {test.actuation}"
+def _title(test: TestView, what: str = "") -> str:
+    return f"{test.id}, {test.actuation}{what}"
 
 
 def _fans(test: TestView) -> list[Fan]:
     return [fan for fan in (test.observation, test.device) if fan is not None]
 
 
-def _loops(test: TestView, system: System) -> Figure:
-    return draw_loops(_title(test), test.trace, _fans(test), system)
-
-
-def _history(test: TestView, system: System) -> Figure:
-    return draw_history(_title(test), test.trace, _fans(test), system, Marks(test.first))
-
-
-def _residuals(test: TestView, system: System) -> Figure | None:
-    if test.role == "validate":
-        return None
-    return draw_residuals(f"{_title(test)}: residuals of the fit", test, system)
-
-
-def _corner(test: TestView, system: System) -> Figure | None:
-    return draw_corner(f"{_title(test)}: joint posterior", test.marginals, test.corner)
-
-
-def _chains(test: TestView, system: System) -> Figure | None:
-    if not test.chains:
-        return None
-    units = {row.name: row.unit for row in test.rows}
-    units |= {marginal.name: marginal.unit for marginal in test.marginals}
-    return draw_chains(f"{_title(test)}: chains", test.chains, units)
-
-
-def _marginals(test: TestView, system: System) -> Figure | None:
-    if not test.marginals:
-        return None
-    return draw_marginals(f"{_title(test)}: priors and posteriors", test.marginals)
+def _chains(test: TestView) -> int:
+    return max((len(values) for values in test.chains.values()), default=0)
 
 
 OF_TEST: Mapping[str, Callable[[TestView, System], Figure | None]] = MappingProxyType(
     {
-        "loops": _loops,
-        "history": _history,
-        "residuals": _residuals,
-        "corner": _corner,
-        "trace": _chains,
-        "marginals": _marginals,
+        "loops": lambda t, s: draw_loops(_title(t), t.trace, _fans(t), s),
+        "history": lambda t, s: draw_history(_title(t), t.trace, _fans(t), s, Marks(t.first)),
+        "residuals": lambda t, s: posteriors.draw_residuals(_title(t, ": residuals"), t, s),
+        "marginals": lambda t, _: posteriors.draw_marginals(
+            _title(t, ": priors and posteriors"), t.marginals
+        ),
+        "corner": lambda t, _: posteriors.draw_corner(
+            _title(t, ": joint posterior"), t.marginals, t.corner
+        ),
+        "ranks": lambda t, _: posteriors.draw_ranks(
+            _title(t, ": ranks of each chain"), t.marginals, _chains(t)
+        ),
     }
 )
 """Figures of a test by the names of their files; one with nothing to show is None."""
+
+
+@look.style()
+def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figure | None:
+    """One panel per law: the mean property with its bands, and the tests' 95 % intervals.
+
+    None where there is no law.
+    """
+    if not laws:
+        return None
+    columns = min(3, len(laws))
+    rows = -(-len(laws) // columns)
+    figure = look.new_figure(max(4.0 * columns, 5.5), 2.75 * rows + 0.8, title)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[len(laws) :]:
+        axes.set_visible(False)
+    for axes, law in zip(grid.flat, laws, strict=False):
+        _draw_law(axes, law)
+        axes.set_xlabel(plain(f"actuation, {actuation_unit}"))
+    handles, texts = grid.flat[0].get_legend_handles_labels()
+    figure.legend(handles, texts, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _draw_law(axes: Axes, law: LawView) -> None:
+    wide, _, dark = colours.BANDS["new_test"]
+    for fan, colour in ((law.new_test, wide), (law.device, _MEDIAN)):
+        widest = max(fan.intervals, key=lambda interval: interval.probability, default=None)
+        if widest is not None:
+            name = f"{colours.BAND_NAMES[fan.kind]}, {percent(widest.probability)} %"
+            edges = widest.lower, widest.upper
+            axes.fill_between(law.actuation, *edges, color=colour, linewidth=0, label=name)
+    axes.plot(law.actuation, law.device.median, color=dark, label="best estimate")
+    if law.tested:
+        _, at, lower, median, upper = (np.asarray(part) for part in zip(*law.tested, strict=True))
+        arms = np.maximum(0.0, [median - lower, upper - median])
+        shown: dict[str, Any] = {
+            "fmt": "o",
+            "color": colours.DATA,
+            "markersize": 3,
+            "linewidth": 0.9,
+        }
+        axes.errorbar(spread(at), median, arms, label="tests, 95 %", **shown)
+    axes.set_title(f"{in_figure(law.name)}: {plain(law.law)}")
+    axes.set_ylabel(label(law.name, law.unit))
+    axes.set_ylim(*_limits(law))
+    axes.margins(x=0.0)
+    if any(test[1] == 0 for test in law.tested):  # room for tests at zero, side by side
+        axes.set_xlim(left=-0.03 * law.actuation[-1])
+
+
+def spread(actuation: Array) -> Array:
+    """Actuations of tests moved apart at each level, (n,), so that no bar hides another.
+
+    All of them stay nearer to their own level than to the next one.
+    """
+    span = max(float(np.ptp(actuation)), 1e-3 * float(np.max(np.abs(actuation))))
+    levels = np.unique(actuation)
+    room = 0.5 * float(np.min(np.diff(levels), initial=span))
+    shifted = actuation.astype(np.float64)
+    for level in levels:
+        same = np.flatnonzero(actuation == level)
+        step = min(0.012 * span, room / max(1, same.size - 1))
+        shifted[same] += step * (np.arange(same.size) - 0.5 * (same.size - 1))
+    return shifted
+
+
+def _limits(law: LawView) -> tuple[float, float]:
+    """Vertical limits that hold tests and best estimate; the wide band may go beyond them."""
+    tops = [float(np.max(law.device.median)), *(t[4] for t in law.tested)]
+    bottoms = [float(np.min(law.device.median)), *(t[2] for t in law.tested)]
+    for interval in law.new_test.intervals:
+        tops.append(min(float(np.max(interval.upper)), 2.0 * max(tops)))
+        bottoms.append(float(np.min(interval.lower)))
+    low, high = min(bottoms), max(tops)
+    margin = 0.05 * (high - low) or 0.1
+    return (0.0 if 0 <= low < 0.5 * high else low - margin), high + margin
+
+
+@look.style()
+def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
+    """Candidates by actuation and frequency, coloured by gain, and the curve of the width."""
+    figure = look.new_figure(8.6, 3.6)
+    figure.suptitle(title, x=0.01, ha="left", wrap=True, fontsize=9)
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    by, name = system.of_actuation(unit)
+    gains: dict[tuple[float, float], float] = {}  # of the best amplitude
+    for row in advice:
+        place = row.candidate.actuation * by, row.candidate.frequency
+        gains[place] = max(gains.get(place, 0.0), 100.0 * row.reduction)
+    shown = left.scatter(
+        *np.array(list(gains)).T,
+        c=list(gains.values()),
+        s=130,
+        cmap="YlGnBu",
+        vmin=0.0,
+        edgecolors="#888888",
+        linewidths=0.5,
+    )
+    best: dict[str, Any] = {
+        "s": 240,
+        "facecolors": "none",
+        "edgecolors": colours.DATA,
+        "linewidths": 1.6,
+    }
+    first = advice[0].candidate
+    left.scatter([first.actuation * by], [first.frequency], label="best", **best)
+    levels = [test.actuation * by for test in advice.tests]
+    made: dict[str, Any] = {
+        "marker": "x",
+        "s": 28,
+        "color": "#c0392b",
+        "zorder": 4,
+        "label": "tests made",
+    }
+    left.scatter(levels, [test.frequency for test in advice.tests], **made)
+    left.set_yscale("log")
+    left.yaxis.set_major_formatter(ScalarFormatter())
+    left.yaxis.set_minor_formatter(ScalarFormatter())
+    left.set(xlabel=f"actuation, {name}", ylabel="frequency, Hz")
+    left.set_title("Expected reduction, best amplitude")
+    left.margins(0.12)
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+    figure.colorbar(shown, ax=left, label="%")
+    curve = advice.curve * system.factor(advice.unit)
+    arms = curve[0] * np.array([0.0, *(1.96 * t.error for t in advice.together)])
+    steps = np.arange(curve.size)
+    right.errorbar(steps, curve, arms, fmt="o-", color=colours.DATA, markersize=4, capsize=2)
+    right.set_ylim(0.0, 1.1 * float(np.max(curve + arms)))
+    right.xaxis.set_major_locator(MaxNLocator(integer=True))
+    right.set_xlabel("further tests, the best together")
+    right.set_ylabel(f"expected width, {system.unit(advice.unit)}")
+    right.set_title("When it is enough")
+    return figure

@@ -17,8 +17,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import POINTS, thinned
-from mfd_bayes.reporting.symbols import plain
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.unit_system import US, System
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
 _COLOURS = (
@@ -42,8 +41,7 @@ def draw_inspection(
     a force there is only the displacement. Trace and loops are in the units of `system`.
     """
     marked = [fault for fault in faults if fault.samples.size]
-    figure = look.new_figure(10, 5.6)
-    figure.suptitle(plain(title), x=0.01, ha="left")
+    figure = look.new_figure(10, 5.6, title)
     if trace.force is None:
         _draw_displacement(figure.subplots(), trace, marked, system)
     else:
@@ -66,7 +64,7 @@ def _draw_loop(axes: Axes, trace: Trace, marked: list[Fault], system: System) ->
     x, force = trace.displacement, np.asarray(trace.force)
     axes.plot(x[::step], force[::step], color=colours.DATA, linewidth=0.5)
     axes.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
-    axes.set_title("Force–displacement", fontsize=9, fontweight="normal")
+    axes.set_title("Force–displacement")
     _mark(axes, x, force, marked)
 
 
@@ -75,7 +73,7 @@ def _draw_displacement(axes: Axes, trace: Trace, marked: list[Fault], system: Sy
     turns = trace.turning_points
     axes.plot(trace.time[turns], trace.displacement[turns], ".", color="#999999", markersize=3)
     axes.set(ylabel=f"displacement, {system.length}", xlabel="time, s")
-    axes.set_title(f"Displacement, {turns.size} turning points", fontsize=9, fontweight="normal")
+    axes.set_title(f"Displacement, {turns.size} turning points")
     axes.margins(x=0.01, y=0.12)  # space for the marks at the turns
     _mark(axes, trace.time, trace.displacement, marked)
 
@@ -84,14 +82,14 @@ def _draw_force(axes: Axes, trace: Trace, marked: list[Fault], system: System) -
     force = np.asarray(trace.force)
     axes.plot(*thinned(trace.time, force), color=colours.DATA, linewidth=0.6)
     axes.set(xlabel="time, s", ylabel=f"force, {system.force}")
-    axes.set_title("Force", fontsize=9, fontweight="normal")
+    axes.set_title("Force")
     _mark(axes, trace.time, force, marked)
 
 
 def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
     """Energy of each loop; loops of a ramp, with a shorter stroke, are hollow."""
     axes.set(xlabel="loop", ylabel=f"energy, {system.force}·{system.length}")
-    axes.set_title("Energy per full loop (hollow: shorter stroke)", fontsize=9, fontweight="normal")
+    axes.set_title("Energy per full loop (hollow: shorter stroke)")
     axes.axhline(0.0, color="#999999", linewidth=0.7)
     if loops.energy is None or not loops.energy.size:
         axes.text(0.5, 0.5, "no full loop", transform=axes.transAxes, ha="center", va="center")

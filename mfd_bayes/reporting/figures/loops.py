@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,45 +17,24 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mfd_bayes.evaluation.views import Array, Fan, Interval, TestView
-from mfd_bayes.records.motion import turning_points
+from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.views import Array, Fan, TestView
+from mfd_bayes.population.settings import SAME_LEVEL
+from mfd_bayes.records.motion import HYSTERESIS, turning_points
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
-from mfd_bayes.runs.systems import US, System
+from mfd_bayes.runs.tested_range import conditions
+from mfd_bayes.runs.unit_system import US, System
 
 POINTS = 4000
 """Most points of a line: a screen cannot show more."""
 TURNS = 24
 """Most turning points of a record that is shown in one column, without the strongest motion."""
 PANELS = 60
-FEW = 12
-"""Most panels that are drawn four to a row; more are drawn six to a row."""
-GIVEN = "#fff3d6"
-"""Ground of the part of a record that a prediction was given."""
-_VELOCITY_TURN = 0.02  # share of its peak-to-peak: smaller turns are noise
-
-
-@look.style()
-def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: System = US) -> Figure:
-    """Force against displacement and against velocity, over bands.
-
-    The fans are drawn one over the other, so the widest comes first. Trace and fans are in
-    the units of `system`.
-    """
-    figure = look.new_figure(10, 4.3)
-    figure.suptitle(plain(title), x=0.01, ha="left")
-    left, right = figure.subplots(1, 2, sharey=True)
-    draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
-    span = _VELOCITY_TURN * float(np.ptp(trace.velocity))
-    draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
-    left.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
-    left.set_title("Force–displacement", fontsize=9, fontweight="normal")
-    right.set(xlabel=f"velocity, {system.velocity}", ylabel=f"force, {system.force}")
-    right.set_title("Force–velocity", fontsize=9, fontweight="normal")
-    _legend(figure, trace, fans)
-    return figure
+"""Most panels of an overview."""
+_NOT_FITTED, _GIVEN = "#eeeeee", "#fff3d6"
 
 
 @dataclass(frozen=True)
@@ -74,6 +54,25 @@ class Marks:
 
 
 @look.style()
+def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: System = US) -> Figure:
+    """Force against displacement and against velocity, over bands, the widest fan first.
+
+    Trace and fans are in the units of `system`.
+    """
+    figure = look.new_figure(10, 4.3, title)
+    left, right = figure.subplots(1, 2, sharey=True)
+    _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
+    span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
+    _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
+    left.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
+    left.set_title("Force–displacement")
+    right.set(xlabel=f"velocity, {system.velocity}", ylabel=f"force, {system.force}")
+    right.set_title("Force–velocity")
+    _legend(figure, fans, measured=trace.force is not None)
+    return figure
+
+
+@look.style()
 def draw_history(
     title: str,
     trace: Trace,
@@ -84,61 +83,149 @@ def draw_history(
     """Displacement, force with bands, and residual against time.
 
     The residual is the force minus the first fan's median. There is none where the force is NaN at
-    a sample. Trace and fans are in the units of `system`.
+    a sample. Trace and fans are in the units of `system`. A long record has a second column with
+    its strongest motion.
     """
-    first, given = marks.first, marks.given
-    windows = _windows(trace)
     whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
     rows = 3 if fans and whole else 2
-    figure = look.new_figure(10, 2.6 + 0.9 * rows)
-    figure.suptitle(plain(title), x=0.01, ha="left")
-    heights = (1.0, 2.6, 1.5)[:rows]
+    windows = _windows(trace)
+    figure = look.new_figure(10, 2.6 + 0.9 * rows, title)
     shared: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False}
-    grid = figure.subplots(rows, len(windows), height_ratios=heights, **shared)
+    grid = figure.subplots(rows, len(windows), height_ratios=(1.0, 2.6, 1.5)[:rows], **shared)
     for column, window in zip(grid.T, windows, strict=True):
-        _draw_column(column, trace, fans, window)
-        if window.start < first:
-            for axes in column:
-                axes.axvspan(trace.time[window][0], trace.time[first], color="#eeeeee", zorder=0)
-        if given is not None:
-            for axes in column:
-                _mark_given(axes, given, trace.time[window])
-    _label_history(grid, system)
-    _legend(figure, trace, fans, masked=first > 0, given=given is not None)
+        time = trace.time[window]
+        column[0].plot(*thinned(time, trace.displacement[window]), color="#555555", linewidth=0.8)
+        for fan in fans:
+            _draw_bands(column[1], time, fan, window)
+        if trace.force is not None:
+            column[1].plot(*thinned(time, trace.force[window]), color=colours.DATA, linewidth=0.6)
+            if rows == 3:
+                residual = (trace.force - fans[0].median)[window]
+                _draw_bands(column[2], time, fans[0], window, fans[0].median)
+                column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
+                column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
+        for axes in column:
+            _mark(axes, trace.time, window, marks)
+        column[-1].set_xlabel("time, s")
+        column[-1].margins(x=0.005)
+    names = (f"displ., {system.length}", f"force, {system.force}", f"residual, {system.force}")
+    for axes, name in zip(grid[:, 0], names, strict=False):
+        axes.set_ylabel(name)
+    if len(windows) > 1:
+        grid[0, 0].set_title("Whole record")
+        grid[0, 1].set_title("Strongest motion")
+    _legend(figure, fans, measured=trace.force is not None, marks=marks)
     return figure
-
-
-def _label_history(grid: NDArray[np.object_], system: System) -> None:
-    force = system.force
-    texts = (f"displ., {system.length}", f"force, {force}", f"residual, {force}")
-    for axes, text in zip(grid[:, 0], texts, strict=False):
-        axes.set_ylabel(text)
-    if grid.shape[1] > 1:
-        grid[0, 1].set_title("Strongest motion", fontsize=9, fontweight="normal")
-        grid[0, 0].set_title("Whole record", fontsize=9, fontweight="normal")
 
 
 @look.style()
-def draw_overview(title: str, tests: Sequence[TestView], system: System = US) -> Figure:
-    """Force–displacement loops of up to sixty tests, as small multiples."""
+def draw_overview(
+    title: str, tests: Sequence[TestView], system: System = US, actuation_unit: str = "ksi"
+) -> Figure:
+    """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
+
+    Tests are in the units of `system`, but for their actuation. Where the grid would be mostly
+    empty, as of earthquake records, the tests follow each other by actuation and frequency.
+    """
     shown = tests[:PANELS]
-    columns = min(4 if len(shown) <= FEW else 6, max(1, len(shown)))
-    rows = max(1, -(-len(shown) // columns))
-    figure = look.new_figure(max(2.6 * columns, 6.0), 2.35 * rows + 0.7)
+    places, rows, columns = _places(shown, actuation_unit)
+    figure = look.new_figure(max(2.5 * columns, 6.0), 2.2 * rows + 0.7)
     more = "" if len(tests) == len(shown) else f" (first {PANELS} of {len(tests)} tests)"
     figure.suptitle(f"{plain(title)}{more}", x=0.01, ha="left")
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for at, (axes, test) in enumerate(zip(grid.flat, shown, strict=False)):
-        _draw_panel(axes, test)
-        if at + columns >= len(shown):
-            axes.set_xlabel(f"displacement, {system.length}")
-        if at % columns == 0:
-            axes.set_ylabel(f"force, {system.force}")
-    for axes in grid.flat[len(shown) :]:
+    for axes in grid.flat:
         axes.set_visible(False)
+    for (row, column), test in zip(places, shown, strict=True):
+        axes = grid[row, column]
+        axes.set_visible(True)
+        _draw_panel(axes, test)
+        if (row + 1, column) not in places:
+            axes.set_xlabel(f"displacement, {system.length}")
+        if (row, column - 1) not in places:
+            axes.set_ylabel(f"force, {system.force}")
+            axes.tick_params(labelleft=True)
     if shown:
-        _legend(figure, shown[0].trace, [shown[0].observation])
+        _legend(figure, [shown[0].observation], measured=True)
     return figure
+
+
+def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]], int, int]:
+    """Row and column of each test, and the numbers of rows and columns."""
+    levels, frequencies = [], []
+    for test in tests:
+        spans = {span.name: span.highest for span in conditions(test.trace, unit)}
+        levels.append(spans.get("actuation", np.inf))
+        frequencies.append(float(f"{spans.get('frequency', np.inf):.2g}"))
+    steps = np.unique(levels)
+    steps = steps[np.diff(steps, prepend=-np.inf) > SAME_LEVEL * np.abs(steps)]
+    column = np.maximum(np.searchsorted(steps, levels, side="right") - 1, 0)
+    pairs = list(zip(frequencies, column.tolist(), strict=True))
+    # several tests of one condition stand one below the other
+    keys = [(f, pairs[:i].count((f, c))) for i, (f, c) in enumerate(pairs)]
+    rows = {key: at for at, key in enumerate(sorted(set(keys)))}
+    if len(rows) * len(steps) <= 2 * len(tests):
+        places = [(rows[key], at) for key, at in zip(keys, column.tolist(), strict=True)]
+        return places, len(rows), len(steps)
+    order = np.lexsort((np.array(frequencies), column)).argsort()
+    wide = min(5, len(tests))
+    return [divmod(int(at), wide) for at in order], -(-len(tests) // wide), wide
+
+
+def _draw_panel(axes: Axes, test: TestView) -> None:
+    held_out = test.role == "validate"
+    colour = colours.VALIDATE if held_out else colours.DATA
+    trace = test.trace
+    _draw_loop(axes, [test.observation], trace.displacement, trace.turning_points, trace.force)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    fitted = ", held out" if held_out else ""
+    name = f"{plain(test.id)}\n{plain(test.actuation)}{fitted}"
+    axes.set_title(name, fontsize=8, color=colour)
+    if held_out:
+        for spine in axes.spines.values():
+            spine.set(edgecolor=colour, linewidth=1.3, visible=True)
+
+
+def draw_band(axes: Any, fan: Fan, time: Array, displacement: Array | None, system: System) -> Axes:
+    """Axes with a band in the units of a system over time, s, or over a displacement."""
+    axes = _checked_axes(axes)
+    if displacement is None:
+        _draw_bands(axes, time, fan)
+        axes.plot(*thinned(time, fan.median), color=colours.BANDS[fan.kind][2], lw=0.9)
+    else:
+        turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
+        _draw_loop(axes, [fan], displacement, turns)
+    below = "time, s" if displacement is None else f"displacement, {system.length}"
+    return _labelled(axes, below, fan, system)
+
+
+def draw_measured(axes: Any, trace: Trace, fan: Fan, system: System) -> Axes:
+    """Axes with the measured loops of a trace over a band, both in the units of a system."""
+    axes = _checked_axes(axes)
+    _draw_loop(axes, [fan], trace.displacement, trace.turning_points, trace.force)
+    return _labelled(axes, f"displacement, {system.length}", fan, system)
+
+
+def _checked_axes(axes: Any) -> Axes:
+    """The axes that are given, or those of a new figure.
+
+    Raises
+    ------
+    ReportError
+        When something else is given.
+    """
+    if axes is None:
+        pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
+        figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
+        axes = figure.add_subplot()
+    if not isinstance(axes, Axes):
+        raise ReportError(f"axes must be axes of Matplotlib, got {axes!r}")
+    return axes
+
+
+def _labelled(axes: Axes, below: str, fan: Fan, system: System) -> Axes:
+    axes.set(xlabel=below, ylabel=f"force, {system.force}")
+    axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
+    return axes
 
 
 def stretches(turns: NDArray[np.intp], samples: int) -> list[slice]:
@@ -147,55 +234,34 @@ def stretches(turns: NDArray[np.intp], samples: int) -> list[slice]:
     return [slice(a, b + 1) for a, b in pairwise(ends) if b > a]
 
 
-def _draw_panel(axes: Axes, test: TestView) -> None:
-    held_out = test.role == "validate"
-    trace, fan = test.trace, test.observation
-    for interval, colour in look.shades(fan):
-        _fill(axes, trace.displacement, interval, trace.turning_points, colour)
-    if trace.force is not None:
-        _line(axes, trace.displacement, trace.force)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
-    colour = colours.VALIDATE if held_out else colours.DATA
-    name = f"{plain(test.id)}\n{plain(test.actuation)}, "
-    name += "predicted, not fitted" if held_out else "fitted"
-    axes.set_title(name, fontsize=8, color=colour, fontweight="normal")
-    if held_out:
-        for spine in axes.spines.values():
-            spine.set(edgecolor=colours.VALIDATE, linewidth=1.3, visible=True)
-
-
-def draw_loop(
+def _draw_loop(
     axes: Axes,
     fans: Sequence[Fan],
     abscissa: Array,
     turns: NDArray[np.intp],
     force: Array | None = None,
 ) -> None:
-    """Draw a force, or else the first fan's median, over bands against any abscissa, (T,)."""
+    """Draw a force, or else the first fan's median, over bands against any abscissa, (T,).
+
+    A band is filled for each stretch of motion: one outline of a loop would fill its inside.
+    """
+    step = max(1, abscissa.size // POINTS)
     for fan in fans:
         for interval, colour in look.shades(fan):
-            _fill(axes, abscissa, interval, turns, colour)
+            outlines = []
+            for part in stretches(turns, abscissa.size):
+                pick = np.unique(np.append(np.arange(part.start, part.stop, step), part.stop - 1))
+                there = np.concatenate([abscissa[pick], abscissa[pick][::-1]])
+                edge = np.concatenate([interval.lower[pick], interval.upper[pick][::-1]])
+                outlines.append(np.column_stack([there, edge]))
+            # the thin edge shows a narrow band where the force is steep
+            bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
+            axes.add_collection(bands)
+            axes.autoscale_view()
     if force is not None:
         _line(axes, abscissa, force)
     elif fans:
         _line(axes, abscissa, fans[0].median, colours.BANDS[fans[0].kind][2])
-
-
-def _fill(
-    axes: Axes, abscissa: Array, interval: Interval, turns: NDArray[np.intp], colour: str
-) -> None:
-    """Fill a band for each stretch of motion; one outline of a whole loop would fill its inside."""
-    step = max(1, abscissa.size // POINTS)
-    outlines = []
-    for part in stretches(turns, abscissa.size):
-        pick = np.unique(np.append(np.arange(part.start, part.stop, step), part.stop - 1))
-        lower = np.column_stack([abscissa[pick], interval.lower[pick]])
-        upper = np.column_stack([abscissa[pick], interval.upper[pick]])
-        outlines.append(np.concatenate([lower, upper[::-1]]))
-    # the thin edge shows a narrow band where the force is steep
-    bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
-    axes.add_collection(bands)
-    axes.autoscale_view()
 
 
 def _line(axes: Axes, abscissa: Array, force: Array, colour: str = colours.DATA) -> None:
@@ -205,39 +271,19 @@ def _line(axes: Axes, abscissa: Array, force: Array, colour: str = colours.DATA)
 
 def _windows(trace: Trace) -> list[slice]:
     """The whole record and, if it is long, six strokes around its largest displacement."""
-    whole = slice(0, trace.samples)
     turns = trace.turning_points
     if turns.size <= TURNS:
-        return [whole]
+        return [slice(0, trace.samples)]
     largest = int(np.argmax(np.abs(trace.displacement)))
     at = int(np.clip(np.searchsorted(turns, largest), 3, turns.size - 4))
-    return [whole, slice(int(turns[at - 3]), int(turns[at + 3]) + 1)]
+    return [slice(0, trace.samples), slice(int(turns[at - 3]), int(turns[at + 3]) + 1)]
 
 
-def _draw_column(column: NDArray[np.object_], trace: Trace, fans: Sequence[Fan], at: slice) -> None:
-    time = trace.time[at]
-    zero = np.zeros(trace.samples)
-    step = max(1, time.size // POINTS)
-    column[0].plot(time[::step], trace.displacement[at][::step], color="#555555", linewidth=0.8)
-    for fan in fans:
-        draw_bands(column[1], time, fan, at, zero)
-    if trace.force is not None:
-        column[1].plot(*thinned(time, trace.force[at]), color=colours.DATA, linewidth=0.6)
-    if len(column) > 2 and trace.force is not None:
-        draw_bands(column[2], time, fans[0], at, fans[0].median)
-        residual = (trace.force - fans[0].median)[at]
-        column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
-        column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
-    column[-1].set_xlabel("time, s")
-    column[-1].margins(x=0.005)
-
-
-def draw_bands(
+def _draw_bands(
     axes: Axes, time: Array, fan: Fan, at: slice = slice(None), base: Array | float = 0.0
 ) -> None:
     """Fill the bands of a fan, less a base, (T,), over a window of time."""
-    step = max(1, time.size // POINTS)
-    edges = np.arange(0, time.size, step)
+    edges = np.arange(0, time.size, max(1, time.size // POINTS))
     for interval, colour in look.shades(fan):
         lower = np.minimum.reduceat((interval.lower - base)[at], edges)
         upper = np.maximum.reduceat((interval.upper - base)[at], edges)
@@ -254,32 +300,29 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
     return np.repeat(time[edges], 2), np.column_stack([low, high]).ravel()
 
 
-def _mark_given(axes: Axes, given: tuple[float, float], time: Array) -> None:
-    """Shade the given part of a panel of these times, and draw its end."""
-    begin, end = max(given[0], float(time[0])), min(given[1], float(time[-1]))
-    if begin < end:
-        axes.axvspan(begin, end, color=GIVEN, zorder=0)
-        axes.axvline(end, color=colours.DATA, linewidth=0.8, linestyle="--")
+def _mark(axes: Axes, time: Array, window: slice, marks: Marks) -> None:
+    """Shade what was not fitted, and what was given, in a window of time."""
+    begin, end = float(time[window][0]), float(time[window][-1])
+    if time[marks.first] > begin:
+        axes.axvspan(begin, float(time[marks.first]), color=_NOT_FITTED, zorder=0)
+    if marks.given is not None:
+        begin, end = max(marks.given[0], begin), min(marks.given[1], end)
+        if begin < end:
+            axes.axvspan(begin, end, color=_GIVEN, zorder=0)
+            axes.axvline(end, color=colours.DATA, linewidth=0.8, linestyle="--")
 
 
-def _legend(
-    figure: Figure,
-    trace: Trace,
-    fans: Sequence[Fan],
-    *,
-    masked: bool = False,
-    given: bool = False,
-) -> None:
+def _legend(figure: Figure, fans: Sequence[Fan], *, measured: bool, marks: Marks = Marks()) -> None:
     handles: list[Line2D | Patch] = []
-    if trace.force is not None:
+    if measured:
         handles.append(Line2D([], [], color=colours.DATA, linewidth=0.9, label="measured"))
     for fan in fans:
         wide, narrow, _ = colours.BANDS[fan.kind]
         text = f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}"
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
-    if masked:
-        handles.append(Patch(facecolor="#eeeeee", label="not fitted"))
-    if given:
-        handles.append(Patch(facecolor=GIVEN, label="given to the prediction"))
+    if marks.first > 0:
+        handles.append(Patch(facecolor=_NOT_FITTED, label="not fitted"))
+    if marks.given is not None:
+        handles.append(Patch(facecolor=_GIVEN, label="given to the prediction"))
     if handles:
         figure.legend(handles=handles, loc="outside lower left", ncols=4)

@@ -17,7 +17,7 @@ from mfd_bayes.reporting.symbols import plain
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.systems import System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def draw_profile(response: Response, system: System) -> Figure:
             limit = response.building.limits.acceleration / GRAVITY
             right.axvline(limit, color=colours.VERMILLION, ls="--")
         right.set_xlabel("largest floor acceleration, g")
-        left.set_title(plain(grounds[g].name), fontsize=9, fontweight="normal")
+        left.set_title(plain(grounds[g].name))
     grid[0, 1].legend(loc="best")
     return figure
 
@@ -145,11 +145,7 @@ def draw_histories(response: Response, ground: int, system: System) -> Figure:
     grid[-1].set_xlabel("time, s")
     grid[-1].margins(x=0.005)
     name = plain(response.grounds[ground].name)
-    grid[0].set_title(
-        f"Storey drift, {name}: median and 95 % band; grey: without dampers",
-        fontsize=9,
-        fontweight="normal",
-    )
+    grid[0].set_title(f"Storey drift, {name}: median and 95 % band; grey: without dampers")
     return figure
 
 
@@ -171,7 +167,7 @@ def draw_damper_loops(response: Response, ground: int, system: System) -> Figure
             colour = _MIDDLE if k == 0 else _NARROW
             path = travels[k, :, j] * length, forces[k, :, j] * force
             axes.plot(*path, color=colour, lw=0.5, zorder=3 - (k > 0))
-        axes.set_title(plain(response.building.devices[j].name), fontsize=8, fontweight="normal")
+        axes.set_title(plain(response.building.devices[j].name), fontsize=8)
         if j + columns >= shown:
             axes.set_xlabel(f"travel, {system.length}")
         if j % columns == 0:
@@ -204,12 +200,12 @@ def figures_of(
     response: Response, sweep: Sweep | None, system: System
 ) -> Sequence[tuple[str, Figure]]:
     """Every figure of a response by its name."""
-    found = [("building", draw_building(response.building, system))]
-    found.append(("profile", draw_profile(response, system)))
+    drawn = [("building", draw_building(response.building, system))]
+    drawn.append(("profile", draw_profile(response, system)))
     for g in range(len(response.grounds)):
-        found.append((f"history_{g + 1}", draw_histories(response, g, system)))
+        drawn.append((f"history_{g + 1}", draw_histories(response, g, system)))
         if response.dampers.count:
-            found.append((f"loops_{g + 1}", draw_damper_loops(response, g, system)))
+            drawn.append((f"loops_{g + 1}", draw_damper_loops(response, g, system)))
     if sweep is not None:
-        found.append(("sweep", draw_sweep(sweep, system)))
-    return found
+        drawn.append(("sweep", draw_sweep(sweep, system)))
+    return drawn

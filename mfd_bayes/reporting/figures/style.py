@@ -10,7 +10,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -18,19 +17,17 @@ from PIL import Image
 
 from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.reporting.colours import BANDS
+from mfd_bayes.reporting.symbols import plain
 from mfd_bayes.units import percent
 
 DPI = 105
-LOOKED_AT = 11
-"""One of so many pixels is counted to find the colours of surfaces. It is a prime, because hardly
-any width of a picture is a multiple of it; then only some columns would be counted."""
 
-_STYLE: dict[str, object] = {
+_STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
+    "axes.titlesize": 9,
+    "axes.titleweight": "normal",
     "axes.titlelocation": "left",
     "axes.titley": 1.0,  # where Matplotlib puts it too, after it has measured all labels
     "figure.titlesize": 11,
@@ -48,29 +45,34 @@ _STYLE: dict[str, object] = {
     "legend.frameon": False,
     "legend.fontsize": 8,
     "lines.linewidth": 1.1,
-    "agg.path.chunksize": 0,
 }
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw with the report's settings of matplotlib, not with the user's."""
+    """Draw with the report's settings of Matplotlib, not with the user's."""
     with matplotlib.rc_context(), warnings.catch_warnings():
         # a name from a file may have letters that DejaVu does not have
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)  # type: ignore[arg-type]
+        matplotlib.rcParams.update(_STYLE)
         yield
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Empty figure of a size in inches, with a layout that cuts nothing off."""
-    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+def new_figure(width: float, height: float, title: str = "", layout: str = "constrained") -> Figure:
+    """Empty figure of a size in inches, with its title at the left.
+
+    The constrained layout cuts nothing off, but is slow with many panels.
+    """
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout)  # type: ignore[arg-type]
+    if title:
+        figure.suptitle(plain(title), x=0.01, ha="left")
+    return figure
 
 
 @style()
 def to_png(figure: Figure) -> bytes:
-    """PNG of a figure, the same bytes each time; with few colours it has a third of the size."""
+    """PNG of a figure, the same bytes each time; 256 colours make it a third of the size."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()  # once: savefig would draw twice where there is a layout
     size = canvas.get_width_height()
@@ -83,15 +85,15 @@ def to_png(figure: Figure) -> bytes:
 
 
 def _most_frequent(few: Image.Image, drawn: Image.Image) -> NDArray[np.int64]:
-    """Palette of a picture, (colours, 3), with the colour that pixels of each most often have.
+    """Palette, (colours, 3), of the colour that the pixels of each entry most often have.
 
-    An octree takes their mean: white paper and a band would be a little off.
+    An octree takes their mean, so that white paper would be a little grey.
     """
     palette: NDArray[np.int64] = np.reshape(few.getpalette() or [], (-1, 3))
-    chosen = np.asarray(few).ravel()[::LOOKED_AT].astype(np.int64)
-    colours = np.asarray(drawn).reshape(-1, 3)[::LOOKED_AT] @ np.array([1 << 16, 1 << 8, 1])
-    found, times = np.unique(chosen << 24 | colours, return_counts=True)
-    by_times = found[np.argsort(times, kind="stable")]  # the most frequent one is set last
+    entry = np.asarray(few).ravel()[::11].astype(np.int64)  # a prime: no width is a multiple
+    colour = np.asarray(drawn).reshape(-1, 3)[::11] @ np.array([1 << 16, 1 << 8, 1])
+    pairs, times = np.unique(entry << 24 | colour, return_counts=True)
+    by_times = pairs[np.argsort(times, kind="stable")]  # the most frequent one is set last
     palette[by_times >> 24] = by_times[:, None] >> np.array([16, 8, 0]) & 255
     return palette
 
@@ -109,10 +111,3 @@ def percents(fan: Fan) -> str:
     chances = sorted(i.probability for i in fan.intervals if not i.whole)
     pale = "; pale: of the whole history" if any(i.whole for i in fan.intervals) else ""
     return " and ".join(percent(chance) for chance in chances) + f" %{pale}"
-
-
-def no_ticks(axes: Axes) -> None:
-    """Hide the vertical axis, where only relative heights matter."""
-    axes.set_yticks([])
-    axes.spines["left"].set_visible(False)
-    axes.grid(visible=False, axis="y")

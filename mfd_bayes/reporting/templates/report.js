@@ -1,29 +1,45 @@
-// Sorts tables, saves pictures, and draws the interactive plot of loops.
+// Writes numbers in the chosen units, saves pictures, and draws the interactive plot of loops.
 "use strict";
 
+const UNITS = JSON.parse(document.getElementById("units").textContent);
 const STAGES = ["–", "1, slip", "2, stick", "3, build-up", "in the gap"];
+const chosenUnits = () => document.querySelector('input[name="units"]:checked').value;
+
+// As `symbols.number` writes it.
+const written = (value, digits, short) => {
+  if (short) {
+    const rounded = Number(value.toPrecision(digits));
+    return String(rounded).replaceAll("-", "−");
+  }
+  const power = value === 0 ? 0 : Number(value.toExponential(digits - 1).split("e")[1]);
+  let text;
+  if (power < -4 || power >= 6) text = value.toExponential(digits - 1).replace("e+", "e");
+  else if (power >= digits) text = Number(value.toPrecision(digits)).toFixed(0);
+  else text = value.toPrecision(digits);
+  return text.replaceAll("-", "−");
+};
+
+const writeUnits = () => {
+  const system = chosenUnits();
+  for (const element of document.querySelectorAll("[data-unit]")) {
+    const [by, name] = UNITS[element.dataset.unit][system];
+    const {value, digits, short} = element.dataset;
+    element.textContent =
+      value === undefined ? name : written(value * by, Number(digits), short !== undefined);
+  }
+  for (const element of document.querySelectorAll("[data-system]")) {
+    element.hidden = element.dataset.system !== system;
+  }
+};
+
+document.querySelector("fieldset.units").hidden = false;
+for (const choice of document.querySelectorAll('input[name="units"]')) {
+  choice.addEventListener("change", writeUnits);
+}
 
 for (const link of document.querySelectorAll("a[data-picture]")) {
   // saved from the page itself, which may be without the run folder
   link.href = document.getElementById(link.dataset.picture).src;
-}
-
-for (const button of document.querySelectorAll("th button.sort")) {
-  button.addEventListener("click", () => {
-    const head = button.closest("th");
-    const body = button.closest("table").tBodies[0];
-    const up = head.getAttribute("aria-sort") !== "ascending";
-    for (const other of head.parentElement.children) other.removeAttribute("aria-sort");
-    head.setAttribute("aria-sort", up ? "ascending" : "descending");
-    const key = (row) => row.children[head.cellIndex].dataset.value ?? "";
-    const rows = [...body.rows].sort((a, b) => {
-      const [x, y] = [key(a), key(b)];
-      if (x === "" || y === "") return (x === "") - (y === "");  // unknown values last
-      const order = isNaN(x) || isNaN(y) ? x.localeCompare(y, undefined, {numeric: true}) : x - y;
-      return up ? order : -order;
-    });
-    body.append(...rows);
-  });
 }
 
 const explorer = document.getElementById("explorer");
@@ -31,7 +47,6 @@ if (explorer && window.Bokeh) {
   const {systems, tests} = JSON.parse(document.getElementById("explorer-data").textContent);
   const item = JSON.parse(document.getElementById("explorer-item").textContent);
   const choice = document.getElementById("explorer-test");
-  const chosenUnits = () => document.querySelector('input[name="units"]:checked').value;
   const name = () => {
     tests.forEach((test, at) => { choice.options[at].textContent = test.name[chosenUnits()]; });
   };
@@ -41,18 +56,11 @@ if (explorer && window.Bokeh) {
     const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
     return new Float32Array(bytes.buffer);
   };
-  const span = (...arrays) => {
-    let [low, high] = [Infinity, -Infinity];
-    for (const array of arrays) {
-      for (const value of array) {
-        if (value < low) low = value;
-        if (value > high) high = value;
-      }
-    }
+  const show = (range, ...arrays) => {
+    const values = arrays.flatMap((array) => Array.from(array)).filter((value) => !isNaN(value));
+    const [low, high] = values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
     const margin = 0.04 * (high - low) || 1;
-    return [low - margin, high + margin];
-  };
-  const show = (range, [start, end]) => {
+    const [start, end] = [low - margin, high + margin];
     Object.assign(range, {start, end, reset_start: start, reset_end: end});
   };
 
@@ -67,12 +75,11 @@ if (explorer && window.Bokeh) {
       stage: [...test.stage].map((number) => STAGES[number]),
     };
     model.get_model_by_name("samples").data = data;
-    const heights = span(data.lower, data.upper, data.force.filter((value) => !isNaN(value)));
     const labels = {x: `displacement, ${system.length}`, t: "time, s"};
     for (const along of ["x", "t"]) {
       const plot = model.get_model_by_name(`plot-${along}`);
-      show(plot.x_range, span(data[along]));
-      show(plot.y_range, heights);
+      show(plot.x_range, data[along]);
+      show(plot.y_range, data.lower, data.upper, data.force);
       plot.below[0].axis_label = labels[along];
       plot.left[0].axis_label = `force, ${system.force}`;
       model.get_model_by_name(`hover-${along}`).tooltips = [
@@ -83,8 +90,7 @@ if (explorer && window.Bokeh) {
         ["stage", "@stage"],
       ];
     }
-    document.getElementById("explorer-role").textContent =
-      test.fitted ? "fitted" : "predicted, not fitted";
+    document.getElementById("explorer-role").textContent = test.fitted ? "fitted" : "held out";
   };
 
   explorer.hidden = false;

@@ -230,28 +230,10 @@ REFUSED = {
         "several columns for time, column 1: time_s, column 3: time_s; say which, as "
         "time = { column = 1 }",
     ),
-    "a name that two columns have": (
-        text("t_s,x_mm,x_mm,f_N\n" + lines(rows=ROWS[:, [0, 2, 1, 2]])),
-        {"time": "t_s", "displacement": "x_mm", "force": "f_N"},
-        "say which by its number, { column = 2 } or { column = 3 }",
-    ),
     "a number beyond the last column": (
         text(lines()),
         {"time": 1, "displacement": 2, "force": 4},
         "column 4 of",
-    ),
-    "no unit anywhere": (text(lines()), NUMBERS, "give the unit of time"),
-    "thousands separators": (
-        text("t_s;x_mm;f_N\n" + lines(";") + "8.0;1;1,234.5\n"),
-        {"time": "t_s", "displacement": "x_mm", "force": "f_N"},
-        "without a thousands separator",
-    ),
-    "an old .xls": (
-        lambda folder: (
-            (folder / "a.xlsx").write_bytes(bytes.fromhex("D0CF11E0A1B11AE1")) and folder / "a.xlsx"
-        ),
-        {},
-        "save it as .xlsx",
     ),
 }
 

@@ -79,115 +79,89 @@ def mts(*blocks, names=MTS_NAMES, units=MTS_UNITS):
     )
 
 
-@pytest.mark.parametrize("size", [5, 80, 200])
-def test_blocks_below_a_repeated_heading_are_one_record(tmp_path, size):
-    blocks = [ROWS[at : at + size] for at in range(0, 240, size)]
-    (tmp_path / "run_5bar.dat").write_text(mts(*blocks))
-    assert "samples 240 over 11.95 s" in inspected(tmp_path)
+def blocks(size):
+    return mts(*(ROWS[at : at + size] for at in range(0, 240, size)))
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        HEAD + text(ROWS[:80]) + HEAD + text(ROWS[80:]),
-        "Cycle 1\n" + HEAD + text(ROWS[:80]) + "Cycle 2\n" + HEAD + text(ROWS[80:]),
-        mts(ROWS[:80]) + MTS_NAMES + text(ROWS[80:], "\t"),
-        "# time_s,stroke_mm,load_N\n"
-        + text(ROWS[:80])
-        + "# time_s,stroke_mm,load_N\n"
-        + text(ROWS[80:]),
-    ],
-    ids=["names", "names below a line", "no units again", "comments"],
-)
-def test_headings_of_other_forms_are_passed_over_too(tmp_path, content):
+def between(words, at=80):
+    return HEAD + text(ROWS[:at]) + words + text(ROWS[at:])
+
+
+COMMENT = "# time_s,stroke_mm,load_N\n"
+ALL = "samples 240 over 11.95 s"
+BELOW = "\nMax,12.00,956.1\nMin,-12.00,-957.2\nEnd of test\n"
+READ = {
+    "blocks of 5 samples": (blocks(5), [ALL]),
+    "blocks of 80 samples": (blocks(80), [ALL]),
+    "blocks of 200 samples": (blocks(200), [ALL]),
+    "names again": (between(HEAD), [ALL]),
+    "names below a line": ("Cycle 1\n" + between("Cycle 2\n" + HEAD), [ALL]),
+    "names without units": (mts(ROWS[:80]) + MTS_NAMES + text(ROWS[80:], "\t"), [ALL]),
+    "comments": (COMMENT + text(ROWS[:80]) + COMMENT + text(ROWS[80:]), [ALL]),
+    "statistics below": (HEAD + text(ROWS) + BELOW, [ALL, "rows not used line 243 and below"]),
+    "a small table above": (
+        "Channel,Gain,Zero\n1,2.5,0.1\n2,3,0\n\n" + HEAD + text(ROWS),
+        [ALL, "rows not used lines 2 to 3"],
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "words"), READ.values(), ids=READ)
+def test_every_number_is_read_and_what_is_not_is_told(tmp_path, content, words):
     (tmp_path / "run_5bar.csv").write_text(content)
-    assert "samples 240 over 11.95 s" in inspected(tmp_path)
-
-
-def test_blocks_whose_times_start_again_are_refused_with_the_line(tmp_path):
-    again = ROWS[80:160] - [4.0, 0.0, 0.0]
-    (tmp_path / "run_5bar.dat").write_text(mts(ROWS[:80], again))
-    said = refusal(tmp_path)
-    assert "the heading is repeated from line 86" in said
-    assert "keep one block in a file" in said
-
-
-SWAPPED = "Time (s),Load (N),Stroke (mm)\n"
-
-
-@pytest.mark.parametrize("at", [10, 80, 220])
-@pytest.mark.parametrize(
-    "between",
-    [
-        SWAPPED,
-        "Time (s),Stroke (in),Load (N)\n",
-        "Time (s),Stroke (mm),Load (kN)\n",
-        "pause\n",
-        "Channel,Peak,Mean\n",
-    ],
-)
-def test_other_headings_between_the_numbers_are_refused(tmp_path, at, between):
-    (tmp_path / "run_5bar.csv").write_text(HEAD + text(ROWS[:at]) + between + text(ROWS[at:]))
-    code, said, _ = init(tmp_path)
-    small = "Channel" in between and at == 10  # a small table with names of its own above the other
-    assert code == (0 if small else 2), said
-    assert not small or "FIXME" in said
-
-
-@pytest.mark.parametrize("at", [3, 80, 220])
-def test_a_block_in_other_units_is_refused(tmp_path, at):
-    other = MTS_NAMES + "Sec\tmm\tkN\n" + text(ROWS[at:] * [1.0, 1.0, 1e-3], "\t")
-    (tmp_path / "run_5bar.dat").write_text(mts(ROWS[:at]) + other)
-    assert "run_5bar.dat" in refusal(tmp_path)
-
-
-@pytest.mark.parametrize("at", [10, 80, 220])
-def test_numbers_above_the_names_are_refused(tmp_path, at):
-    (tmp_path / "run_5bar.csv").write_text(text(ROWS[:at]) + HEAD + text(ROWS[at:]))
-    assert "more than one table" in refusal(tmp_path) or at == 220
-
-
-def test_a_comment_with_the_names_in_another_order_is_refused(tmp_path):
-    first, second = "# time_s disp_mm force_N\n", "# time_s force_N disp_mm\n"
-    (tmp_path / "run_5bar.txt").write_text(
-        first + text(ROWS[:80], " ") + second + text(ROWS[80:, [0, 2, 1]], " ")
-    )
-    assert "line 82" in refusal(tmp_path)
-
-
-def test_an_error_of_a_spreadsheet_is_no_comment(tmp_path):
-    (tmp_path / "run_5bar.csv").write_text(HEAD + text(ROWS[:80]) + "#N/A,1,2\n" + text(ROWS[81:]))
-    assert "found '#N/A'" in refusal(tmp_path)
-
-
-# --- above and below
-
-
-def test_statistics_below_the_numbers_are_left_out_and_told(tmp_path):
-    below = "\nMax,12.00,956.1\nMin,-12.00,-957.2\nEnd of test\n"
-    (tmp_path / "run_5bar.csv").write_text(HEAD + text(ROWS) + below)
     said = inspected(tmp_path)
-    assert "samples 240" in said
-    assert "rows not used line 243 and below" in said
+    assert [each for each in words if each not in said] == [], said
 
 
-def test_a_sensor_out_of_range_at_the_end_is_no_footer(tmp_path):
-    rows = "".join(f"OVR,{x:.3f},{t:.2f}\n" for t, x, _ in ROWS[235:])
-    (tmp_path / "run_5bar.csv").write_text(
-        "Load (N),Stroke (mm),Time (s)\n" + text(ROWS[:235, [2, 1, 0]]) + rows
-    )
-    assert "found 'OVR'" in refusal(tmp_path)
+AGAIN = ROWS[80:160] - [4.0, 0.0, 0.0]
+KILO = text(ROWS[80:] * [1.0, 1.0, 1e-3], "\t")
+ORDER = "# time_s disp_mm force_N\n", "# time_s force_N disp_mm\n"
+OUT_OF_RANGE = "".join(f"OVR,{x:.3f},{t:.2f}\n" for t, x, _ in ROWS[235:])
+REFUSED = {
+    "times that start again": (
+        mts(ROWS[:80], AGAIN),
+        ["the heading is repeated from line 86", "keep one block in a file"],
+    ),
+    **{
+        f"{words.strip()} at {at}": (between(words, at), ["run_5bar"])
+        for words in (
+            "Time (s),Load (N),Stroke (mm)\n",
+            "Time (s),Stroke (in),Load (N)\n",
+            "Time (s),Stroke (mm),Load (kN)\n",
+            "pause\n",
+        )
+        for at in (10, 80, 220)
+    },
+    "a table of others at 80": (between("Channel,Peak,Mean\n", 80), ["run_5bar"]),
+    "a table of others at 220": (between("Channel,Peak,Mean\n", 220), ["run_5bar"]),
+    "a block in other units": (mts(ROWS[:80]) + MTS_NAMES + "Sec\tmm\tkN\n" + KILO, ["run_5bar"]),
+    "10 numbers above": (text(ROWS[:10]) + HEAD + text(ROWS[10:]), ["more than one table"]),
+    "80 numbers above": (text(ROWS[:80]) + HEAD + text(ROWS[80:]), ["more than one table"]),
+    "a comment in another order": (
+        ORDER[0] + text(ROWS[:80], " ") + ORDER[1] + text(ROWS[80:, [0, 2, 1]], " "),
+        ["line 82"],
+    ),
+    "an error of a spreadsheet": (
+        HEAD + text(ROWS[:80]) + "#N/A,1,2\n" + text(ROWS[81:]),
+        ["found '#N/A'"],
+    ),
+    "a sensor out of range at the end": (
+        "Load (N),Stroke (mm),Time (s)\n" + text(ROWS[:235, [2, 1, 0]]) + OUT_OF_RANGE,
+        ["found 'OVR'"],
+    ),
+}
 
 
-def test_a_small_table_above_is_told(tmp_path):
-    (tmp_path / "run_5bar.csv").write_text(
-        "Channel,Gain,Zero\n1,2.5,0.1\n2,3,0\n\n" + HEAD + text(ROWS)
-    )
-    assert "rows not used lines 2 to 3" in inspected(tmp_path)
+@pytest.mark.parametrize(("content", "words"), REFUSED.values(), ids=REFUSED)
+def test_what_may_be_lost_is_refused(tmp_path, content, words):
+    (tmp_path / "run_5bar.csv").write_text(content)
+    said = refusal(tmp_path)
+    assert [each for each in words if each not in said] == [], said
 
 
-@pytest.mark.parametrize("comment", ["# ", "% ", "#"])
-@pytest.mark.parametrize("separator", [",", " ", "\t"])
+@pytest.mark.parametrize(
+    ("comment", "separator"), [("# ", ","), ("% ", " "), ("#", "\t"), ("# ", " ")]
+)
 def test_the_comment_right_above_numbers_names_the_columns(tmp_path, comment, separator):
     names = comment + separator.join(("time_s", "disp_mm", "force_N")) + "\n"
     (tmp_path / "run_5bar.txt").write_text("# a test\n" + names + text(ROWS, separator))
@@ -196,8 +170,10 @@ def test_the_comment_right_above_numbers_names_the_columns(tmp_path, comment, se
     assert units == {"time": "s", "displacement": "mm", "force": "N"}
 
 
-@pytest.mark.parametrize("cell", ["#N/A", "", "OVR", "nan"])
-@pytest.mark.parametrize("window", ["0 s to 8 s", "3 s to 11 s", "0 s to 11 s"])
+@pytest.mark.parametrize(
+    ("cell", "window"),
+    [*((cell, "0 s to 8 s") for cell in ("#N/A", "", "OVR", "nan")), ("", "3 s to 11 s")],
+)
 def test_cells_outside_the_window_need_not_be_numbers(tmp_path, cell, window):
     bad = "".join(f"{t:.2f},{x:.4f},{cell}\n" for t, x, _ in ROWS[200:])
     (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
@@ -294,6 +270,17 @@ def test_channels_between_each_others_samples_are_interpolated(tmp_path):
     )
 
 
+def test_a_short_channel_that_is_not_used_cuts_nothing(tmp_path):
+    path = tdms(
+        tmp_path,
+        ("Disp", TRAVEL, wave("mm")),
+        ("Load", ROWS[:, 2], wave("N")),
+        ("Trigger", ROWS[:20, 2], wave("V")),
+    )
+    record = mb.read_record(path, {"time": "time", "displacement": "Disp", "force": "Load"})
+    assert record.time.size == 240
+
+
 def test_channels_of_different_lengths_are_cut_and_it_is_told(tmp_path):
     tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), ("Load", ROWS[:230, 2], wave("N")))
     said = inspected(tmp_path)
@@ -342,28 +329,27 @@ def unit_of(folder, role):
 UNKNOWN = ("tonf", "ton", "t", "kg", "kgs", "Kg", "div", "V", "mV", "counts", "x10 kN", "%")
 
 
-@pytest.mark.parametrize("unit", UNKNOWN)
-@pytest.mark.parametrize("form", ["Load({})", "Load [{}]", "Load <{}>"])
-def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path, unit, form):
-    head = f"Time(s),Disp(mm),{form.format(unit)}\n"
-    (tmp_path / "run_5bar.csv").write_text(head + text(ROWS))
-    found, said = unit_of(tmp_path, "force")
+@pytest.mark.parametrize(
+    ("role", "head", "unit"),
+    [
+        *(("force", f"Time(s),Disp(mm),Load({unit})", unit) for unit in UNKNOWN),
+        ("force", "Time(s),Disp(mm),Load [tonf]", "tonf"),
+        ("force", "Time(s),Disp(mm),Load <kg>", "kg"),
+        ("force", "time_s,disp_mm,load_tonf", "tonf"),
+        ("force", "time_s,disp_mm,Load kg", "kg"),
+        ("force", "Time,Disp,Load\ns,mm,tonf", "tonf"),
+        ("force", "Time,Disp,Load\ns,div,tonf", "tonf"),
+        ("force", "Time,Disp,Load\n-,mm,kg", "kg"),
+        ("time", "Time (div),Disp (mm),Load (N)", "div"),
+        ("displacement", "Time (s),Stroke [div],Load (N)", "div"),
+        ("displacement", "Time (s),Disp (V),Load (N)", "V"),
+    ],
+)
+def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path, role, head, unit):
+    (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
+    found, said = unit_of(tmp_path, role)
     assert found is None
-    assert f"FIXME: columns: the unit of force is unknown; {unit!r}" in said
-
-
-@pytest.mark.parametrize("name", ["load_tonf", "load_kg", "Load kg", "Load, ton"])
-def test_it_is_named_without_brackets_too(tmp_path, name):
-    (tmp_path / "run_5bar.dat").write_text(f"time_s\tdisp_mm\t{name}\n" + text(ROWS, "\t"))
-    assert unit_of(tmp_path, "force")[0] is None
-
-
-@pytest.mark.parametrize("row", ["s,mm,tonf", "s,div,tonf", "-,mm,kg", "s,mm,V"])
-def test_it_is_named_in_a_row_of_units_too(tmp_path, row):
-    (tmp_path / "run_5bar.csv").write_text(f"Time,Disp,Load\n{row}\n" + text(ROWS))
-    found, said = unit_of(tmp_path, "force")
-    assert found is None
-    assert f"the unit of force is unknown; {row.split(',')[2]!r}" in said
+    assert f"the unit of {role} is unknown; {unit!r}" in said
 
 
 def test_it_is_named_in_a_channel_a_workbook_and_an_object_too(tmp_path):
@@ -377,19 +363,6 @@ def test_it_is_named_in_a_channel_a_workbook_and_an_object_too(tmp_path):
     assert len(campaign["test"]) == 3
     assert '"kN"' not in (tmp_path / "campaign.toml").read_text()
     assert "'tonf'" in said
-
-
-@pytest.mark.parametrize(
-    ("role", "head"),
-    [
-        ("time", "Time (div),Disp (mm),Load (N)"),
-        ("displacement", "Time (s),Stroke [div],Load (N)"),
-        ("displacement", "Time (s),Disp (V),Load (N)"),
-    ],
-)
-def test_it_is_named_for_other_roles_too(tmp_path, role, head):
-    (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
-    assert unit_of(tmp_path, role)[0] is None
 
 
 def test_it_is_named_for_an_actuation_too(tmp_path):
@@ -472,23 +445,19 @@ def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path, head, unit, to
 
 
 @pytest.mark.parametrize(
-    "name", ["Scan", "Sample", "Index", "No.", "#", "Count", "Record", "", "Time"]
+    ("name", "first", "step"),
+    [
+        *((name, 1, 1) for name in ("Scan", "Sample", "Index", "No.", "#", "Count", "", "Time")),
+        *(("Scan", 0, step) for step in (1, 2, 10)),
+    ],
 )
-@pytest.mark.parametrize("first", [0, 1])
-def test_a_counter_is_no_time(tmp_path, name, first):
-    rows = "".join(f"{first + i},{x:.4f},{f:.4f}\n" for i, (_, x, f) in enumerate(ROWS))
+def test_a_counter_is_no_time(tmp_path, name, first, step):
+    rows = "".join(f"{first + step * i},{x:.4f},{f:.4f}\n" for i, (_, x, f) in enumerate(ROWS))
     (tmp_path / "run_5bar.csv").write_text(f"{name},Stroke (mm),Load (N)\n{rows}")
     found, said = unit_of(tmp_path, "time")
     assert found is None
-    assert "at which rate?" in said
     assert not (tmp_path / "priors.toml").exists()
-
-
-@pytest.mark.parametrize("step", [2, 10])
-def test_a_counter_in_larger_steps_is_none_either(tmp_path, step):
-    rows = "".join(f"{step * i},{x:.4f},{f:.4f}\n" for i, (_, x, f) in enumerate(ROWS))
-    (tmp_path / "run_5bar.csv").write_text(f"Scan,Stroke (mm),Load (N)\n{rows}")
-    assert unit_of(tmp_path, "time")[0] is None
+    assert step > 1 or "at which rate?" in said
 
 
 @pytest.mark.parametrize("first", [45356.41666667, 739316.41666667])

@@ -1,0 +1,418 @@
+"""A campaign: its file, read and checked, and its tests."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import reprlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any, ClassVar
+
+from pydantic import ValidationError
+
+from mfd_bayes.campaign.schema import (
+    TABLES,
+    CampaignFile,
+    Column,
+    GoalTable,
+    NoiseName,
+    Role,
+    TestTable,
+    keys_of,
+)
+from mfd_bayes.errors import CampaignError, UnitError
+from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
+from mfd_bayes.planning.goal import Goal, check_goal, check_session
+from mfd_bayes.records.channels import Source
+from mfd_bayes.records.columns import header_unit
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.readers.table import own_name
+from mfd_bayes.records.record import Record, Window, read_record
+from mfd_bayes.records.regular import file_inside
+from mfd_bayes.records.time_axis import parse_window
+from mfd_bayes.store.toml import TomlError, read_toml
+from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
+
+_MOST_FAULTS, _LONGEST_FAULT = 10, 400  # what a message lists, and letters of each
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One test of a campaign.
+
+    Attributes
+    ----------
+    id : str
+        The name of its folder; no two ids differ only in the case of their letters.
+    path : Path
+        Its file, inside the campaign's folder, links resolved.
+    actuation : str or None
+        Constant actuation with its unit; None where `columns` has the role "actuation".
+    window : (float, float) or None
+        The part of the record that is fitted, s.
+    columns : dict of str to Source
+        Role to its source, where the campaign file gives one.
+    session, after : str
+        As in the campaign file.
+    """
+
+    __test__: ClassVar[bool] = False  # pytest must not take it for a test class
+
+    id: str
+    path: Path
+    actuation: str | None
+    window: Window | None
+    role: Role
+    columns: dict[str, Source]
+    session: str = ""
+    after: str = ""
+
+    def read(self) -> Record:
+        """Record of this test; raises as `read_record` does."""
+        return read_record(self.path, self.columns, None, self.actuation, fit=self.window)
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """A campaign file, checked.
+
+    Attributes
+    ----------
+    path, folder : Path
+        The file, and its folder, links resolved; all test files are inside it.
+    settings : CampaignFile
+        What the file says, its defaults, and the unit of each measured actuation.
+    """
+
+    path: Path
+    folder: Path
+    settings: CampaignFile
+    tests: tuple[Test, ...]
+
+    @property
+    def title(self) -> str:
+        """The campaign file's name where no title is given."""
+        return self.settings.campaign.title or self.path.stem
+
+    @property
+    def priors(self) -> str:
+        """A name, or a path relative to `folder`."""
+        return self.settings.campaign.priors
+
+    @property
+    def model(self) -> str:
+        """Name of the friction model."""
+        return self.settings.model
+
+    @property
+    def noise(self) -> str:
+        """Name of the noise."""
+        return self.settings.noise
+
+    @property
+    def rate(self) -> float | None:
+        """Rate to which records are thinned, Hz."""
+        return self.settings.campaign.rate
+
+    def since(self, test: Test) -> float:
+        """Time in a test's file at which the test before it ended, s, if it is in the same file."""
+        same = (t for t in self.tests if t.id == test.after and t.path == test.path)
+        return max((t.window[1] for t in same if t.window), default=-math.inf)
+
+
+def load_campaign(
+    path: str | Path, model: str | None = None, noise: NoiseName | None = None
+) -> Campaign:
+    """Campaign of a TOML file; test files must exist but are not read yet.
+
+    A test file is read where only its row of units tells the unit of its actuation.
+
+    Parameters
+    ----------
+    path : str or Path
+    model, noise : str, optional
+        In place of the file's own.
+
+    Raises
+    ------
+    CampaignError
+        When the file is not TOML, a key is unknown, missing or of the wrong kind, two tests
+        share an id, a test's file is missing or outside the campaign's folder, actuations are of
+        several kinds, no test is to be calibrated, or tests follow each other as they cannot.
+    RecordError
+        When a test file that must be read for its row of units cannot be read.
+    """
+    path = Path(path)
+    settings = _read_settings(path)
+    chosen = {name: value for name, value in (("model", model), ("noise", noise)) if value}
+    general = settings.campaign.model_copy(update=chosen)
+    settings = settings.model_copy(update={"campaign": general})
+    try:
+        folder = path.resolve().parent
+    except (OSError, RuntimeError) as error:
+        raise CampaignError(f"cannot read {path}: {error}") from error
+    tests = []
+    for entry in settings.test:
+        if entry.rate is not None and "time" in entry.columns.given:
+            raise CampaignError(
+                f"test {entry.id!r} in {path}: a time is given either by its column or by a rate"
+            )
+        file = _find_file(path, folder, entry)
+        if isinstance(entry.actuation, Column):
+            unit = _history_unit(path, entry.id, entry.actuation, file)
+            column = entry.actuation.model_copy(update={"unit": unit})
+            settings = settings.with_test(entry.id, actuation=column)
+            entry = settings.tests[entry.id]
+        tests.append(
+            Test(
+                entry.id,
+                file,
+                entry.actuation if isinstance(entry.actuation, str) else None,
+                None if entry.fit is None else parse_window(entry.fit),
+                entry.role,
+                {role: column.source for role, column in settings.columns_of(entry).items()},
+                entry.session,
+                entry.after,
+            )
+        )
+    _check_tests(path, settings)
+    _check_order(path, tests)
+    goal = goal_settings(settings.goal, settings.actuation_unit, path).goal
+    learned = [test.session for test in tests if test.role == "calibrate"]
+    check_session(goal.session, learned, of=f"goal.session in {path}")
+    return Campaign(path, folder, settings, tuple(tests))
+
+
+def _find_file(path: Path, folder: Path, entry: TestTable) -> Path:
+    """Path of a test's file, which must be in the campaign's folder once links are followed."""
+    where = f"file {entry.file!r} of test {entry.id!r} in {path}"
+    try:
+        file = file_inside(folder, entry.file)
+        if file is None:
+            raise CampaignError(f"{where} lies outside the campaign's folder")
+        if not file.is_file():
+            raise CampaignError(f"{where} does not exist")
+    except (OSError, RuntimeError, ValueError) as error:
+        raise CampaignError(f"{where} cannot be found: {error}") from error
+    return file
+
+
+def _history_unit(path: Path, test: str, column: Column, file: Path) -> str:
+    """Unit of a measured actuation: as given, or of its name, or of the file's row of units."""
+    unit = column.unit or header_unit(column.name or "")
+    if column.unit is None and (unit is None or not _is_actuation(unit)):
+        table = read_table(file)
+        name = table.name_of(column.key)
+        unit = table.units.get(name, unit or header_unit(own_name(name)))
+    where = f"actuation of test {test!r} in {path}"
+    if unit is None:
+        given = f"name = {column.name!r}" if column.name else f"column = {column.column}"
+        raise CampaignError(f"{where} needs a unit: {{ {given}, unit = … }}")
+    try:
+        actuation_factor(unit, of=f"the {where}")
+    except UnitError as error:
+        raise CampaignError(str(error)) from error
+    return unit
+
+
+def _is_actuation(unit: str) -> bool:
+    """Whether a unit is one of an actuation; "force" of "axial_force" is none, nor 1 of "p_1"."""
+    try:
+        actuation_factor(unit)
+    except UnitError:
+        return False
+    return measure(unit) != "ratio"
+
+
+def _check_tests(path: Path, settings: CampaignFile) -> None:
+    """Refuse equal ids, actuations of several kinds, and a campaign with nothing to calibrate."""
+    seen: dict[str, str] = {}
+    kinds: dict[ActuationUnit, str] = {}
+    for test in settings.test:
+        if (other := seen.get(test.id.lower())) is not None:
+            also = "" if other == test.id else f" (as {other!r}; case does not tell folders apart)"
+            raise CampaignError(f"two tests of {path} have the id {test.id!r}{also}")
+        seen[test.id.lower()] = test.id
+        kinds.setdefault(actuation_factor(test.actuation_unit)[1], test.id)
+    if len(kinds) > 1:
+        each = (f"that of test {name!r} is {actuation_kind(u)}" for u, name in kinds.items())
+        raise CampaignError(
+            f"actuations of {path} must be all of one kind, as all pressures or all forces; "
+            + ", ".join(each)
+        )
+    if all(test.role == "validate" for test in settings.test):
+        raise CampaignError(f"{path} has no test with role 'calibrate'")
+    if settings.area is not None and "ksi" not in kinds:
+        ((unit, name),) = kinds.items()
+        raise CampaignError(
+            f"area in [campaign] of {path} is for actuations that are pressures; the actuation of "
+            f"test {name!r} is {actuation_kind(unit)}: leave area out"
+        )
+
+
+def _check_order(path: Path, tests: Sequence[Test]) -> None:
+    """Refuse tests that follow each other as they cannot have been made."""
+    by_id = {test.id: test for test in tests}
+    follower: dict[str, str] = {}
+    for test in tests:
+        if not test.after:
+            continue
+        where = f"after of test {test.id!r} in {path}"
+        if test.after not in by_id:
+            near = difflib.get_close_matches(test.after, by_id, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise CampaignError(f"{where} must be the id of another test, got {test.after!r}{hint}")
+        if test.after == test.id:
+            raise CampaignError(f"{where} must be the id of another test, got its own")
+        other = follower.setdefault(test.after, test.id)
+        if other != test.id:
+            raise CampaignError(
+                f"{where} must be a test that no other follows directly, got {test.after!r}, which "
+                f"test {other!r} follows"
+            )
+    ordered = [test.id for test in tests if not test.after]
+    for name in ordered:  # and those that follow, which are appended meanwhile
+        if name in follower:
+            ordered.append(follower[name])
+    if circular := [test.id for test in tests if test.id not in set(ordered)]:
+        chain = circular[:1]
+        while len(chain) == 1 or chain[-1] != chain[0]:
+            chain.append(by_id[chain[-1]].after)
+        raise CampaignError(
+            f"after of test {chain[0]!r} in {path} must lead back to a test that follows none, got "
+            f"a circle: {' after '.join(chain)}"
+        )
+    for test in tests:
+        before = by_id.get(test.after)
+        if before is None or before.path != test.path:
+            continue
+        if not (test.window and before.window and test.window[0] >= before.window[1]):
+            raise CampaignError(
+                f"after of test {test.id!r} in {path} is a test of the same file, {before.id!r}: "
+                "the fit window of the one must begin where that of the other ends, or later, got "
+                f"{_window_text(test.window)} after {_window_text(before.window)}"
+            )
+
+
+def _window_text(window: Window | None) -> str:
+    return "all of the file" if window is None else f"{window[0]:g} s to {window[1]:g} s"
+
+
+@dataclass(frozen=True)
+class GoalSettings:
+    """What is to be known better, and by which tests.
+
+    Attributes
+    ----------
+    goal : Goal
+    candidates : sequence of Parts
+        Empty for a grid of the campaign's range.
+    limits : Limits
+        Of the actuator.
+    """
+
+    goal: Goal = field(default_factory=Goal)
+    candidates: Sequence[Parts] = ()
+    limits: Limits = field(default_factory=Limits)
+
+
+def goal_settings(table: GoalTable | None, unit: ActuationUnit, path: Path) -> GoalSettings:
+    """What the table `[goal]` of a campaign file says; the default without one.
+
+    Raises
+    ------
+    CampaignError
+        When a text in it is not understood; the sentence names the file and the key.
+    """
+    if table is None:
+        return GoalSettings()
+
+    def tests(key: str, texts: tuple[str, ...]) -> tuple[Parts, ...]:
+        return tuple(parse_tests(texts, unit, of=f"goal.{key} in {path}")) if texts else ()
+
+    at = tests("at", table.at)
+    goal = Goal(table.quantity, table.of, table.kind, at, table.probability, table.session)
+    check_goal(goal, of=f"goal.quantity in {path}")
+    limits = parse_limits(table.limits, of=f"goal.limits in {path}") if table.limits else Limits()
+    return GoalSettings(goal, tests("candidates", table.candidates), limits)
+
+
+def _read_settings(path: Path) -> CampaignFile:
+    content = _read_toml(path)
+    try:
+        return CampaignFile.model_validate(content)
+    except ValidationError as error:
+        faults = list(islice(_faults(path, content, error), _MOST_FAULTS + 1))
+        texts = [f if len(f) <= _LONGEST_FAULT else f"{f[:_LONGEST_FAULT]}…" for f in faults]
+        more = "; and more" if len(texts) > _MOST_FAULTS else ""
+        raise CampaignError("; ".join(texts[:_MOST_FAULTS]) + more) from None
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    if path.is_dir():
+        example = path / "campaign.toml"
+        raise CampaignError(f"{path} is a folder: give the campaign file in it, {example}")
+    try:
+        return read_toml(path)
+    except FileNotFoundError as error:
+        if not path.parent.is_dir():
+            raise CampaignError(f"cannot read {path}: there is no folder {path.parent}") from error
+        files = [file.name for file in path.parent.glob("*.toml")]
+        near = difflib.get_close_matches(path.name, files, n=1)
+        hint = f"; did you mean {path.parent / near[0]}?" if near else ""
+        raise CampaignError(f"cannot read {path}: {error.strerror}{hint}") from error
+    except OSError as error:
+        raise CampaignError(f"cannot read {path}: {error.strerror or error}") from error
+    except TomlError as error:
+        raise CampaignError(f"{path} {error}") from error
+
+
+def _faults(path: Path, content: dict[str, Any], error: ValidationError) -> Iterator[str]:
+    """A sentence for each fault: which key, what was expected, what came."""
+    for fault in error.errors(include_url=False):
+        loc = [part for part in fault["loc"] if not str(part).startswith((":", "[key]"))]
+        key, value = _dotted(content, loc), fault["input"]
+        came, message = reprlib.repr(value), fault["msg"].removeprefix("Value error, ")
+        if loc == ["test"] and isinstance(content.get("test"), dict):
+            yield f"a test in {path} begins with [[test]], in two brackets, not [test]"
+        elif fault["type"] == "too_short" and content.get("test"):
+            continue  # there are tests, but each has a fault of its own, which is reported
+        elif fault["type"] == "extra_forbidden":
+            yield _unknown_key(path, content, loc)
+        elif fault["type"] == "missing":
+            yield f"{key} is missing in {path}"
+        elif fault["type"] == "tuple_type":
+            is_text = isinstance(value, str) and value.isprintable()
+            example = f' such as ["{value}"]' if is_text else ""
+            yield f"{key} in {path} should be a list{example}, got {came}"
+        elif message.startswith("Input should be"):
+            yield f"{key} in {path} {message.removeprefix('Input ')}, got {came}"
+        else:
+            yield f"{key} in {path}: {message}" + ("" if came in message else f", got {came}")
+
+
+def _unknown_key(path: Path, content: dict[str, Any], loc: list[int | str]) -> str:
+    """Sentence on an unknown key, with the nearest one that its table may have."""
+    tables = [part for part in loc[:-1] if isinstance(part, str)]
+    table = tables[-1] if tables else ""
+    known = keys_of(table if table in TABLES or len(tables) == 1 else "actuation")
+    near = difflib.get_close_matches(str(loc[-1]), known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
+    section = f" in [{_dotted(content, loc[:-1])}]" if tables else ""
+    return f"unknown key {str(loc[-1])!r}{section} of {path}; {hint}"
+
+
+def _dotted(content: dict[str, Any], loc: list[int | str]) -> str:
+    """Key with its tables, joined by dots; a test by its id, or by its number from 1."""
+    text = ""
+    for part in loc:
+        if isinstance(part, int):
+            entry = content["test"][part] if text == "test" else None
+            name = entry.get("id") if isinstance(entry, dict) else None
+            text += f" {name!r}" if isinstance(name, str) else f" {part + 1}"
+        else:
+            text += f".{part}" if text else part
+    return text

@@ -1,0 +1,214 @@
+"""The commands that calibrate and look at the result: calibrate, check, report, draws, demo."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Annotated, Literal
+
+import typer
+from typer import Context, Option
+
+from mfd_bayes.cli import console, options
+from mfd_bayes.cli.errors import mistakes, resumption, this_command
+from mfd_bayes.cli.progress import watch
+
+
+def calibrate(
+    ctx: Context,
+    campaign: options.Campaign,
+    out: options.NewRunOrNone = None,
+    resume: options.Resume = False,
+    force: options.Force = False,
+    jobs: options.Jobs = 0,
+    scheduler: options.Scheduler = "",
+    seed: options.Seed = 1,
+    effort: options.Effort = None,
+    dry_run: Annotated[bool, Option("--dry-run", help="Read and check only.")] = False,
+    strict: Annotated[bool, Option("--strict", help="Exit 1 if the run is not usable.")] = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Calibrate every test of a campaign, infer the laws, and write the report.
+
+    Writes the run folder OUT: report.html, tables of parameters and laws (CSV,
+    JSON, LaTeX), checks.csv, pictures, and a posterior.nc of every test, which
+    ArviZ opens. After Ctrl-C, what is finished is kept: --resume goes on.
+
+    Example:
+      mfd-bayes calibrate campaign.toml --dry-run
+      mfd-bayes calibrate campaign.toml -o out
+      mfd-bayes calibrate campaign.toml -o out --resume
+    """
+    if out is None and not dry_run:
+        raise typer.BadParameter("missing: give the run folder to write", param_hint="-o")
+    with mistakes("" if dry_run else resumption()):
+        if not dry_run:
+            _get_ready()
+        from mfd_bayes.evaluation import summary
+        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.pipeline.plan import plan_campaign
+
+        plan = plan_campaign(campaign, options.run_options(ctx, out))
+        if dry_run or out is None:
+            if out is not None:
+                pipeline.check_dry(plan, out)
+            console.print_plan(plan)
+            return
+        if not quiet:
+            console.print_warnings(plan.manifest.warnings, plan.system)
+        with watch(quiet=quiet) as observe:
+            view = pipeline.calibrate_plan(plan, out, observe)
+        console.print_end(view, out, quiet=quiet)
+    if not summary.is_whole(view) or (strict and summary.fails(view)):
+        raise typer.Exit(1)
+
+
+def _get_ready() -> None:
+    """Let the server of processes import what they need, before this process imports the rest."""
+    from mfd_bayes.jobs.local import get_ready
+
+    get_ready("mfd_bayes.pipeline.preload")
+
+
+def check(
+    out: options.Run,
+    every: Annotated[bool, Option("--all", help="Show every check.")] = False,
+    quiet: options.Quiet = False,
+    units: options.Units = None,
+) -> None:
+    """Show checks, warnings and the verdict on every test; exit 1 where the run is not usable.
+
+    Shows how many checks of each kind passed, and every check that failed or needs
+    care; --all shows every check. The verdict is "usable", "usable with care" or
+    "not usable". Writes nothing; OUT/checks.csv holds every check.
+
+    Example:
+      mfd-bayes check out
+      mfd-bayes check out --all
+      mfd-bayes check out --quiet && echo fit to use
+    """
+    with mistakes():
+        from mfd_bayes.evaluation import summary
+        from mfd_bayes.pipeline import report as pipeline
+
+        view = pipeline.check(out, units or "")
+    if not quiet:
+        console.print_checks(view, every=every)
+    console.print_sentences(view)
+    if summary.fails(view):
+        raise typer.Exit(1)
+
+
+def report(
+    out: options.Run,
+    quiet: options.Quiet = False,
+    pdf: Annotated[bool, Option("--pdf", help="Write a PDF too; needs a Chromium.")] = False,
+    word: Annotated[
+        bool, Option("--word", help="Write Tables I and II as tables.docx too.")
+    ] = False,
+    excel: Annotated[
+        bool, Option("--excel", help="Write Tables I and II as tables.xlsx too.")
+    ] = False,
+    next_test: Annotated[
+        bool, Option("--next", help="Add a section on which test to make next.")
+    ] = False,
+    tests: Annotated[
+        list[str] | None,
+        Option(help="Draw this test's pictures, in a run of more than 12; may be repeated."),
+    ] = None,
+    all_tests: Annotated[
+        bool, Option("--all-tests", help="Draw the pictures of every test of such a run.")
+    ] = False,
+    at: Annotated[
+        list[str] | None,
+        Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
+    ] = None,
+    units: options.Units = None,
+) -> None:
+    """Remake the report, tables and figures of a run from what is stored, without sampling.
+
+    Writes OUT/report.html, the tables beside it, OUT/figures and the pictures
+    of every test; with --pdf OUT/report.pdf too. All are in the units of the
+    campaign, or in those of --units; the page has a switch for both. In a run
+    of more than 12 tests, pictures of single tests are drawn only with --tests
+    or --all-tests.
+
+    Example:
+      mfd-bayes report out
+      mfd-bayes report out --pdf
+      mfd-bayes report out --units si --word --excel
+      mfd-bayes report out --tests p500_f0.05 --tests p800_f0.05
+    """
+    with mistakes(this_command()):
+        from mfd_bayes.evaluation import summary
+        from mfd_bayes.pipeline import report as pipeline
+        from mfd_bayes.reporting.publish import Forms
+
+        chosen, conditions = tuple(tests or ()), tuple(at or ())
+        forms = Forms(pdf, word, excel, next_test, chosen, all_tests, conditions)
+        with watch(quiet=quiet) as observe:
+            view = pipeline.report(out, observe, forms=forms, units=units or "")
+        console.print_end(view, out, quiet=quiet)
+    if not summary.is_whole(view):
+        raise typer.Exit(1)
+
+
+def draws(
+    out: options.Run,
+    to: Annotated[Literal["csv", "parquet"], Option(help="Parquet needs the extra parquet.")],
+    units: options.Units = None,
+    most: Annotated[int, Option(min=0, help="Most draws kept of each test; 0 for all.")] = 0,
+) -> None:
+    """Write the posterior draws of every test as one table, for other programs.
+
+    Writes OUT/draws.csv or OUT/draws.parquet: test, chain and draw, then a column
+    for each quantity with its unit in brackets, then the log densities.
+
+    Example:
+      mfd-bayes draws out --to csv
+      mfd-bayes draws out --to parquet --units si
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import report as pipeline
+
+        written, rows = pipeline.write_draws(out, to, units or "", most)
+    console.say(f"{written} written: {rows} draws")
+
+
+def demo(
+    ctx: Context,
+    out: options.Run,
+    quick: Annotated[bool, Option("--quick", help="Fewer draws, in a little less time.")] = False,
+    jobs: options.Jobs = 0,
+    scheduler: options.Scheduler = "",
+    seed: options.Seed = 1,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Calibrate a synthetic campaign after the MFD paper's test matrix.
+
+    Writes its CSV files and campaign.toml under OUT/campaign, an example for
+    your own, calibrates them, writes OUT/report.html and compares the posterior
+    with the true values.
+
+    Example:
+      mfd-bayes demo out --quick
+    """
+    effort = "quick" if quick else "standard"
+
+    def resume() -> str:
+        campaign, words = out / "campaign" / "campaign.toml", ["--seed", str(seed)]
+        words += ["--scheduler", scheduler] if scheduler else []
+        if not campaign.is_file():  # it is written last
+            quicker = ["--quick"] if quick else []
+            return shlex.join(["mfd-bayes", "demo", str(out), *quicker, *words, "--force"])
+        run = [str(campaign), "-o", str(out), "--effort", effort]
+        return shlex.join(["mfd-bayes", "calibrate", *run, *words, "--resume"])
+
+    with mistakes(resume):
+        _get_ready()
+        from mfd_bayes.pipeline import calibrate as pipeline
+
+        with watch(quiet=quiet) as observe:
+            view = pipeline.demo(out, options.run_options(ctx, out, effort=effort), observe)
+        console.print_truth(view, quiet=quiet)
+        console.print_end(view, out, quiet=quiet)

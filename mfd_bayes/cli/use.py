@@ -1,0 +1,405 @@
+"""The commands that use a finished run: predict, crossvalidate, compare, next, respond, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+from typer import Context, Option
+
+from mfd_bayes.cli import console, options
+from mfd_bayes.cli.errors import mistakes, resumption
+from mfd_bayes.cli.progress import watch
+from mfd_bayes.units import percent
+
+if TYPE_CHECKING:
+    from mfd_bayes.pipeline.predict import Answer, Question
+
+_COMPARED = "three_stage,lugre,bouc_wen,backlash"
+
+
+def predict(
+    ctx: Context,
+    out: options.Run,
+    actuation: Annotated[str, Option(help='Such as "1000 psi".')],
+    bands: Annotated[
+        Path, Option("-o", "--out", parser=options.path, help="CSV to write; PNGs beside it.")
+    ],
+    motion: Annotated[
+        Path | None, Option(parser=options.path, help="A file with time_s and displacement_in, …")
+    ] = None,
+    sine: Annotated[str, Option(help='A harmonic motion instead: "1 in, 0.5 Hz, 3 cycles".')] = "",
+    kind: options.Kind = "new_test",
+    probability: Annotated[float, Option(help="Probability of the equal-tailed band.")] = 0.95,
+    compare: Annotated[
+        bool, Option("--compare", help="Compare with the force in the motion's file.")
+    ] = False,
+    test: Annotated[
+        str, Option(metavar="ID", help="The calibrated test, for --kind this_test.")
+    ] = "",
+    whole: Annotated[
+        bool, Option("--whole", help="Add a band that holds the whole history.")
+    ] = False,
+    explain: Annotated[bool, Option("--explain", help="Say what makes the band wide.")] = False,
+    design: Annotated[
+        bool, Option("--design", help="Print mean and bounding properties with λ factors.")
+    ] = False,
+    extrapolate: Annotated[
+        bool, Option("--extrapolate", help="Predict also far outside of the tested range.")
+    ] = False,
+    rate: Annotated[
+        str, Option(metavar='"64 Hz"', help="Thin the motion; else every sample is kept.")
+    ] = "",
+    given: Annotated[
+        str, Option(metavar='"0 s to 3 s"', help="The time in which the file's force is used.")
+    ] = "",
+    after: Annotated[
+        str, Option(metavar="ID", help="The test before, where the device was not reset.")
+    ] = "",
+    others: Annotated[
+        list[Path] | None,
+        Option(
+            "--with",
+            metavar="OUT",
+            parser=options.path,
+            help="Predict together with this run of another model; may be repeated.",
+        ),
+    ] = None,
+    figures: Annotated[bool, Option("--figures/--no-figures", help="Draw the PNGs.")] = True,
+    force: options.Replace = False,
+    units: options.Units = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Predict the force of a motion at an actuation, tested or not.
+
+    Writes the band as CSV where -o says, a PNG of the loops beside it, one of the
+    history (..._history.png), and what derives from the force, such as energy and
+    peaks (..._derived.csv). It warns where stroke, speed, frequency or actuation
+    lie outside the tested range, or the run is not usable; far outside it
+    refuses unless --extrapolate is given. --compare prints the share of the
+    measured force inside the band, and keeps it in the CSV. --design prints mean
+    and bounding properties (slip force, energy, peaks), for the mean property,
+    this device tested again, another device and a measurement, and writes
+    ..._design.csv. --explain takes some seconds. --given uses the force in a
+    part of the motion's file, for the kinds new_test and observation: the band of
+    the rest is narrower, and the tables and pictures mark the part. --after names
+    a test of the run that was made directly before, with no reset in between: the
+    motion begins where in its gap that test ended. --with names a run of the same
+    tests with another model, such as compare writes: both give half of the band's
+    draws, so that it holds what each of them says.
+
+    Example:
+      mfd-bayes predict out --motion quake.csv --actuation "1000 psi" -o bands.csv
+      mfd-bayes predict out --sine "1in, 1Hz, 3 cycles" --actuation 1ksi -o b.csv
+      mfd-bayes predict a --with b --motion quake.csv --actuation "1 ksi" -o b.csv
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import predict as pipeline
+
+        question = options.settings(pipeline.Question, ctx)
+        answer = pipeline.predict(out, question)
+    _print_answer(answer, question, quiet=quiet)
+
+
+def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
+    """Print what a prediction found, and where its tables are."""
+    band = answer.band
+    for remark in band.remarks:
+        console.say(f"warning: {remark}", err=True)
+    console.say(
+        f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
+        f"({answer.name}), from {band.source}: {question.bands}"
+        f"{f' and {question.picture}' if question.figures else ''}"
+    )
+    if answer.compared is not None:
+        console.say(answer.compared.sentence(answer.system))
+        if answer.judged:
+            warning = "warning: " if answer.disagrees else ""
+            console.say(f"{warning}{answer.judged}", err=answer.disagrees)
+    if band.explained:
+        console.print_shares(band.explained, quiet=quiet)
+    if answer.design:
+        console.print_design(answer.design)
+    if not quiet:
+        console.print_derived(answer.derived, band.probability)
+        console.say(f"look next at {question.beside('derived.csv')}")
+
+
+def crossvalidate(
+    ctx: Context,
+    campaign: options.Campaign,
+    out: options.NewRun,
+    by: Annotated[
+        str, Option(metavar="test|level|session", help="What to leave out in turn.")
+    ] = "test",
+    resume: options.Resume = False,
+    force: options.Force = False,
+    jobs: options.Jobs = 0,
+    scheduler: options.Scheduler = "",
+    seed: options.Seed = 1,
+    effort: options.Effort = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Predict every part of a campaign from all the others, and score the predictions.
+
+    Calibrates the campaign first; with --resume it takes the posteriors that
+    OUT has. Then it leaves out one test, level of actuation or session after
+    another and infers the population of the others. Writes
+    OUT/crossvalidation.csv and the report.
+
+    Example:
+      mfd-bayes crossvalidate campaign.toml -o out --by level --resume
+    """
+    with mistakes(resumption()):
+        from mfd_bayes.evaluation import summary
+        from mfd_bayes.pipeline import crossvalidate as pipeline
+        from mfd_bayes.pipeline.report import left_out_shown
+
+        run_options = options.run_options(ctx, out)
+        with watch(quiet=quiet) as observe:
+            view = pipeline.crossvalidate(campaign, out, run_options, observe)
+        console.print_left_out(*left_out_shown(view), quiet=quiet)
+        console.print_end(view, out, quiet=quiet)
+    if not summary.is_whole(view):
+        raise typer.Exit(1)
+
+
+def compare(
+    ctx: Context,
+    campaign: options.Campaign,
+    out: Annotated[
+        Path,
+        Option("-o", "--out", parser=options.path, help="Folder of one run for each model."),
+    ],
+    models: Annotated[
+        str | None,
+        Option(help="Two or more, with commas between them.", show_default=_COMPARED),
+    ] = None,
+    noises: Annotated[
+        str, Option(help="Compare noises too, or alone: such as ou,iid,staged.")
+    ] = "",
+    by: Annotated[
+        str, Option(help="Leave out each test, level or session of each model's run too.")
+    ] = "",
+    resume: options.Resume = False,
+    force: options.Force = False,
+    jobs: options.Jobs = 0,
+    scheduler: options.Scheduler = "",
+    seed: options.Seed = 1,
+    effort: options.Effort = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Calibrate a campaign under several models or noises; say which one its records favour.
+
+    Writes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each
+    model predicts every cycle of a record from all others (PSIS-LOO). The
+    campaign's own model does not count. With --noises alone the campaign's model
+    is calibrated with each noise, into OUT/NOISE; with both options each model
+    with each noise, into OUT/MODEL_NOISE.
+
+    Example:
+      mfd-bayes compare campaign.toml -o out
+      mfd-bayes compare campaign.toml -o out --models three_stage,lugre
+      mfd-bayes compare campaign.toml -o out --noises ou,iid,staged
+    """
+    with mistakes(resumption()):
+        from mfd_bayes.pipeline import compare as pipeline
+
+        if models is None:
+            models = "" if noises else _COMPARED
+        names, others = (
+            tuple(name.strip() for name in text.split(",") if name.strip())
+            for text in (models, noises)
+        )
+        run_options = options.run_options(ctx, out, noises=others)
+        with watch(quiet=quiet) as observe:
+            comparison, left_out = pipeline.compare(campaign, out, names, run_options, observe)
+        console.print_comparison(comparison, quiet=quiet)
+        for model, (view, unit) in left_out.items():
+            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} {unit}.")
+        if not quiet:
+            console.say(f"look next at {out / 'comparison.csv'}")
+
+
+def next_test(
+    ctx: Context,
+    out: options.Run,
+    goal: Annotated[
+        str, Option(help='What to know better: "energy at 1000 psi, 0.5 Hz, 1 in".')
+    ] = "",
+    candidates: Annotated[
+        str, Option(help='Tests to choose from: "500|1350 psi, 0.5 Hz, 1 in", or a file.')
+    ] = "",
+    limits: Annotated[str, Option(help='Of the actuator: "10 in/s, 6 in, 20 kip".')] = "",
+    table: Annotated[
+        Path | None,
+        Option(
+            "-o",
+            "--out",
+            parser=options.path,
+            help="CSV to write; JSON and PNG beside it.",
+            show_default="OUT/next.csv",
+        ),
+    ] = None,
+    draft: Annotated[
+        Path | None,
+        Option(
+            "--write",
+            parser=options.path,
+            metavar="FILE.toml",
+            help="Draft the next entries of campaign.toml.",
+        ),
+    ] = None,
+    tests: Annotated[int, Option(min=1, max=3, help="How many tests --write drafts.")] = 1,
+    draws: Annotated[
+        int, Option(min=200, help="Draws of the posterior that are simulated.")
+    ] = 2000,
+    seed: options.Seed = 0,
+    force: options.Replace = False,
+    units: options.Units = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Say which test to make next: by how much each narrows a band or an interval.
+
+    Simulates every candidate from the posterior and finds how much narrower the
+    goal's band would be once it is calibrated. Writes OUT/next.csv, next.json
+    and next.png. Goals: band (the default, over the campaign's range), energy,
+    peak, peak_fwd, peak_bwd, slip, each "at" some tests; gap; "slope of Fc_fwd";
+    "exponent of Fc_fwd". A test in words has an actuation, a frequency, an
+    amplitude (half the stroke), and may have cycles, a waveform (sine, triangle)
+    and its cost as a time; semicolons are between tests, and bars between
+    values. Goal, candidates and limits can also stand in the table "goal" of the
+    campaign file.
+
+    Example:
+      mfd-bayes next out
+      mfd-bayes next out --goal "band at 1000 psi, 0.5 Hz, 1 in"
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import next_test as pipeline
+
+        best = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
+    for remark in best.advice.remarks:
+        console.say(f"warning: {remark}", err=True)
+    if not quiet:
+        heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
+        title = "How much the best candidates are expected to narrow the goal"
+        console.print_rows(title, ["test", *heads], best.rows)
+    console.say(best.sentence)
+    if not quiet:
+        for sentence in best.together:
+            console.say(sentence)
+        console.say(f"look next at {' and '.join(map(str, best.files[:1] + best.files[2:]))}")
+
+
+def respond(
+    ctx: Context,
+    out: options.Run,
+    building: Annotated[
+        Path, Option(parser=options.path, help="The building file; see init --building.")
+    ],
+    grounds: Annotated[
+        list[str],
+        Option("--ground", help="Ground motion, .AT2 or CSV; several by several --ground."),
+    ],
+    folder: options.Folder,
+    sweep: Annotated[
+        str, Option(metavar="RANGE", help='actuation="500 psi to 1500 psi in 8 steps".')
+    ] = "",
+    quantity: Annotated[
+        Literal["drift", "acceleration"],
+        Option("--minimise", help="What the sweep makes small."),
+    ] = "drift",
+    goal: Annotated[
+        Literal["mean", "q90", "passing"],
+        Option(
+            "--by", help="By its mean, its 90 % quantile, or the probability to exceed its limit."
+        ),
+    ] = "mean",
+    kind: Annotated[
+        Literal["new_test", "device"],
+        Option(help="With each damper's scatter from test to test, or without."),
+    ] = "new_test",
+    draws: Annotated[int, Option(min=10, max=5000)] = 300,
+    scale: Annotated[
+        float | None, Option(help="Factor of every ground motion.", show_default="1")
+    ] = None,
+    unit: Annotated[str, Option(metavar='"cm/s^2"', help="Unit of files that do not say it.")] = "",
+    peak: Annotated[
+        str, Option(metavar='"0.3 g"', help="Scale every ground motion to this peak.")
+    ] = "",
+    tolerance: Annotated[
+        float, Option(help="Largest error of a draw's peak drift, as a share.")
+    ] = 0.01,
+    jobs: options.Jobs = 0,
+    seed: options.Seed = 1,
+    units: options.Units = None,
+    force: options.Replace = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Compute a building's response to earthquakes, with this device as its dampers.
+
+    Every draw of the dampers goes through a nonlinear time-history analysis. Writes
+    FOLDER/report.html with the drift profile and its bands, histories, loops and
+    limits, and the tables peaks.csv, limits.csv, draws.csv, peaks.tex and
+    response.json. A step file without its step is given as FILE:0.01s. Files that
+    are numbers alone are taken to be in g; FILE:0.01s:cm/s^2 says otherwise. A peak
+    above 5 g or below 0.0001 g is refused unless its unit, --scale or --peak is given.
+
+    Example:
+      mfd-bayes respond out --building b.toml --ground quake.AT2 -o response
+
+    With --sweep actuation="500 psi to 1500 psi" it compares actuations.
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import respond as pipeline
+
+        prepared = pipeline.prepare(out, options.settings(pipeline.Query, ctx))
+        for ground in () if quiet else prepared.grounds:
+            console.say(ground.words)
+        with watch(quiet=quiet) as observe:
+            answer = pipeline.respond(prepared, observe)
+    for remark in answer.view.remarks:
+        console.say(f"warning: {remark}", err=True)
+    for sentence in answer.view.verdict:
+        console.say(sentence)
+    if answer.view.sweep:
+        console.say(answer.view.sweep)
+    if not quiet:
+        console.say(f"look next at {answer.page}")
+
+
+def export(
+    ctx: Context,
+    out: options.Run,
+    to: Annotated[Literal["quofem", "opensees", "csv"], Option(help="Who is to read it.")],
+    folder: options.Folder = Path("export"),
+    actuation: Annotated[
+        str, Option(help='Such as "1000 psi"; the middle of the tests\' by default.')
+    ] = "",
+    draws: Annotated[int, Option(min=10, max=20000)] = 1000,
+    seed: options.Seed = 1,
+    force: options.Replace = False,
+    extrapolate: Annotated[
+        bool, Option("--extrapolate", help="Export also far outside of the tested range.")
+    ] = False,
+) -> None:
+    """Write joint samples of a new device's parameters for other programs.
+
+    quofem: a column per variable without a header, grouped so that correlations are
+    kept, and dakotaTab.out. opensees: a material fitted to predicted loops, with its
+    misfit. csv: one table with names and units. All are in kip, in and ksi. Outside of
+    the tested actuations it warns, far outside it refuses.
+
+    Example:
+      mfd-bayes export out --to quofem --actuation "1000 psi" -o samples
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import export as pipeline
+
+        exported = pipeline.export(out, options.settings(pipeline.Export, ctx))
+    for remark in exported.remarks:
+        console.say(f"warning: {remark}", err=True)
+    for sentence in exported.sentences:
+        console.say(sentence)

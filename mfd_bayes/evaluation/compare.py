@@ -1,0 +1,619 @@
+"""Comparison of models by leaving out one cycle at a time, from runs of one campaign.
+
+Whole cycles are left out, since neighbouring samples of a record depend on each other (Vehtari,
+Gelman and Gabry 2017, with the log density of a cycle given all others). Where the importance
+weights of a cycle cannot be trusted, its density is computed from the evidence with and without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
+from mfd_bayes.calibration.noise import NOISES
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.proposal import fit_mixture
+from mfd_bayes.calibration.result import Task, TestResult
+from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.friction import models
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.scores import Comparison, ComparisonRow
+
+Array = NDArray[np.float64]
+
+FEWEST_CYCLES = 3
+"""Least number of cycles of a record from which one can be left out."""
+
+LARGEST_K = 0.7
+"""Pareto k above which the importance weights of a cycle cannot be trusted."""
+
+CLEAR = 2.0
+"""Number of standard errors from which one model counts as better than another."""
+
+FEW = 10
+"""Number of tests, or of cycles of one test, below which a standard error is rough."""
+
+ALL = "all"
+
+EVIDENCE_DRAWS, MOST_ROUNDS = 4000, 16
+"""Draws from each proposal of an evidence, and the largest number of proposals."""
+
+LEAST_ESS, GOOD_K = 0.1, 0.6
+"""Share of effective draws from which the next proposal is learned; Pareto k that is enough."""
+
+_FIGURES = ("elpd", "lppd", "psis_k", "k")
+_LOG_2PI = float(np.log(2 * np.pi))
+_PIECE = 1 << 19  # size of the arrays of one piece, in numbers
+_DRAWS = 400  # for the median of the force
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model and a noise to compare, None for the campaign's own, in a run folder `name`."""
+
+    name: str
+    model: str | None = None
+    noise: str | None = None
+
+
+def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candidate, ...]:
+    """Every model with every noise; without noises two or more models, with the campaign's noise.
+
+    Raises
+    ------
+    CampaignError
+        When a name is unknown or there twice, or there are fewer than two to compare.
+    """
+    if not noises:
+        return tuple(Candidate(name, model=name) for name in check_models(names))
+    if len(noises) < 2 and len(names) < 2 and noises[0] in NOISES:
+        raise CampaignError(
+            f"there is nothing to compare: --noises must name two or more of {', '.join(NOISES)}, "
+            f"got {noises[0]!r} alone, or --models two or more models"
+        )
+    chosen = _chosen("--noises", noises, tuple(NOISES), 1)
+    kinds = _chosen("--models", names, tuple(models.MODELS), 0)
+    if len(kinds) < 2:
+        return tuple(Candidate(noise, next(iter(kinds), None), noise) for noise in chosen)
+    return tuple(Candidate(f"{m}_{noise}", m, noise) for m in kinds for noise in chosen)
+
+
+def check_models(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of two or more models, in the program's order.
+
+    Raises
+    ------
+    CampaignError
+        When one is unknown or named twice, or there are fewer than two.
+    """
+    return _chosen("--models", names, tuple(models.MODELS), 2)
+
+
+def _chosen(option: str, names: Sequence[str], known: Sequence[str], least: int) -> tuple[str, ...]:
+    """Names of an option, each once, in the order of those that are known."""
+    if not set(names) <= set(known) or len(set(names)) < max(len(names), least):
+        got = ", ".join(map(repr, names)) or "nothing"
+        many = "two or more" if least > 1 else option.lstrip("-")
+        raise CampaignError(
+            f"{option} must name {many} of {', '.join(known)}, each once, got {got}"
+        )
+    return tuple(name for name in known if name in names)
+
+
+def check_cycles(task: Task) -> None:
+    """Refuse a test with too few cycles to leave one out.
+
+    Raises
+    ------
+    FitError
+        When its record has too few cycles.
+    """
+    try:
+        find_cycles(task.trace, task.posterior().first)
+    except FitError as error:
+        raise FitError(f"test {task.id!r} cannot be compared: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _Score:
+    """Scores of a model on one or several tests."""
+
+    validation: CrossValidation
+    squares: float  # sum of squares of the force minus its predicted median, kip²
+    spread: float  # sum of squares of the force about its mean, kip²
+    short: tuple[str, ...]  # tests whose sampling missed its targets
+
+
+def compare_runs(runs: Mapping[str, Run]) -> Comparison:
+    """Comparison of runs of one campaign, by model.
+
+    Only tests that every model was calibrated to are compared.
+
+    Raises
+    ------
+    FitError
+        When no test was calibrated under every model, or a record has too few cycles.
+    """
+    some = next(iter(runs.values()))
+    shared = [name for name in some.tests if all(name in run.tests for run in runs.values())]
+    if not shared:
+        raise FitError("there is nothing to compare: no test could be calibrated under every model")
+    scores = {
+        model: {name: _score(run.tests[name], run.manifest.effort) for name in shared}
+        for model, run in runs.items()
+    }
+    rows = [
+        row
+        for name in shared
+        for row in _rows(name, {model: found[name] for model, found in scores.items()})
+    ]
+    total = {model: _together(list(found.values())) for model, found in scores.items()}
+    overall = _rows(ALL, total)
+    best, second = overall[0].model, overall[1].model
+    sentences = [
+        _favour(total[best].validation, total[second].validation, (best, second), len(shared)),
+        "The comparison is about another cycle of the same tests, not about another test.",
+        _trust({model: total[model] for model in (best, second)}),
+    ]
+    lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
+    if lost:
+        sentences.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
+    return Comparison((*rows, *overall), " ".join(sentences))
+
+
+def _score(test: TestResult, effort: Effort) -> _Score:
+    stored, posterior, facts = test.stored, test.posterior, test.stored.facts
+    rng, values = np.random.default_rng(facts["seed"]), stored.values()
+    chains = stored.draws.sizes["chain"]
+    validation = cross_validate(posterior, values, chains, facts["walkers"], rng)
+    pick = np.linspace(0, values["offset"].size - 1, _DRAWS).astype(np.intp)
+    taken = {name: column[pick] for name, column in values.items()}
+    force = posterior.force(taken) + taken["offset"][:, None]
+    observed = np.asarray(test.trace.force)[posterior.first :]
+    missed = observed - np.median(force, axis=0)[posterior.first :]
+    short = () if _converged(posterior, facts, effort) else (test.id,)
+    return _Score(validation, float(missed @ missed), float(observed.size * observed.var()), short)
+
+
+def _converged(posterior: Posterior, facts: Mapping[str, Any], effort: Effort) -> bool:
+    """Whether the sampling of a test reached the targets of an effort."""
+    figures = (facts["convergence"].get(name) or (None, 0, 0) for name in posterior.names)
+    return all(
+        r_hat is not None and r_hat <= effort.r_hat and min(bulk or 0, tail or 0) >= effort.ess
+        for r_hat, bulk, tail in figures
+    )
+
+
+def _together(scores: Sequence[_Score]) -> _Score:
+    return _Score(
+        join(score.validation for score in scores),
+        sum(score.squares for score in scores),
+        sum(score.spread for score in scores),
+        tuple(name for score in scores for name in score.short),
+    )
+
+
+def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
+    """Row of every model, best first."""
+    order = sorted(scores, key=lambda model: -scores[model].validation.total)
+    best, rows = scores[order[0]].validation, []
+    for model in order:
+        score, found = scores[model], scores[model].validation
+        less, error = difference(found, best)
+        rows.append(
+            ComparisonRow(
+                subject=subject,
+                model=model,
+                cycles=found.cycles,
+                elpd=found.total,
+                elpd_se=found.error,
+                p_loo=found.p_loo,
+                worst_k=float(found.psis_k.max()),
+                bad=float(found.redone.mean()),
+                unsettled=float(found.bad.mean()),
+                difference=less,
+                difference_se=error,
+                rrse=float(np.sqrt(score.squares / score.spread)),
+            )
+        )
+    return rows
+
+
+def _favour(
+    best: CrossValidation, second: CrossValidation, names: tuple[str, str], tests: int
+) -> str:
+    """Sentence on which of the best two models the records favour, if any."""
+    more, error = difference(best, second)
+    errors = more / error if error > 0 else np.inf
+    cycles = f"{best.cycles} cycles"
+    where = f"{tests} tests of {cycles} in all" if tests > 1 else f"{cycles} of 1 test"
+    verb = "favour {} over {}" if errors >= CLEAR else "cannot decide between {} and {}"
+    few = (tests if tests > 1 else best.cycles) < FEW
+    return (
+        f"The records {verb.format(*names)}: elpd higher by {more:.4g}, {errors:.1f} standard "
+        f"errors over {where}{' (a rough estimate of the error, from so few)' if few else ''}."
+    )
+
+
+def _trust(scores: Mapping[str, _Score]) -> str:
+    """Sentence on whether the diagnostics of the best two models support their difference."""
+    redone, doubts = [], []
+    for model, score in scores.items():
+        found = score.validation
+        if found.redone.any():
+            cycles = f"{found.redone.sum()} of {found.cycles} cycles"
+            redone.append(f"{cycles} of {model} (worst {found.psis_k.max():.2f})")
+        if found.bad.any():
+            doubts.append(f"k stays above {LARGEST_K:g} in {found.bad.sum()} cycles of {model}")
+        if score.short:
+            doubts.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
+    text = ""
+    if redone:
+        text = (
+            f"Pareto k of PSIS exceeds {LARGEST_K:g} in {' and '.join(redone)}; for these cycles "
+            "the score was computed in a second way too, from the evidence with and without the "
+            "cycle, and the one with the smaller k counts. "
+        )
+    if not doubts:
+        return f"{text}The diagnostics of this comparison are good."
+    text += f"Do not rely on this result as it is: {'; '.join(doubts)}"
+    best, second = (score.validation for score in scores.values())
+    good = ~(best.bad | second.bad)
+    if 1 < good.sum() < good.size:
+        more, error = difference(best.part(good), second.part(good))
+        errors = more / error if error > 0 else np.inf
+        text += f"; over the other {good.sum()} cycles elpd differs by {more:.4g}, {errors:.1f} "
+        text += "standard errors"
+    return f"{text}."
+
+
+# --- leave-one-cycle-out
+
+
+@dataclass(frozen=True, eq=False)
+class CrossValidation:
+    """Leave-one-cycle-out figures, one for each cycle.
+
+    As in Vehtari, Gelman and Gabry (2017), but whole cycles are left out, since neighbouring
+    samples of a record depend on each other. Where PSIS weights cannot be trusted because a
+    cycle is too informative, p(y_c | y_-c) = p(y)/p(y_-c) is computed from both evidences.
+
+    Attributes
+    ----------
+    elpd : (C,)
+        Expected log predictive density, log p(y_c | y_-c).
+    lppd : (C,)
+        The same under the posterior with the cycle included.
+    psis_k : (C,)
+        Pareto k of PSIS with the posterior's draws.
+    k : (C,)
+        Pareto k of the weights behind `elpd`, from PSIS or from the evidences.
+    test : (C,) int, optional
+        Number of each cycle's test, where there are several.
+    """
+
+    elpd: Array
+    lppd: Array
+    psis_k: Array
+    k: Array
+    test: NDArray[np.intp] | None = None
+
+    @property
+    def cycles(self) -> int:
+        """Number of cycles C."""
+        return self.elpd.size
+
+    @property
+    def total(self) -> float:
+        """Expected log predictive density of all cycles."""
+        return float(self.elpd.sum())
+
+    @property
+    def error(self) -> float:
+        """Standard error of the total."""
+        return standard_error(self.elpd, self.test)
+
+    @property
+    def p_loo(self) -> float:
+        """Effective number of parameters."""
+        return float(np.sum(self.lppd - self.elpd))
+
+    @property
+    def bad(self) -> NDArray[np.bool_]:
+        """Whether the figures of a cycle cannot be trusted, (C,)."""
+        return ~(self.k <= LARGEST_K)
+
+    @property
+    def redone(self) -> NDArray[np.bool_]:
+        """Whether PSIS failed for a cycle, (C,)."""
+        return ~(self.psis_k <= LARGEST_K)
+
+    def part(self, chosen: NDArray[np.bool_]) -> CrossValidation:
+        """Figures of the chosen cycles; `chosen` is (C,)."""
+        kept = {name: getattr(self, name)[chosen] for name in _FIGURES}
+        return CrossValidation(**kept, test=None if self.test is None else self.test[chosen])
+
+
+def cross_validate(
+    posterior: Posterior,
+    values: Mapping[str, Array],
+    chains: int,
+    walkers: int,
+    rng: np.random.Generator,
+) -> CrossValidation:
+    """Leave-one-cycle-out figures of a calibrated test.
+
+    Parameters
+    ----------
+    values : mapping of str to (chain · draw,)
+        Posterior draws of all quantities, in their stored order.
+    chains, walkers : int
+        Number of chains, and of walkers in each.
+
+    Raises
+    ------
+    FitError
+        When the record has too few cycles.
+    """
+    cycles = find_cycles(posterior.trace, posterior.first)
+    given = cycle_log_likelihood(posterior, values, cycles)[0]
+    found = []
+    for column in given.T:
+        ess = measure_draws(column.reshape(chains, -1), walkers).ess_bulk[0]
+        found.append(leave_out(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
+    elpd, lppd, psis_k = np.transpose(found)
+    plain = CrossValidation(elpd, lppd, psis_k, psis_k)
+    if not np.any(plain.redone):
+        return plain
+    k = psis_k.copy()
+    draws = posterior.coordinates(values)
+    whole, whole_k = log_evidence(posterior.log_prob, draws, np.zeros(len(draws)), rng)
+    for cycle in np.flatnonzero(plain.redone).tolist():
+        rest = without_cycle(posterior, cycles, cycle)
+        evidence, rest_k = log_evidence(rest, draws, -given[:, cycle], rng)
+        if max(whole_k, rest_k) < k[cycle]:
+            elpd[cycle], k[cycle] = whole - evidence, max(whole_k, rest_k)
+    return CrossValidation(elpd, lppd, psis_k, k)
+
+
+def without_cycle(
+    posterior: Posterior, cycles: NDArray[np.intp], cycle: int
+) -> Callable[[Array], Array]:
+    """Log posterior density of q without one cycle, p(θ) p(y_-c | θ), (n, dim) -> (n,)."""
+
+    def density(q: Array) -> Array:
+        found = posterior.log_prior(q)
+        inside = np.isfinite(found)
+        with np.errstate(over="ignore", invalid="ignore"):
+            given, whole = cycle_log_likelihood(posterior, posterior.values(q[inside]), cycles)
+            found[inside] += whole - given[:, cycle]
+        return np.where(np.isnan(found), -np.inf, found)
+
+    return density
+
+
+def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, float, float]:
+    """Elpd, lppd and Pareto k of one cycle, from its log density under each draw, (n,).
+
+    The posterior without the cycle is the full one divided by p(y_c | y_-c, θ): the draws are
+    weighted by the inverse of that.
+    """
+    log_weights, k = psis(-log_likelihood, efficiency)
+    elpd = np.logaddexp.reduce(log_weights + log_likelihood)
+    lppd = np.logaddexp.reduce(log_likelihood) - np.log(log_likelihood.size)
+    return float(elpd), float(lppd), k
+
+
+def join(parts: Iterable[CrossValidation]) -> CrossValidation:
+    """Figures of several tests, joined over all their cycles."""
+    several = list(parts)
+    joined = {n: np.concatenate([getattr(p, n) for p in several]) for n in _FIGURES}
+    test = np.repeat(np.arange(len(several)), [p.cycles for p in several])
+    return CrossValidation(**joined, test=test)
+
+
+def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> float:
+    """Standard error of a sum over cycles; NaN for fewer than two.
+
+    The cycles of one test resemble each other, so that tests count, not cycles: with J tests and
+    the sum s_j of the cycles of test j, less the mean over all cycles, it is
+    √(J/(J − 1) Σ s_j²), but never less than if all cycles were independent, √(C var). Of one test
+    only the latter is known.
+
+    Parameters
+    ----------
+    figures : (C,)
+    test : (C,) int, optional
+        Number of each cycle's test; one test if not given.
+    """
+    if figures.size < 2:
+        return float("nan")
+    alone = np.sqrt(figures.size * np.var(figures, ddof=1))
+    tests = np.empty(0) if test is None else np.unique(test)
+    if tests.size < 2:
+        return float(alone)
+    away = figures - figures.mean()
+    sums = np.array([away[test == one].sum() for one in tests])
+    return float(max(alone, np.sqrt(tests.size / (tests.size - 1) * np.sum(sums**2))))
+
+
+def difference(one: CrossValidation, other: CrossValidation) -> tuple[float, float]:
+    """Elpd of one minus that of the other, and its standard error, paired over cycles."""
+    apart = one.elpd - other.elpd
+    return float(apart.sum()), standard_error(apart, one.test)
+
+
+# --- the density of a cycle given all others
+
+
+def find_cycles(trace: Trace, first: int = 0) -> NDArray[np.intp]:
+    """First sample of each cycle of a record, and the end of the record, (C + 1,).
+
+    A cycle ends at every second turn of the whole motion, as in a harmonic record. In an irregular
+    record small loops are joined until they last half the mean period 2π sd(x)/sd(v): a shorter
+    block would be predicted too easily from its neighbours. A short rest at the end joins the last
+    cycle. The cycles follow from the motion alone: they are the same for every model.
+
+    Parameters
+    ----------
+    first : int
+        Samples before this one are in no cycle.
+
+    Raises
+    ------
+    FitError
+        When there are fewer than `FEWEST_CYCLES` cycles.
+    """
+    time = trace.time
+    shortest = np.pi * trace.displacement[first:].std() / trace.velocity[first:].std()
+    edges, turns = [first], 0
+    for turn in trace.cycle_turns[trace.cycle_turns > first].tolist():
+        turns += 1
+        if turns >= 2 and time[turn] - time[edges[-1]] >= shortest:
+            edges.append(turn)
+            turns = 0
+    if len(edges) > 1 and time[-1] - time[edges[-1]] < shortest:
+        edges.pop()
+    if len(edges) < FEWEST_CYCLES:
+        raise FitError(
+            f"leaving out one cycle needs a record with at least {FEWEST_CYCLES} cycles, "
+            f"got {len(edges)}"
+        )
+    return np.array([*edges, trace.samples], dtype=np.intp)
+
+
+def cycle_log_likelihood(
+    posterior: Posterior, values: Mapping[str, Array], cycles: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Log density of every cycle given all others, and of all together.
+
+    log p(y_c | y_-c, θ), (n, C), and log p(y | θ), (n,).
+
+    Parameters
+    ----------
+    values : mapping of str to (n,)
+        Draws of all quantities.
+    cycles : (C + 1,)
+        From `find_cycles` with the posterior's `first`.
+    """
+    n = values["offset"].size
+    size = max(1, _PIECE // posterior.trace.samples)
+    pieces = [
+        {name: column[begin : begin + size] for name, column in values.items()}
+        for begin in range(0, n, size)
+    ]
+    found = [_log_likelihood(posterior, piece, cycles) for piece in pieces]
+    given, whole = zip(*found, strict=True)
+    return np.concatenate(given), np.concatenate(whole)
+
+
+def _log_likelihood(
+    posterior: Posterior, values: Mapping[str, Array], cycles: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    kept = slice(cycles[0], None)
+    residual = np.asarray(posterior.trace.force) - values["offset"][:, None]
+    residual -= posterior.force(values)
+    travel = posterior.travel(values)
+    decay, scale = posterior.noise.memory(
+        posterior.trace.time[kept],
+        values,
+        None if travel is None else travel[:, kept],
+    )
+    dof = values["noise_dof"] if "noise_dof" in posterior.noise.parameters else None
+    return conditional_density(residual[:, kept], decay, scale, cycles[:-1] - cycles[0], dof)
+
+
+def conditional_density(
+    residual: Array, decay: Array, scale: Array, starts: NDArray[np.intp], dof: Array | None = None
+) -> tuple[Array, Array]:
+    """Log density of every block of a Markov chain given all others, (n, C), and of all, (n,).
+
+    With a the first sample of a block and b the first sample after it,
+
+        p(y_c | y_-c) = Π_{n=a}^{b} p(e_n | e_{n−1}) / p(e_b | e_{a−1}),
+
+    where the last density bridges the gap: its φ is the product of all φ from a to b. That
+    is exact for Gaussian noise. A sum of Student-t innovations has no closed form: there a
+    Student-t with the same degrees of freedom and the sum's mean and variance is used.
+
+    Parameters
+    ----------
+    residual : (n, T), kip
+    decay, scale : (n, T)
+        From `Noise.memory`.
+    starts : (C,)
+        First sample of each block, starting with 0; a block ends where the next begins.
+    dof : (n,), optional
+        Degrees of freedom of Student-t innovations.
+    """
+    standard = residual / scale
+    before = np.zeros_like(standard)
+    before[:, 1:] = standard[:, :-1]
+    link = _transition(standard, before, decay, dof)
+    density = np.add.reduceat(link - np.log(scale), starts, axis=1)
+    whole = density.sum(axis=1)
+    behind = starts[1:]
+    hole = np.add.reduceat(decay, starts, axis=1)[:, :-1] + decay[:, behind]
+    bridge = _transition(standard[:, behind], before[:, starts[:-1]], hole, dof)
+    density[:, :-1] += link[:, behind] - bridge
+    return np.asarray(density), np.asarray(whole)
+
+
+def _transition(after: Array, before: Array, decay: Array, dof: Array | None) -> Array:
+    """Log density of standardised noise given its previous value, with φ = exp(−decay)."""
+    shrink = -np.expm1(-2.0 * decay)
+    squares = (after - np.exp(-decay) * before) ** 2 / shrink
+    if dof is None:
+        return np.asarray(-0.5 * (squares + _LOG_2PI + np.log(shrink)))
+    nu = dof[:, None]
+    peak = special.gammaln((nu + 1) / 2) - special.gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
+    return np.asarray(peak - 0.5 * (nu + 1) * np.log1p(squares / nu) - 0.5 * np.log(shrink))
+
+
+# --- evidence
+
+
+def log_evidence(
+    density: Callable[[Array], Array],
+    draws: Array,
+    log_weights: Array,
+    rng: np.random.Generator,
+) -> tuple[float, float]:
+    """Log of the integral of a density, and the Pareto k of its importance weights.
+
+    Population Monte Carlo (Cappé et al., 2004) with tempered weights (Koblents and Míguez,
+    2015): a proposal is learned from weighted draws, new draws from it are weighted, and so on
+    until k is small. While few draws have all the weight, a power of the weights is used.
+
+    Parameters
+    ----------
+    density : callable
+        Log density, unnormalised, (n, dim) -> (n,).
+    draws : (n, dim)
+        From a density not too different.
+    log_weights : (n,)
+        Log of the density over that of the draws, unnormalised.
+    """
+    best = (-np.inf, np.inf)
+    for _ in range(MOST_ROUNDS):
+        weights = special.softmax(
+            tempering(log_weights, LEAST_ESS) * (log_weights - log_weights.max())
+        )
+        proposal = fit_mixture(draws, rng, weights)
+        draws = proposal.draw(rng, EVIDENCE_DRAWS)
+        log_weights = density(draws) - proposal.log_density(draws)
+        if not np.any(np.isfinite(log_weights)):
+            break
+        k = psis(log_weights)[1]
+        if k < best[1]:
+            best = float(np.logaddexp.reduce(log_weights)) - np.log(EVIDENCE_DRAWS), k
+        if k <= GOOD_K:
+            break
+    return best

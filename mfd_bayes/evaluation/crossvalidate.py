@@ -1,0 +1,360 @@
+"""Cross-validation of a calibrated campaign: each part is predicted from all others.
+
+The tests' stored posteriors are used; only the population is inferred again without the part
+that is held out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.errors import CampaignError, MfdError, StoreError
+from mfd_bayes.evaluation.scores import score
+from mfd_bayes.evaluation.views import LeftOutRow, LeftOutView
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
+from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
+from mfd_bayes.population.inference import Inference, infer_population
+from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
+from mfd_bayes.runs.folder import check_stored
+from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.scores import (
+    CampaignCrossValidation,
+    PartKind,
+    Prediction,
+    Score,
+    read_predictions_of,
+)
+from mfd_bayes.runs.test_sequence import TestSequence
+from mfd_bayes.runs.unit_system import US
+from mfd_bayes.store.files import read_json, write_json
+
+Array = NDArray[np.float64]
+
+DRAWS = 800
+"""Number of draws of each scored band."""
+
+FOLDER = CROSSVALIDATION
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A part to be left out, as the job of one process.
+
+    Attributes
+    ----------
+    part : str
+    file : str
+        File of its scores, under OUT/crossvalidation.
+    left_out, kept : tuple of str
+        Ids of tests.
+    """
+
+    part: str
+    file: str
+    left_out: tuple[str, ...]
+    kept: tuple[str, ...]
+    effort: str
+    seed: int
+    scores: int = 4
+    """Number of the kind of scores, so that those of earlier versions are computed anew."""
+    rests_on: str = ""
+    """Digest of what the run's population rests on, so that those under other laws are too."""
+
+    @property
+    def id(self) -> str:
+        """Its name as a job."""
+        return fold_id(self.part)
+
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """Files that it writes: its scores."""
+        return (f"{FOLDER}/{self.file}",)
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """Files of a finished run that `open_run` reads."""
+        stored = (out / "tests").glob("*/*.nc")
+        records = [p for p in stored if p.name in ("posterior.nc", "record.nc")]
+        return MANIFEST, "priors.toml", *sorted(p.relative_to(out).as_posix() for p in records)
+
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Predict the part, and store its scores.
+
+        Raises
+        ------
+        StoreError
+            When they cannot be written.
+        """
+        began = time.perf_counter()
+        observe(Step(self.id, "gathering the others"))
+        try:
+            found = leave_out(open_run(out), self, observe)
+        except StoreError:
+            raise
+        except MfdError as error:
+            observe(Step(self.id, State.FAILED, message=str(error)))
+            return Outcome(self.id, State.FAILED, time.perf_counter() - began, str(error))
+        predictions = [asdict(prediction) for prediction in found]
+        write_json(out / FOLDER / self.file, {"key": asdict(self), "predictions": predictions})
+        observe(Step(self.id, State.DONE))
+        return Outcome(self.id, State.DONE, time.perf_counter() - began)
+
+    def stored(self, out: Path) -> bool:
+        """Whether its scores are stored, for exactly this fold."""
+        file = out / FOLDER / self.file
+        key = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return file.is_file() and read_json(file).get("key") == key  # JSON has lists for tuples
+
+
+def fold_id(part: str) -> str:
+    """Name of the job that predicts a part from all others."""
+    return f"without {part}"
+
+
+def part_kind(by: str) -> PartKind:
+    """The kind of parts to leave out, by name, checked.
+
+    Raises
+    ------
+    CampaignError
+        When the name is unknown.
+    """
+    for kind in get_args(PartKind):
+        if kind == by:
+            return kind  # type: ignore[no-any-return]
+    raise CampaignError(f"--by must be one of {', '.join(get_args(PartKind))}, got {by!r}")
+
+
+def parts_of(
+    settings: Mapping[str, Setting], by: PartKind, actuation_unit: str, where: Path
+) -> dict[str, tuple[str, ...]]:
+    """Calibrated tests of each part, by the part's name.
+
+    Parameters
+    ----------
+    settings : mapping of str to Setting
+        Setting of every calibrated test, by id.
+    by : {"test", "level", "session"}
+    actuation_unit : {"ksi", "kip"}
+    where : Path
+        Campaign or run, named in the error message.
+
+    Raises
+    ------
+    CampaignError
+        When there are fewer than two parts, or one has all the tests with an actuation.
+    """
+    settings = dict(zip(settings, with_zeros([*settings.values()]), strict=True))
+    names = list(settings)
+    parts: dict[str, tuple[str, ...]] = {name: (name,) for name in names} if by == "test" else {}
+    if by == "level":
+        for fold in levels_of(list(settings.values())):
+            scale, unit = US.of_actuation(actuation_unit)
+            level = scale * settings[names[fold[0]]].actuation
+            parts[f"{level:.4g} {unit}"] = tuple(names[j] for j in fold)
+    elif by == "session":
+        sessions = dict.fromkeys(setting.session for setting in settings.values())
+        if not any(sessions):
+            raise CampaignError(
+                f"cross-validation by session needs sessions: no calibrated test of {where} has "
+                'one, such as session = "Monday" in its [[test]]'
+            )
+        parts = {
+            f"session {session}" if session else "no session": tuple(
+                name for name in names if settings[name].session == session
+            )
+            for session in sessions
+        }
+    if len(parts) < 2:
+        raise CampaignError(
+            f"cross-validation by {by} needs at least two {by}s; the calibrated tests of {where} "
+            "make up only one"
+        )
+    for part, tests in parts.items():
+        if not any(settings[name].actuation > 0 for name in names if name not in tests):
+            raise CampaignError(
+                f"cross-validation by {by} cannot leave out {part}: no other calibrated test of "
+                f"{where} has an actuation above zero"
+            )
+    return parts
+
+
+def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
+    """A fold for every part of a run.
+
+    Raises
+    ------
+    CampaignError
+        When there are fewer than two parts.
+    """
+    settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
+    parts = parts_of(settings, by, run.actuation_unit, run.folder)
+    digest = run.manifest.keys[CROSSVALIDATION]
+    fold = partial(Fold, effort=effort, seed=run.manifest.seed, rests_on=digest)
+    return tuple(
+        fold(
+            part=part,
+            file=f"{by}_{number}.json",
+            left_out=tests,
+            kept=tuple(name for name in run.tests if name not in tests),
+        )
+        for number, (part, tests) in enumerate(parts.items(), start=1)
+    )
+
+
+def leave_out(
+    run: Run, fold: Fold, observe: Callable[[Step], Any] = lambda _: None
+) -> tuple[Prediction, ...]:
+    """Predictions of the tests of one part, from all others.
+
+    Raises
+    ------
+    MfdError
+        When no population can be inferred from the others.
+    """
+    others = {name: run.tests[name] for name in fold.kept}
+    inference = infer_population(
+        others,
+        run.priors,
+        run.manifest.settings.inference(fold.effort, (fold.seed, 2)),
+        lambda progress: observe(Step(fold.id, "sampling", progress)),
+    )
+    found = []
+    motions = {**run.held_out, **{name: run.tests[name].trace for name in fold.left_out}}
+    for name in fold.left_out:
+        test = run.tests[name]
+        posterior = test.posterior
+        predictor = Predictor(inference.population, posterior.model, posterior.noise)
+        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=run.session(name))
+        order = TestSequence(
+            run.manifest, others, motions, predictor, partial(_pooled, inference, others)
+        )
+        forecast = replace(forecast, before=order.before(name, test.trace, forecast))
+        band = predictor.predict(test.trace, forecast)
+        force = np.asarray(test.trace.force)
+        scores = score(band.draws, force), _fitted(test)
+        whole = holds_whole(band.draws, force)
+        found.append(Prediction(fold.part, name, *scores, whole))
+    return tuple(found)
+
+
+def _pooled(inference: Inference, others: Mapping[str, Any], name: str) -> dict[str, Array]:
+    """Quantities of one of the other tests as pooled with them, by name, (n,) each."""
+    values = inference.values(list(others).index(name))
+    return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
+
+
+def _fitted(test: TestResult) -> Score:
+    """Score of a test's own posterior predictive."""
+    replicas = replicate(test.posterior, test.stored.values(), np.random.default_rng(0), DRAWS)
+    return score(replicas.observed, np.asarray(test.trace.force))
+
+
+def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
+    """Stored predictions of folds.
+
+    Raises
+    ------
+    StoreError
+        When a file is missing, or does not hold its part's predictions.
+    """
+    for fold in folds:
+        path = check_stored(out, f"{FOLDER}/{fold.file}", {})
+        yield from read_predictions_of(path, fold.left_out)
+
+
+def run_folds(
+    run: Run, folds: Sequence[Fold], workplace: Workplace, observe: Callable[[Step], None]
+) -> tuple[Prediction, ...]:
+    """Predictions of every part, computed in parallel; stored ones are not computed again.
+
+    Raises
+    ------
+    MfdError
+        When a part cannot be predicted from the others.
+    """
+    out = run.folder
+    todo = [fold for fold in folds if not fold.stored(out)]
+    for fold in folds:
+        if fold not in todo:
+            observe(Step(fold.id, State.KEPT))
+    with closing(run_jobs(todo, out, workplace, observe)) as outcomes:
+        for outcome in outcomes:
+            if outcome.error:
+                raise CampaignError(f"cannot predict {outcome.id}: {outcome.error}")
+    return tuple(read_predictions(out, folds))
+
+
+# --- the scores in a report
+
+
+def left_out_view(found: CampaignCrossValidation | None) -> LeftOutView | None:
+    """Scores of a cross-validation that the manifest holds; None without one."""
+    if found is None:
+        return None
+    rows = tuple(map(_row, found.predictions))
+    mean = _mean(rows)
+    by = found.by
+    others = "the others" if by == "test" else f"those of the other {by}s"
+    sentence = (
+        f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
+        f"{100 * mean.coverage_95:.1f} % of the force, the 50 % bands "
+        f"{100 * mean.coverage_50:.1f} %; they are on average {mean.width_ratio:.1f} times as "
+        f"wide as those of the fitted tests.{_whole(rows)}"
+    )
+    return LeftOutView(by, rows, mean, sentence)
+
+
+def _row(prediction: Prediction) -> LeftOutRow:
+    found, fitted = prediction.score, prediction.fitted
+    half, most, nearly = found.coverage
+    return LeftOutRow(
+        part=prediction.part,
+        subject=prediction.test,
+        coverage_50=half,
+        coverage_90=most,
+        coverage_95=nearly,
+        width_95=found.width,
+        interval_score=found.interval_score,
+        crps=found.crps,
+        rrse=found.rrse,
+        fitted_width=fitted.width,
+        fitted_crps=fitted.crps,
+        width_ratio=_ratio(found.width, fitted.width),
+        crps_ratio=_ratio(found.crps, fitted.crps),
+        whole_95=float("nan") if prediction.whole is None else float(prediction.whole),
+    )
+
+
+def _whole(rows: tuple[LeftOutRow, ...]) -> str:
+    """How often the bands of whole histories held; empty where they were not computed."""
+    held = [row.whole_95 for row in rows]
+    if not np.all(np.isfinite(held)):
+        return ""
+    return (
+        " The 95 % bands of whole histories hold the whole force of "
+        f"{sum(held):.0f} of {len(held)} tests."
+    )
+
+
+def _ratio(predicted: float, fitted: float) -> float:
+    return predicted / fitted if fitted > 0 else float("nan")
+
+
+def _mean(rows: tuple[LeftOutRow, ...]) -> LeftOutRow:
+    """Mean of each column."""
+    names = [field.name for field in fields(LeftOutRow)][2:]
+    columns = {name: float(np.mean([getattr(row, name) for row in rows])) for name in names}
+    return LeftOutRow("", "mean", **columns)

@@ -1,0 +1,328 @@
+"""The data sheet of a device: measured values, nominal ones and bounds, at each condition."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.design import sessions_of
+from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
+from mfd_bayes.messages import Message
+from mfd_bayes.records.measured import FORMULAS, UNITS, MeasuredCycles
+from mfd_bayes.records.sine import Harmonic, parse_sine
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.verdict import Use
+from mfd_bayes.units import actuation_kind, parse_actuation
+
+Array = NDArray[np.float64]
+
+PROBABILITY = 0.95
+"""Of the interval between lower and upper bound."""
+
+DRAWS = 400
+CYCLES = 3
+"""Cycles of which the energy is given one by one."""
+
+HARMONIC = 0.2
+"""Least share of the cycles at full stroke, by which a test counts as harmonic."""
+
+_QUANTITIES = (
+    ("slip_force", "forward", "slip_fwd"),
+    ("slip_force", "backward", "slip_bwd"),
+    ("peak_force", "forward", "peak_fwd"),
+    ("peak_force", "backward", "peak_bwd"),
+    ("effective_stiffness", "", "effective_stiffness"),
+    ("effective_damping", "", "effective_damping"),
+    ("energy", "", "energy"),
+    ("gap", "", "gap"),
+)
+
+
+class Condition(NamedTuple):
+    """An actuation, ksi or kip, an amplitude, in, and a frequency, Hz, of harmonic motion."""
+
+    actuation: float
+    stroke: float
+    frequency: float
+
+
+@dataclass(frozen=True, eq=False)
+class Datasheet:
+    """What an engineer needs to use a device, in internal units.
+
+    Attributes
+    ----------
+    rows : DataFrame
+        A row for each condition, quantity, direction and cycle (0: all cycles at full stroke).
+        `stroke` is the amplitude of the motion. `measured` is the mean over the cycles, and
+        `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was
+        tested. `nominal` is the mean of the mean property (the device at this actuation), `lower`
+        and `upper` hold a cycle of a new test with 95 %, offset, noise and chatter included.
+        `n_outside` counts the measured cycles outside of them.
+    measured : DataFrame
+        Each test's measured values: test, session, role, condition, cycle (at full stroke, from 1),
+        quantity, direction, unit, value and offset, which is not taken off.
+    tested : mapping of str to Message
+        Ranges and numbers of what was tested, by name.
+    verdict : tuple of three Message
+    not_known : tuple of Message
+        What a standard asks for and these tests cannot tell.
+    formulas : mapping of str to str
+        How each quantity is computed.
+    """
+
+    rows: pd.DataFrame
+    measured: pd.DataFrame
+    tested: Mapping[str, Message]
+    verdict: tuple[Message, ...]
+    not_known: tuple[Message, ...]
+    formulas: Mapping[str, str]
+
+
+def parse_condition(text: str, actuation_unit: str) -> Condition:
+    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency.
+
+    Raises
+    ------
+    MfdError
+        When it has not these three parts, or the actuation is of another kind than the tests'.
+    """
+    level, _, motion = text.partition(",")
+    if text.count(",") != 2:
+        raise CampaignError(f"a condition reads '35 lbf, 1 in, 0.5 Hz', got {text!r}")
+    actuation, unit = parse_actuation(level.strip(), of=f"the actuation of {text!r}")
+    if unit != actuation_unit:
+        raise CampaignError(
+            f"the actuation of {text!r} must be {actuation_kind(actuation_unit)}, as in the tests"
+        )
+    harmonic = parse_sine(f"{motion}, {CYCLES} cycles")
+    return Condition(actuation, harmonic.amplitude, harmonic.frequency)
+
+
+def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
+    """Data sheet of a run: every condition that was tested, and those asked for.
+
+    Raises
+    ------
+    FitError
+        When a condition cannot be predicted.
+    """
+    peaks = peaks_of(run)
+    tests = _harmonic_tests(run)
+    table, measured = [], []
+    for condition in dict.fromkeys([*sorted({c for c, _, _, _ in tests}), *at]):
+        own = [(name, trace, cycles) for c, name, trace, cycles in tests if c == condition]
+        label = condition_words(run, condition)
+        table += _rows(run, condition, label, own, peaks)
+        measured += [row for name, _, cycles in own for row in _measured(run, name, label, cycles)]
+    rows = pd.DataFrame(table)
+    return Datasheet(
+        rows=rows,
+        measured=pd.DataFrame(measured),
+        tested=_tested(run),
+        verdict=_verdict(run, rows),
+        not_known=_not_known(run),
+        formulas={quantity: FORMULAS[quantity] for quantity, _, _ in _QUANTITIES},
+    )
+
+
+def condition_words(run: Run, condition: Condition) -> str:
+    """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
+    say, unit = run.system.words, run.actuation_unit
+    level = say([condition.actuation], unit, actuation=True)
+    return f"{level}, {say([condition.stroke], 'in', 3)}, {condition.frequency:.3g} Hz"
+
+
+def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycles]]:
+    """Condition and measured cycles of every harmonic test, also of those held out."""
+    traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
+    found = []
+    for name in run.manifest.tests:
+        if name not in traces:
+            continue
+        cycles = measured_of(run.manifest, name, traces[name])
+        full = cycles.full_stroke
+        if full.size and full.mean() >= HARMONIC:
+            amplitude = 0.5 * float(np.median(cycles.stroke[full]))
+            frequency = float(np.median(cycles.frequency[full]))
+            level = traces[name].reference_actuation
+            condition = Condition(level, _rounded(amplitude), _rounded(frequency))
+            found.append((condition, name, traces[name], cycles))
+    return found
+
+
+def _rounded(value: float) -> float:
+    """A value with two digits where they are right within 2 %, else with three."""
+    two = float(f"{value:.2g}")
+    return two if abs(value - two) <= 0.02 * value else float(f"{value:.3g}")
+
+
+def _rows(
+    run: Run,
+    condition: Condition,
+    label: str,
+    own: Sequence[tuple[str, Trace, MeasuredCycles]],
+    peaks: Peaks,
+) -> list[dict[str, object]]:
+    """Rows of one condition; `own` are its tests."""
+    trace = own[0][1] if own else Harmonic(*condition[1:], CYCLES).trace(condition.actuation)
+    names = dict.fromkeys(run.session(name) for name, _, _ in own) or sessions_of(run)
+    nominal, bounded = _predicted(run, trace, list(names), peaks)
+    remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
+    head = {
+        "condition": label,
+        "actuation": condition.actuation,
+        "actuation_unit": run.actuation_unit,
+        "stroke": condition.stroke,
+        "frequency": condition.frequency,
+        "tested": bool(own),
+    }
+    tail = 0.5 * (1.0 - PROBABILITY)
+    rows = []
+    for quantity, direction, name in _QUANTITIES:
+        values = [getattr(cycles, name)[cycles.full_stroke] for _, _, cycles in own]
+        for cycle in range(CYCLES + 1 if name == "energy" else 1):
+            kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
+            drawn = bounded[name][:, kept]
+            drawn = drawn[np.isfinite(drawn)]
+            if cycle and not drawn.size:
+                continue
+            lower, upper = (
+                np.quantile(drawn, [tail, 1.0 - tail]) if drawn.size else (np.nan, np.nan)
+            )
+            seen = np.concatenate([v[kept] for v in values]) if values else np.empty(0)
+            seen = seen[np.isfinite(seen)]
+            middle = _mean(nominal[name][:, kept])
+            low, mean, high = (seen.min(), seen.mean(), seen.max()) if seen.size else (np.nan,) * 3
+            rows.append(
+                head
+                | {
+                    "quantity": quantity,
+                    "direction": direction,
+                    "unit": UNITS[name],
+                    "cycle": cycle,
+                    "measured_low": float(low),
+                    "measured": float(mean),
+                    "measured_high": float(high),
+                    "n_cycles": int(seen.size),
+                    "n_outside": int(np.sum((seen < lower) | (seen > upper))),
+                    "nominal": middle,
+                    "lower": float(lower),
+                    "upper": float(upper),
+                    "lambda_min": float(lower / middle) if middle else float("nan"),
+                    "lambda_max": float(upper / middle) if middle else float("nan"),
+                    "note": "; ".join(remarks),
+                }
+            )
+    return rows
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def _predicted(
+    run: Run, trace: Trace, sessions: Sequence[str], peaks: Peaks
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Draws of the nominal values of the cycles at full stroke, and of those of a measurement."""
+    nominal, bounded = [], []
+    draws = max(DRAWS // len(sessions), 10)
+    for session in sessions:
+        device, test, seen = (
+            run.predict(trace, kind, PROBABILITY, draws=draws, session=session)
+            for kind in ("device", "new_test", "observation")
+        )
+        middle = cycles_of(trace, device.draws)
+        for side, factor in peaks.items():
+            middle[f"peak_{side}"] *= factor.expected
+        nominal.append(middle)
+        with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
+        bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
+    return _together(nominal), _together(bounded)
+
+
+def _together(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
+
+
+def _measured(
+    run: Run, name: str, label: str, cycles: MeasuredCycles
+) -> Iterable[dict[str, object]]:
+    """Rows of the measured values of one test, cycle by cycle."""
+    for number, cycle in enumerate(np.flatnonzero(cycles.full_stroke).tolist(), start=1):
+        for quantity, direction, column in _QUANTITIES:
+            yield {
+                "test": name,
+                "session": run.session(name),
+                "role": run.manifest.tests[name].role,
+                "condition": label,
+                "cycle": number,
+                "quantity": quantity,
+                "direction": direction,
+                "unit": UNITS[column],
+                "value": float(getattr(cycles, column)[cycle]),
+                "offset": float(cycles.offset[cycle]),
+            }
+
+
+def _tested(run: Run) -> dict[str, Message]:
+    """Ranges and numbers of what was tested."""
+    more = {"stroke": " from end to end"}
+    ranges = {
+        span.name: Message(f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)})
+        for span in run.tested
+    }
+    sessions = [session for session in sessions_of(run) if session]
+    return ranges | {
+        "devices": Message("1"),
+        "sessions": Message(f"{len(sessions)}" if sessions else "1 (none declared)"),
+        "tests": Message(f"{len(run.tests)} calibrated, {len(run.held_out)} held out"),
+    }
+
+
+def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
+    """What the run may be used for, how many measured values its bounds hold, and where."""
+    use = run.manifest.verdicts.get("campaign", "") or "not yet judged"
+    count = len(run.tests)
+    fine = " All tests are reproduced within tolerance." if use == Use.USABLE else ""
+    first = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
+    tested = rows[(rows["cycle"] == 0) & rows["tested"]]
+    cycles, outside = int(tested["n_cycles"].sum()), int(tested["n_outside"].sum())
+    share = outside / cycles if cycles else 0.0
+    most = ""
+    if outside:
+        worst = tested.sort_values("n_outside").to_dict("records")[-1]
+        quantity = worst["quantity"].replace("_", " ")
+        most = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
+    second = Message(
+        f"{outside} of {cycles} measured values ({100 * share:.1f} %) lie outside their 95 % "
+        "bounds{most}.",
+        {"most": most},
+    )
+    spans = {span.name: span for span in run.tested}
+    where = [spans[name] for name in ("actuation", "stroke", "frequency") if name in spans]
+    third = Message(
+        "Bounds hold for one device within {where}; outside they rest on the form of the laws.",
+        {"where": ", ".join(span.words(run.system) for span in where)},
+    )
+    return first, second, third
+
+
+def _not_known(run: Run) -> tuple[Message, ...]:
+    """What ASCE/SEI 7 and EN 15129 ask of property factors and these tests cannot tell."""
+    unless = (
+        "unless the declared sessions are devices" if any(sessions_of(run)) else "none is known"
+    )
+    return (
+        Message(f"Other devices of the same make: {unless}."),
+        Message("Ageing, wear and contamination: all tests are of a few cycles of a new device."),
+        Message("Temperature: no record has one."),
+    )

@@ -1,0 +1,221 @@
+"""Properties of a device from its force: predicted by the same rules as they are measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.measured import (
+    MeasuredCycles,
+    cycle_values,
+    mean_of,
+    measured_cycles,
+)
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.run import Run
+
+Array = NDArray[np.float64]
+
+UNITS: Mapping[str, str] = {
+    "slip_fwd": "kip",
+    "slip_bwd": "kip",
+    "peak_fwd": "kip",
+    "peak_bwd": "kip",
+    "effective_stiffness": "kip/in",
+    "effective_damping": "1",
+    "energy_per_cycle": "kip*in",
+    "energy_of_ramps": "kip*in",
+    "energy_in_all": "kip*in",
+    "c_eq": "kip*s/in",
+    "build_up_slope": "kip/in",
+    "gap": "in",
+    "gap_width": "in",
+    "C_fwd": "1",
+    "C_bwd": "1",
+}
+"""Internal unit of every property of a test, in the order of tables."""
+
+_SIGNS = {"fwd": 1.0, "bwd": -1.0}
+_OF_CYCLES = (
+    *("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq"),
+    *("build_up_slope", "gap"),
+)
+
+
+def measured_of(manifest: Manifest, name: str, trace: Trace) -> MeasuredCycles:
+    """Measured cycles of a test, as recorded; of its trace where an earlier version kept none."""
+    stored = manifest.tests[name].measured
+    if stored:
+        return MeasuredCycles.from_content(stored)
+    found = measured_cycles(trace)
+    assert found is not None  # every test of a run has a force
+    return found
+
+
+def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
+    """Measured value of each property: the largest peak, of others the mean at full stroke."""
+    own, ramps = cycles.of_test(), cycles.energy[~cycles.full_stroke]
+    return {name: own[name] for name in (*_OF_CYCLES, "peak_fwd", "peak_bwd")} | {
+        "energy_per_cycle": own["energy"],
+        "energy_of_ramps": float(ramps.mean()) if ramps.size else float("nan"),
+        "energy_in_all": cycles.total_energy,
+    }
+
+
+@dataclass(frozen=True)
+class PeakFactor:
+    """Measured peak of a cycle over the peak of the model's force in it, of one direction.
+
+    A record is low-passed and thinned before the fit, and the model has no chatter: a load cell
+    sees higher peaks. The factor is log-normal, ln f = mean + t_j + c_jk, with scatter from test to
+    test and from cycle to cycle.
+
+    Attributes
+    ----------
+    mean : float
+        Of ln f.
+    between, within : float
+        Standard deviations of ln f from test to test and from cycle to cycle.
+    tests : int
+        From which it was learned; 0 where it is 1 for want of any.
+    """
+
+    mean: float = 0.0
+    between: float = 0.0
+    within: float = 0.0
+    tests: int = 0
+
+    @property
+    def expected(self) -> float:
+        """Mean of the factor."""
+        return float(np.exp(self.mean + 0.5 * (self.between**2 + self.within**2)))
+
+    def draw(self, rng: np.random.Generator, n: int, cycles: int) -> Array:
+        """Factors of the cycles of n new tests, (n, cycles): the mean is uncertain too."""
+        if not self.tests:
+            return np.ones((n, cycles))
+        t = rng.standard_t(max(self.tests - 1, 3), (n, 1))
+        away = self.between * np.sqrt(1.0 + 1.0 / self.tests) * t
+        within = self.within * rng.standard_normal((n, cycles))
+        return np.asarray(np.exp(self.mean + away + within))
+
+    @classmethod
+    def of(cls, ratios: Iterable[Array]) -> PeakFactor:
+        """Factor of the ratios of the cycles of each test, by analysis of variance."""
+        logs = [np.log(ratio) for ratio in ratios if ratio.size]
+        if not logs:
+            return cls()
+        means = np.array([values.mean() for values in logs])
+        freedom = sum(values.size - 1 for values in logs)
+        squares = sum(float(np.sum((values - values.mean()) ** 2)) for values in logs)
+        within = squares / freedom if freedom else 0.0
+        size = float(np.mean([1.0 / values.size for values in logs]))
+        between = max(float(means.var(ddof=1)) - within * size, 0.0) if means.size > 1 else within
+        return cls(float(means.mean()), float(np.sqrt(between)), float(np.sqrt(within)), means.size)
+
+
+Peaks = Mapping[str, PeakFactor]
+"""By direction, "fwd" and "bwd"."""
+NO_FACTOR: Peaks = {"fwd": PeakFactor(), "bwd": PeakFactor()}
+
+
+def peak_factors(manifest: Manifest, tests: Mapping[str, TestResult]) -> Peaks:
+    """Factor by direction from the model's peak of a cycle to the measured one.
+
+    The model's force is that of each test's posterior medians, with its offset.
+    """
+    ratios: dict[str, list[Array]] = {"fwd": [], "bwd": []}
+    for name, test in tests.items():
+        cycles = measured_of(manifest, name, test.trace)
+        values = cycle_values(test.trace, _median_force(test.posterior, test)[None])
+        loops = find_loops(test.trace)
+        if loops.strong.size != cycles.full_stroke.size:
+            continue  # noise that the filter took away made other cycles
+        for side, found in ratios.items():
+            measured, model = getattr(cycles, f"peak_{side}"), values[f"peak_{side}"][0]
+            known = cycles.full_stroke & (measured > 0.0) & (model > 0.0)
+            found.append(measured[known] / model[known])
+    return {"fwd": PeakFactor.of(ratios["fwd"]), "bwd": PeakFactor.of(ratios["bwd"])}
+
+
+def _median_force(posterior: Posterior, test: TestResult) -> Array:
+    """Force and offset for the posterior medians of a test, (T,), kip."""
+    medians = {name: np.atleast_1d(bounds[0]) for name, bounds in test.intervals.items()}
+    return np.asarray((posterior.force(medians) + medians["offset"][:, None])[0])
+
+
+def peaks_of(run: Run) -> Peaks:
+    """The factors of a run's calibrated tests, as its report has stored them, else computed."""
+    stored = run.manifest.peak_factors
+    if stored:
+        return {
+            side: PeakFactor(mean, between, within, int(tests))
+            for side, (mean, between, within, tests) in stored.items()
+        }
+    return peak_factors(run.manifest, run.tests)
+
+
+def stored_peaks(run: Run) -> dict[str, tuple[float, ...]]:
+    """The factors of a run's calibrated tests as its manifest keeps them."""
+    return {side: astuple(factor) for side, factor in peak_factors(run.manifest, run.tests).items()}
+
+
+def properties_of(
+    trace: Trace,
+    force: Array,
+    peaks: Peaks = NO_FACTOR,
+    *,
+    smooth: Array | None = None,
+    seed: int = 0,
+) -> dict[str, Array]:
+    """Properties under a motion of forces (n, T), kip, by name, (n,) each, in `UNITS`.
+
+    Peaks are those that a load cell would see: `peaks` times those of the forces without noise,
+    `smooth`, by default the same forces.
+    """
+    loops = find_loops(trace)
+    values, full = cycle_values(trace, force), loops.strong
+    found = {name: mean_of(values[name], full) for name in _OF_CYCLES}
+    found["energy_per_cycle"] = mean_of(values["energy"], full)
+    found["energy_of_ramps"] = mean_of(values["energy"], ~full)
+    found["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
+    parts = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
+    rng = np.random.default_rng(seed)
+    smooth = force if smooth is None else smooth
+    for side, sign in _SIGNS.items():
+        largest = [np.max(sign * smooth[:, a:b], axis=1) for a, b in pairwise(parts) if b > a]
+        factor = peaks[side].draw(rng, len(force), len(largest))
+        found[f"peak_{side}"] = np.max(np.transpose(largest) * factor, axis=1)
+    return found
+
+
+def cycles_of(
+    trace: Trace,
+    force: Array,
+    peaks: Peaks = NO_FACTOR,
+    *,
+    smooth: Array | None = None,
+    seed: int = 0,
+) -> dict[str, Array]:
+    """Values of each full cycle at full stroke, (n, L) each, by name, as `properties_of`."""
+    loops, rng = find_loops(trace), np.random.default_rng(seed)
+    values = {name: found[:, loops.strong] for name, found in cycle_values(trace, force).items()}
+    smooth = force if smooth is None else smooth
+    spans = [
+        s for s, full in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True) if full
+    ]
+    for side, sign in _SIGNS.items():
+        largest = [np.max(sign * smooth[:, a : b + 1], axis=1) for a, b in spans]
+        shape = len(force), len(spans)
+        values[f"peak_{side}"] = np.transpose(largest).reshape(shape) * peaks[side].draw(
+            rng, *shape
+        )
+    return values

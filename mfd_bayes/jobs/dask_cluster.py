@@ -1,0 +1,362 @@
+"""Jobs on the workers of a dask.distributed cluster, which share no files with this machine.
+
+A worker gets a test's trace and settings; it sends small messages of its progress, and at the end
+the bytes of the files that it made. Both ends must trust each other: dask.distributed unpickles
+what they send.
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+import queue
+import re
+import tempfile
+import time
+import uuid
+import warnings
+from asyncio import CancelledError
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import astuple
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from distributed import Client, KilledWorker, as_completed, get_worker
+from distributed.versions import VersionMismatchWarning
+from scipy import linalg  # noqa: F401  # loads scipy's BLAS, for `limit_threads` to find it
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.jobs.job import Job, Outcome, Progress, State, Step
+from mfd_bayes.store.files import write_bytes
+
+PATIENCE = 5.0
+"""Seconds in which a scheduler must answer."""
+
+WATCH = 0.2
+"""Seconds between looks at what has ended."""
+
+FAULTS = (OSError, TimeoutError, CancelledError, RuntimeError)
+"""Errors that dask.distributed raises when the scheduler is lost, depending on the moment."""
+
+_LOGS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
+_SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")
+
+
+def check_cluster(address: str) -> None:
+    """Refuse a scheduler that does not answer, or has a worker of other versions.
+
+    Raises
+    ------
+    FitError
+    """
+    with _connected(address) as client, _losses(address):
+        answers = client.run(differences, versions(), on_error="return")
+    for worker, answer in answers.items():
+        if isinstance(answer, OSError):  # the worker was lost meanwhile; `work` checks again
+            continue
+        if isinstance(answer, BaseException):
+            raise FitError(
+                f"the worker {worker} cannot run mfd_bayes: {_in_a_line(answer)}; install the "
+                "version there that is here"
+            )
+        if answer:
+            raise FitError(_other_versions(worker, answer))
+
+
+def run_on_cluster(
+    jobs: Sequence[Job], out: Path, address: str, observe: Callable[[Step], None]
+) -> Generator[Outcome, None, None]:
+    """Outcomes of jobs in the order in which the workers of a scheduler end them.
+
+    Jobs that have not ended when this ends, in whatever way, are cancelled. A job whose worker is
+    lost begins again on another one from the same seed, as often as the scheduler allows.
+
+    Raises
+    ------
+    StoreError
+        When the files of a job cannot be written.
+    FitError
+        When the scheduler is lost, or a worker is not the same as this machine.
+    """
+    for job in jobs:
+        observe(Step(job.id, State.WAITING))
+    if not jobs:
+        return
+    messages: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
+    topic = f"mfd_bayes-{uuid.uuid4().hex}"
+    attempts: dict[str, list[str]] = {}  # of each job that has not ended; only the last one counts
+    with _connected(address) as client:
+        with _losses(address):
+            client.subscribe_topic(topic, lambda event: messages.put(event[1]))
+            futures = _submit(client, jobs, out, topic)
+        names = {future.key: job for future, job in futures.items()}
+        ended = as_completed(futures, loop=client.loop, raise_errors=False)
+        idle = False
+        try:
+            while not ended.is_empty():
+                with _losses(address):
+                    if client.status != "running":
+                        raise _lost(address)
+                    idle = _tell_idle(client, address, observe, idle=idle)
+                while not messages.empty():
+                    message = messages.get()
+                    if message["key"] in names:
+                        _follow(message, names[message["key"]].id, attempts, observe)
+                for future in ended.next_batch(block=False) if ended.has_ready() else ():
+                    job = names.pop(future.key)
+                    del futures[future]
+                    yield _store(future, job, out, address, observe)
+                time.sleep(WATCH)
+        finally:
+            with suppress(*FAULTS):
+                client.cancel(list(futures))
+
+
+def _submit(client: Any, jobs: Sequence[Job], out: Path, topic: str) -> dict[Any, Job]:
+    """Future of each job; each file that jobs need is sent once.
+
+    A file is a task of its own, and not scattered: dask makes it again where a worker is lost.
+    """
+    names = dict.fromkeys(name for job in jobs for name in job.needs(out))
+    files = {
+        name: client.submit(bytes, (out / name).read_bytes(), key=f"{topic}-file-{i}")
+        for i, name in enumerate(names)
+    }
+    futures = {}
+    for i, job in enumerate(jobs):
+        given = {name: files[name] for name in job.needs(out)}
+        try:
+            future = client.submit(work, job, given, versions(), topic, key=f"{topic}-{i}")
+        except TypeError as error:
+            raise FitError(f"cannot send {job.id} to the workers: {error.args[0]}") from error
+        futures[future] = job
+    return futures
+
+
+def _tell_idle(client: Any, address: str, observe: Callable[[Step], None], *, idle: bool) -> bool:
+    """Whether the scheduler has no worker; it is said once, and also when there is one again."""
+    missing = not client.nthreads()
+    if missing and not idle:
+        start = f"start one with: dask worker {address}"
+        observe(Step("cluster", "waits for a worker:", message=start))
+    elif idle and not missing:
+        observe(Step("cluster", State.DONE))
+    return missing
+
+
+def _follow(
+    message: Mapping[str, Any],
+    name: str,
+    attempts: dict[str, list[str]],
+    observe: Callable[[Step], None],
+) -> None:
+    """Pass on a step of a job, unless it is of an attempt that was lost."""
+    earlier = attempts.setdefault(message["key"], [])
+    if message["attempt"] in earlier[:-1]:
+        return
+    if message["attempt"] not in earlier:
+        if earlier:
+            observe(Step(name, State.RESTARTED, message="its worker was lost"))
+        earlier.append(message["attempt"])
+    observe(_step(name, message["step"]))
+
+
+def _store(
+    future: Any, job: Job, out: Path, address: str, observe: Callable[[Step], None]
+) -> Outcome:
+    """Store the files of a job that has ended; its outcome."""
+    if future.status in ("cancelled", "lost"):  # not by us, or it would not be waited for
+        raise _lost(address)
+    with _losses(address):
+        error = future.exception()
+        answer = None if error else future.result()
+    if answer is not None and answer["refused"]:
+        raise FitError(answer["refused"])
+    if answer is None:
+        reason = _in_a_line(error)
+        if isinstance(error, KilledWorker):
+            reason = (
+                f"its workers were lost {error.allowed_failures + 1} times, the last one "
+                f"{error.last_worker.address}: if memory is short, give them fewer tests at a time"
+            )
+    elif set(answer["files"]) - set(job.makes):
+        reason = "its worker sent files that are not this test's"
+    else:
+        for name, content in answer["files"].items():
+            write_bytes(out / name, content)
+        for step in answer["steps"]:
+            observe(_step(job.id, step))
+        return Outcome(job.id, State(answer["status"]), answer["seconds"], answer["error"])
+    observe(Step(job.id, State.FAILED, message=reason))
+    return Outcome(job.id, State.FAILED, 0.0, reason)
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """Connection to a scheduler; the library's own log messages are suppressed."""
+    if not re.fullmatch(r"(tcp|tls)://.+:\d+", address):
+        raise FitError(f"--scheduler must be like tcp://host:8786, got {address!r}")
+    before = {name: logging.getLogger(name).level for name in _LOGS}
+    for name in _LOGS:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", VersionMismatchWarning)  # `differences` reports it
+            client = Client(address, timeout=PATIENCE, name="mfd-bayes", set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise FitError(
+            f"no scheduler answers at {address} ({_in_a_line(error)}); start one: dask scheduler"
+        ) from error
+    else:
+        try:
+            yield client
+        finally:
+            with suppress(*FAULTS):
+                client.close(timeout=PATIENCE)
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
+
+
+@contextmanager
+def _losses(address: str) -> Iterator[None]:
+    """Turn every error of a lost scheduler into a FitError."""
+    try:
+        yield
+    except FAULTS as error:
+        raise _lost(address) from error
+
+
+def _lost(address: str) -> FitError:
+    return FitError(
+        f"the scheduler at {address} was lost: what is finished is kept; go on with --resume, "
+        "with a scheduler or without"
+    )
+
+
+def _in_a_line(error: BaseException) -> str:
+    """Message of an error in one line, with the kind of the error unless it is an OSError."""
+    text = " ".join(str(error).split()) or "no reason given"
+    return text if isinstance(error, OSError) else f"{type(error).__name__}: {text}"
+
+
+# --- on a worker
+
+
+def work(
+    job: Job, given: Mapping[str, bytes], expected: Mapping[str, str], topic: str
+) -> dict[str, Any]:
+    """Do a job in a temporary folder, and return the files that it made.
+
+    Parameters
+    ----------
+    job : Job
+    given : mapping of str to bytes
+        Files that the job needs, by their paths in the run folder.
+    expected : mapping of str to str
+        Versions that this worker must have.
+    topic : str
+        Dask's name for the messages of progress.
+
+    Returns
+    -------
+    dict
+        "refused": why the job was not done, or ""; "status", "seconds", "error": as of an
+        `Outcome`; "files": content by name; "steps": the last steps.
+    """
+    worker = get_worker()
+    found = differences(expected)
+    if refused := _other_versions(worker.address, found) if found else limit_threads():
+        return {"refused": refused}
+    about = {"key": worker.get_current_task(), "attempt": uuid.uuid4().hex}
+    last: list[list[Any]] = []
+
+    def send(step: Step) -> None:
+        if step.stage in (State.DONE, State.FAILED):  # returned: so it comes after all messages
+            last.append(_values(step))
+            return
+        task = worker.state.tasks.get(about["key"])
+        if task is None or task.state == "cancelled":
+            raise _CancelledError
+        worker.log_event(topic, about | {"step": _values(step)})
+
+    with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder:
+        out = Path(folder)
+        for name, content in given.items():
+            write_bytes(out / name, content)
+        try:
+            outcome = job.run(out, send)
+        except _CancelledError:
+            return {"refused": "cancelled"}
+        made = [name for name in job.makes if (out / name).is_file()]
+        return {
+            "refused": "",
+            "status": str(outcome.status),
+            "seconds": outcome.seconds,
+            "error": outcome.error,
+            "files": {name: (out / name).read_bytes() for name in made},
+            "steps": last,
+        }
+
+
+class _CancelledError(Exception):
+    """The client has cancelled this job."""
+
+
+def versions() -> dict[str, str]:
+    """Versions that must be the same on both sides for the draws to be the same."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"Python": python} | {name: version(name) for name in _SAME}
+
+
+def differences(expected: Mapping[str, str]) -> str:
+    """Versions of this process that are not the expected ones, in words; "" where all are."""
+    found = versions()
+    return ", ".join(
+        f"{name} {found.get(name, 'of no version')} and not {wanted}"
+        for name, wanted in expected.items()
+        if found.get(name) != wanted
+    )
+
+
+def _other_versions(worker: str, found: str) -> str:
+    return f"the worker {worker} has {found} as here: install the same versions there"
+
+
+def limit_threads() -> str:
+    """Let numpy use one thread in this process from now on; "", or why that is not possible.
+
+    The number of threads changes the last bits of numpy's sums. It is not set back: other jobs may
+    run in other threads of this process. It holds for the libraries that are loaded by now: numpy
+    and scipy each have a BLAS, and both are loaded with this module.
+    """
+    threadpool_limits(limits=1)
+    many = [pool for pool in threadpool_info() if pool["num_threads"] != 1]
+    if not many:
+        return ""
+    names = ", ".join(sorted(pool["filepath"] for pool in many))
+    return (
+        f"the worker {get_worker().address} computes with several threads, and {names} cannot be "
+        "told not to: start it with OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1"
+    )
+
+
+def _values(step: Step) -> list[Any]:
+    """A step as plain values, which need not be unpickled."""
+    figures = None
+    if step.progress:
+        *numbers, missing = astuple(step.progress)
+        figures = [*map(float, numbers), missing]
+    return [str(step.stage), step.message, figures]
+
+
+def _step(name: str, sent: Sequence[Any]) -> Step:
+    """Step of the plain values that a worker sends."""
+    stage, message, figures = sent
+    if figures is None:
+        return Step(name, stage, None, message)
+    steps, limit, *others = figures
+    return Step(name, stage, Progress(int(steps), int(limit), *others), message)

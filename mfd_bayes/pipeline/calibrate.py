@@ -1,0 +1,267 @@
+"""Calibration of a campaign into a run folder: every test's posterior, then the population."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.result import Task, TestResult, load_result
+from mfd_bayes.campaign.synthetic import write_campaign
+from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.evaluation.views import CampaignView
+from mfd_bayes.jobs.job import Progress, State, Step
+from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.report import write_report
+from mfd_bayes.population.inference import infer_population
+from mfd_bayes.population.storage import save_population, save_test_draws
+from mfd_bayes.runs.folder import (
+    Existing,
+    check_apart,
+    check_free,
+    check_links,
+    discard,
+    hash_stored,
+    prepare_folder,
+    remove_partial_files,
+    remove_stale,
+)
+from mfd_bayes.runs.lock import OWNER, alone_in
+from mfd_bayes.runs.manifest import Manifest, Status, Truth
+from mfd_bayes.runs.paths import (
+    CAMPAIGN,
+    MANIFEST,
+    POPULATION,
+    PRIORS,
+    pooled_of,
+    posterior_of,
+    record_of,
+)
+from mfd_bayes.runs.run import Run
+from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
+from mfd_bayes.store.netcdf import save_trace
+
+PRELOAD = "mfd_bayes.pipeline.preload"
+"""Module that imports what the processes of a run need."""
+
+_POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
+"""Keys of the manifest that hold results of the population."""
+
+_OF_FINISHED = ("status", "finished", "crossvalidation", "verdicts", "machines")
+"""Keys of a finished run that nothing is computed of again."""
+
+Observe = Callable[[Step], None]
+
+
+def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
+    """Calibrate a campaign into a run folder, up to but not including its report.
+
+    Parameters
+    ----------
+    out : Path
+        Run folder; must not exist unless the plan's options say `resume` or `force`.
+    observe : callable
+        Called with every step of every test.
+
+    Raises
+    ------
+    MfdError
+        When an input cannot be used; nothing is written then.
+    """
+    with working_in(plan, out):
+        return calibrate_locked(plan, out, observe)
+
+
+def calibrate_plan(plan: Plan, out: Path, observe: Observe) -> CampaignView:
+    """Calibrate a campaign as `calibrate` does, and write its report."""
+    with working_in(plan, out):
+        run = calibrate_locked(plan, out, observe)
+        return write_report(run, observe, jobs=plan.options.jobs)
+
+
+def calibrate_campaign(
+    campaign: Path, out: Path, options: Options, observe: Observe
+) -> CampaignView:
+    """Calibrate a campaign file into a folder, and write its report."""
+    get_ready(PRELOAD)
+    return calibrate_plan(plan_campaign(campaign, options), out, observe)
+
+
+def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
+    """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it.
+
+    Raises
+    ------
+    StoreError
+        When the folder exists and is not to be replaced.
+    """
+    get_ready(PRELOAD)
+    check_workers(options)
+    check_links(out, ["campaign"])
+    used = out.exists() and (not out.is_dir() or any(out.iterdir()))
+    if used and not options.force:
+        raise StoreError(f"{out} exists: give --force to replace it")
+    campaign = out / "campaign"
+    with alone_in(out):
+        if used and not _holds_a_demo_alone(out):
+            discard(out)
+        for path in (campaign / "campaign.toml", *campaign.glob(f".*{PART}")):
+            remove_file(path)  # the campaign file is written last
+        truth = write_campaign(campaign, options.seed)
+        options = replace(options, force=False, resume=False)
+        plan = plan_campaign(campaign / "campaign.toml", options)
+        plan = replace(plan, manifest=plan.manifest.changed(truth=Truth(**truth)))
+        run = calibrate_locked(plan, out, observe)
+        return write_report(run, observe, jobs=options.jobs)
+
+
+def _holds_a_demo_alone(out: Path) -> bool:
+    """Whether a folder holds nothing but a demo's campaign, whole or not: no run was begun."""
+    campaign, ours = out / "campaign", re.compile(r"campaign\.toml|p\d+_f[\d.]+\.csv|\..+\.part")
+    others = [path for path in out.iterdir() if path != campaign]
+    return (
+        campaign.is_dir()
+        and all(p.name == OWNER or is_part(p, MANIFEST) or is_part(p, OWNER) for p in others)
+        and all(path.is_file() and ours.fullmatch(path.name) for path in campaign.iterdir())
+    )
+
+
+def check_dry(plan: Plan, out: Path) -> None:
+    """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
+    _check_place(plan, out)
+    check_free(plan.campaign.folder, out, _existing(plan.options))
+
+
+@contextmanager
+def working_in(plan: Plan, out: Path) -> Iterator[None]:
+    """Check that a plan may be carried out in a run folder, and lock it until the end.
+
+    Raises
+    ------
+    StoreError
+        When the options contradict each other, the run would remove its own inputs, or another
+        process works in the folder.
+    """
+    _check_place(plan, out)
+    check_workers(plan.options)
+    with alone_in(out):
+        yield
+
+
+def _check_place(plan: Plan, out: Path) -> None:
+    options, campaign = plan.options, plan.campaign
+    if options.resume and options.force:
+        raise StoreError("give either --resume or --force, not both")
+    inputs = (campaign.path, plan.priors.path, *(test.path for test in campaign.tests))
+    check_apart(out, inputs, force=options.force, resume=options.resume)
+
+
+def _existing(options: Options) -> Existing:
+    return Existing.of(resume=options.resume, force=options.force)
+
+
+def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
+    """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
+    resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, _existing(plan.options))
+    for sentence in resumed.notes:
+        observe(Step("resume", State.NOTE, message=sentence))
+    manifest = resumed.manifest
+    todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
+    if resumed.before is not None and not todo:
+        manifest = _with_population(manifest, resumed.before, out)
+    try:
+        if manifest.status != Status.FINISHED:
+            remove_stale(out, draws=bool(todo) or not resumed.same_tests)
+        manifest = _calibrate_tests(plan, manifest, todo, out, observe)
+        files = {task.id: out / posterior_of(task.id) for task in plan.tasks}
+        results = {n: load_result(n, f, plan.priors) for n, f in files.items() if f.is_file()}
+        if not results:
+            errors = {entry.error for entry in manifest.tests.values() if entry.error}
+            raise FitError(f"no test could be calibrated: {'; '.join(sorted(errors))}")
+        if manifest.status != Status.FINISHED:
+            manifest = _infer_population(plan, manifest, results, out, observe)
+        stored = [f(test) for test in manifest.tests for f in (posterior_of, pooled_of, record_of)]
+        manifest = manifest.changed(
+            files=hash_stored(out, [PRIORS, POPULATION, *stored]),
+            status=Status.FINISHED,
+            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        manifest.write(out)
+    finally:
+        remove_partial_files(out)
+    return Run(out, manifest, plan.priors, results, plan.held_out)
+
+
+def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
+    """The manifest with the results of an earlier session that finished, else as it is.
+
+    It is that of a finished run then: nothing is left to be computed, and where this session is
+    killed, nothing is lost. Hashes of files that are written again are left out.
+    """
+    whole = set(_POPULATION) <= before.model_fields_set and (out / POPULATION).is_file()
+    if before.status != Status.FINISHED or not whole:
+        return manifest
+    keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in before.model_fields_set]
+    names = {POPULATION, *map(pooled_of, manifest.tests)}
+    stored = {name: digest for name, digest in before.files.items() if name in names}
+    return manifest.changed(**{key: getattr(before, key) for key in keys}).with_files(stored)
+
+
+def _calibrate_tests(
+    plan: Plan, manifest: Manifest, todo: Sequence[Task], out: Path, observe: Observe
+) -> Manifest:
+    """Store the posterior of every test that has none."""
+    kept = [task.id for task in plan.tasks if task not in todo]
+    for name in kept:
+        manifest = manifest.with_test(name, status=State.DONE)
+    for name in plan.held_out:
+        manifest = manifest.with_test(name, status=State.HELD_OUT)
+    manifest.write(out)  # first of all: a folder with a manifest is a run folder
+    write_bytes(out / CAMPAIGN, plan.campaign.path.read_bytes())
+    write_bytes(out / PRIORS, plan.priors.path.read_bytes())
+    for name, trace in plan.held_out.items():
+        save_trace(out / record_of(name), trace, {})
+    for name in kept:
+        observe(Step(name, State.KEPT))
+    began = time.perf_counter()
+    with closing(run_jobs(todo, out, plan.options, observe)) as outcomes:
+        for outcome in outcomes:
+            failed = {"error": outcome.error} if outcome.error else {}
+            manifest = manifest.with_test(
+                outcome.id, status=outcome.status, seconds=outcome.seconds, **failed
+            ).with_files(hash_stored(out, [posterior_of(outcome.id)]))
+            manifest.write(out)
+    return manifest.longer(time.perf_counter() - began)
+
+
+def _infer_population(
+    plan: Plan, manifest: Manifest, results: Mapping[str, TestResult], out: Path, observe: Observe
+) -> Manifest:
+    """Infer the population from the stored posteriors, and store it."""
+    began, options = time.perf_counter(), plan.options
+    observe(Step("population", "comparing laws"))
+    inference = infer_population(
+        results,
+        plan.priors,
+        manifest.settings.inference(options.effort, (options.seed, 0), options.processes),
+        lambda progress: observe(Step("population", "sampling", progress)),
+    )
+    for j, name in enumerate(results):
+        save_test_draws(out / pooled_of(name), inference.values(j), units(), name)
+    save_population(out / POPULATION, inference.population)
+    seconds, worst = time.perf_counter() - began, inference.population.convergence
+    sweeps = inference.sweeps
+    progress = Progress(sweeps, sweeps, worst.worst_r_hat, worst.worst_ess, seconds)
+    observe(Step("population", State.DONE, progress))
+    return manifest.longer(seconds).changed(
+        law_scores=inference.scores,
+        free_exponents=inference.exponents,
+        dependence_scores=inference.dependence,
+        population_sampler={"accepted": inference.accepted, "sweeps": sweeps},
+    )

@@ -1,0 +1,325 @@
+"""A prediction from a finished run, written as files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, n_draws
+from mfd_bayes.evaluation.scores import Compared, compare
+from mfd_bayes.evaluation.test_summary import predicted_rows
+from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
+from mfd_bayes.pipeline.outputs import check_outputs
+from mfd_bayes.population.bands import DRAWS, Band
+from mfd_bayes.population.settings import KIND_NAMES
+from mfd_bayes.records.record import Record, read_record
+from mfd_bayes.records.sine import parse_sine
+from mfd_bayes.records.time_axis import parse_window
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
+from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
+from mfd_bayes.runs.manifest import unchanged
+from mfd_bayes.runs.model_average import ModelAverage
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.runs.unit_system import System
+from mfd_bayes.store.files import remove_file, write_bytes, write_text
+from mfd_bayes.units import actuation_kind, parse_actuation, parse_quantity
+
+MOST = 40_000
+"""Most samples of a motion that is predicted as it is; more would take gigabytes."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A requested prediction.
+
+    Attributes
+    ----------
+    bands : Path
+        CSV to write; two PNGs and the derived quantities are written beside it.
+    actuation : str
+        Such as "1000 psi".
+    motion : Path or None
+        A file with time and displacement; None for a harmonic motion.
+    kind : {"device", "new_test", "observation", "this_test"}
+    probability : float
+        Of the equal-tailed band.
+    compare : bool
+        Whether the force in the motion's file is compared with the prediction.
+    test : str
+        Id of the calibrated test, for the kind `this_test`.
+    whole, explain : bool
+        As in `Run.predict`.
+    extrapolate : bool
+        Whether to predict far outside of what was tested too.
+    sine : str
+        Harmonic motion instead of a file: "1 in, 0.5 Hz, 3 cycles".
+    rate : str
+        Rate to which the motion is thinned, "64 Hz"; every sample is kept by default.
+    units : {"", "us", "si"}
+        Units of all that is written; by default those of the campaign.
+    design : bool
+        Whether mean and bounding properties are computed too.
+    given : str
+        Part of the record in which the force in the motion's file is known: "0 s to 3 s".
+    after : str
+        Id of the test of the run that the motion follows without a reset.
+    figures : bool
+        Whether the PNGs are drawn.
+    force : bool
+        Whether files that exist are replaced.
+    others : tuple of Path
+        Runs of the same tests with other models, which predict together with the first.
+    """
+
+    bands: Path
+    actuation: str
+    motion: Path | None = None
+    kind: str = "new_test"
+    probability: float = 0.95
+    compare: bool = False
+    test: str = ""
+    whole: bool = False
+    explain: bool = False
+    extrapolate: bool = False
+    sine: str = ""
+    rate: str = ""
+    units: str = ""
+    design: bool = False
+    figures: bool = True
+    force: bool = False
+    given: str = ""
+    after: str = ""
+    others: tuple[Path, ...] = ()
+
+    @property
+    def window(self) -> tuple[float, float] | None:
+        """The given part, s; None where there is none."""
+        return parse_window(self.given, of="--given") if self.given.strip() else None
+
+    @property
+    def picture(self) -> Path:
+        """PNG of the band."""
+        return self.bands.with_suffix(".png")
+
+    def beside(self, name: str) -> Path:
+        """File beside the table, such as "bands_derived.csv" for "derived.csv"."""
+        return self.bands.with_name(f"{self.bands.stem}_{name}")
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A prediction: its band, kip; its derived quantities in the units of `system`.
+
+    `compared` is None where no measured force was to be compared, `design` empty where mean and
+    bounding properties were not asked for. `judged` says which measured values lie outside their
+    intervals, and `disagrees` whether the prediction does not hold for the record.
+    """
+
+    band: Band
+    derived: tuple[DerivedRow, ...]
+    system: System
+    compared: Compared | None = None
+    design: tuple[DesignRow, ...] = ()
+    judged: str = ""
+    disagrees: bool = False
+
+    @property
+    def name(self) -> str:
+        """What the band is about, in the words of design."""
+        return KIND_NAMES[self.band.kind]
+
+
+def predict(out: Path, question: Question) -> Answer:
+    """Force band for a motion and an actuation, and derived quantities; both are written.
+
+    Raises
+    ------
+    MfdError
+        When the run, the motion, the actuation, the kind or the probability cannot be used, or
+        the motion lies far outside of what was tested.
+    """
+    check_question(question)
+    run, *others = (open_run(folder) for folder in (out, *question.others))
+    if question.units:
+        run, *others = (replace(each, units=question.units) for each in (run, *others))
+    source = ModelAverage((run, *others)) if others else run
+    level, unit = parse_actuation(question.actuation, of="--actuation")
+    if unit != run.actuation_unit:
+        raise CampaignError(
+            f"--actuation {question.actuation!r} must be {actuation_kind(run.actuation_unit)}, as "
+            "in the campaign"
+        )
+    motion, remarks, record = _motion_of(question)
+    measured = replace(motion, actuation=level)  # with its force, if the file has one
+    trace = replace(measured, force=None)
+    own = question.test if question.test in run.tests else ""
+    far = far_sentences(run.departures(trace, own), run.system)
+    if far and not question.extrapolate:
+        raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
+    drawn = measured if question.compare else trace
+    design: tuple[DesignRow, ...] = ()
+    with unchanged(run.folder, run.manifest):
+        band = _band(source, measured if question.given else trace, question)
+        compared_with = record if question.compare else None
+        rows = predicted_rows(source, trace, band, compared_with, question.after, measured)
+        if question.design:
+            remarks += design_warnings(run)
+            design = design_rows(run, trace, question.probability)
+    band = replace(band, remarks=(*band.remarks, *remarks))
+    compared, judged, disagrees = None, "", False
+    if drawn.force is not None:
+        compared = compare(band, drawn)
+        judged, disagrees = compared.judged(rows), compared.disagrees(rows)
+    answer = Answer(
+        band,
+        tuple(convert_row(row, run.system) for row in rows),
+        run.system,
+        compared,
+        tuple(convert_row(row, run.system) for row in design),
+        judged,
+        disagrees,
+    )
+    _write(question, drawn, answer, measured)
+    return answer
+
+
+def check_question(question: Question) -> None:
+    """Refuse options that exclude each other, and to write over what exists, but for `force`.
+
+    Raises
+    ------
+    MfdError
+        When options cannot be combined, or one of the files may not be written.
+    """
+    if question.bands.suffix.lower() == ".png":
+        raise StoreError(
+            f"{question.bands} must not end in .png: the picture goes beside the table"
+        )
+    for option, value, which in (
+        ("--given", question.window, "the one whose first part is given"),
+        ("--after", question.after, "one that follows another"),
+    ):
+        if value and question.design:
+            raise CampaignError(
+                f"--design cannot be combined with {option}: its properties are those of any test, "
+                f"not of {which}"
+            )
+    for option in ("test", "explain", "design"):
+        if question.others and getattr(question, option):
+            raise CampaignError(
+                f"--{option} cannot be combined with --with: it is of one model alone"
+            )
+    names = ("history.png", "derived.csv", "design.csv")
+    outputs = [question.bands, question.picture, *map(question.beside, names)]
+    check_outputs(outputs, [question.motion] if question.motion else [], force=question.force)
+
+
+def _motion_of(question: Question) -> tuple[Trace, tuple[str, ...], Record | None]:
+    """Motion that is asked for, a remark where it had to be thinned, and its record, if any.
+
+    Its actuation is that of the question, whatever columns its file has.
+    """
+    if (question.motion is None) == (not question.sine):
+        raise CampaignError("give one motion: --motion FILE, or --sine '1 in, 0.5 Hz, 3 cycles'")
+    if question.motion is None:
+        if question.compare or question.rate or question.given:
+            raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
+        return parse_sine(question.sine).trace(0.0), (), None
+    record = read_record(question.motion, actuation=question.actuation)
+    given = f"--given {question.given!r}" if question.given else ""
+    needs = "--compare" if question.compare else given
+    if needs and record.force is None:
+        raise CampaignError(f"{needs} needs a column of the force in {question.motion}")
+    if question.rate:
+        rate = parse_quantity(question.rate, "rate", of="--rate")
+        return _thinned(record, rate, question.window), (), record
+    if record.time.size <= MOST:
+        return record.trace(), (), record
+    rate = record.rate * MOST / record.time.size
+    remark = (
+        f"the motion has {record.time.size} samples, more than the {MOST} that are predicted at "
+        f"once: the band is given at {rate:.4g} Hz; --rate sets another"
+    )
+    return _thinned(record, rate, question.window), (remark,), record
+
+
+def _thinned(record: Record, rate: float, window: tuple[float, float] | None) -> Trace:
+    """Record at a rate; what is known of its force in a window does not depend on the rest.
+
+    The filter before the thinning would mix both: inside the window it sees the force at the
+    window's ends instead of that beyond them.
+    """
+    trace = record.trace(rate)
+    if window is None or record.force is None or trace.force is None:
+        return trace
+    begin, end = window
+    inside = (record.time >= begin) & (record.time <= end)
+    if not np.any(inside):  # which the prediction refuses
+        return trace
+    held = np.interp(record.time, record.time[inside], record.force[inside])
+    known = replace(record, force=held).trace(rate)
+    at = (trace.time >= begin) & (trace.time <= end)
+    return replace(trace, force=np.where(at, np.asarray(known.force), trace.force))
+
+
+def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
+    """Band that is asked for."""
+    asked = trace, question.kind, question.probability
+    whole, given, after = question.whole, question.window, question.after
+    if isinstance(source, ModelAverage):
+        return source.predict(*asked, whole=whole, given=given, after=after)
+    return source.predict(
+        *asked,
+        # without sessions the tables of --design are then of the same draws
+        draws=max(n_draws(source), DRAWS) if question.design else DRAWS,
+        test=question.test,
+        whole=whole,
+        explain=question.explain,
+        given=given,
+        after=after,
+    )
+
+
+def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) -> None:
+    """Write the tables and the pictures of a prediction; `measured` has a given part's force."""
+    band, system = answer.band, answer.system
+    title = f"Predicted force at {question.actuation}"
+    about = [f"actuation {question.actuation}"]
+    if answer.compared is not None:
+        about.append(f"compared: {answer.compared.sentence(system)}")
+        about += [answer.judged] if answer.judged else []
+    write_text(question.bands, bands_csv(drawn, band, about, system))
+    derived = predicted_csv(answer.derived, question.actuation, question.probability)
+    write_text(question.beside("derived.csv"), derived)
+    if answer.design:
+        write_text(question.beside("design.csv"), design_csv(answer.design, question.actuation))
+    else:
+        remove_file(question.beside("design.csv"))  # it is of an earlier question
+    if not question.figures:
+        remove_file(question.picture)
+        remove_file(question.beside("history.png"))
+        return
+    from mfd_bayes.reporting.figures import Marks, draw_history, draw_loops, to_png
+
+    intervals = [Interval(band.probability, band.lower, band.upper)]
+    if band.whole_lower is not None and band.whole_upper is not None:
+        bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
+        intervals.append(Interval(band.probability, *bounds, whole=True))
+    fan = convert_fan(Fan(band.kind, band.median, tuple(intervals)), system.factor("kip"))
+    marks = Marks(given=None)
+    history = drawn
+    if band.given is not None:
+        title += f", given {question.given}"
+        marks = Marks(given=band.given.window)
+        if drawn.force is None:  # the force of the given part alone
+            known = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
+            history = replace(drawn, force=known)
+    loops = draw_loops(title, convert_trace(drawn, system), [fan], system)
+    write_bytes(question.picture, to_png(loops))
+    figure = draw_history(title, convert_trace(history, system), [fan], system, marks)
+    write_bytes(question.beside("history.png"), to_png(figure))

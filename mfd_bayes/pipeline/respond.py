@@ -1,0 +1,347 @@
+"""Response of a building with the device of a run, written as a folder with a page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import BuildingError, UnitError
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.pipeline.outputs import check_folder
+from mfd_bayes.reporting.response import (
+    ResponseView,
+    draws_csv,
+    limits_csv,
+    peaks_csv,
+    peaks_tex,
+    render_response,
+    response_json,
+    shares_csv,
+    sweep_csv,
+    sweep_sentence,
+)
+from mfd_bayes.response.building import Building, read_building
+from mfd_bayes.response.ground import Ground, parse_acceleration
+from mfd_bayes.response.result import Response
+from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
+from mfd_bayes.response.variance_shares import Shares, variance_shares
+from mfd_bayes.runs.manifest import unchanged
+from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, SYSTEMS, US, System
+from mfd_bayes.runs.verdict import Use
+from mfd_bayes.store.files import remove_file, write_bytes, write_text
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Query:
+    """What is asked of a building.
+
+    Attributes
+    ----------
+    building : Path
+    grounds : tuple of str
+        Files, each perhaps with ":0.01s" for its step and ":g" for its unit.
+    folder : Path
+        Of the page and the tables.
+    kind, draws, seed
+        As in `Run.respond`.
+    unit : str
+        Of the accelerations of files that do not say it.
+    scale : float, optional
+        Factor of every ground motion.
+    peak : str
+        Peak to which every ground motion is scaled instead, such as "0.3 g".
+    sweep : str
+        Such as 'actuation="500 psi to 1500 psi"'.
+    quantity, goal : str
+        What the sweep makes small: drift or acceleration; mean, q90 or passing.
+    """
+
+    building: Path
+    grounds: tuple[str, ...]
+    folder: Path
+    kind: str = "new_test"
+    draws: int = 300
+    seed: int = 1
+    unit: str = ""
+    scale: float | None = None
+    peak: str = ""
+    sweep: str = ""
+    quantity: str = "drift"
+    goal: str = "mean"
+    tolerance: float = 0.01
+    jobs: int = 0
+    units: str = ""
+    force: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What a query asks for, read and checked: nothing is computed yet."""
+
+    query: Query
+    run: Run
+    building: Building
+    grounds: tuple[Ground, ...]
+    levels: tuple[Array, str] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The response, the sweep if one was asked for, and the page."""
+
+    response: Response
+    sweep: Sweep | None
+    view: ResponseView
+    page: Path
+
+
+def prepare(out: Path, query: Query) -> Prepared:
+    """Run, building and ground motions of a query.
+
+    Raises
+    ------
+    MfdError
+        When the run, the building or a ground motion cannot be used, or the folder is not this
+        command's.
+    """
+    check_folder(query.folder, force=query.force)
+    if not query.sweep and (query.quantity, query.goal) != (Query.quantity, Query.goal):
+        raise BuildingError("--minimise and --by say what a sweep makes small: give --sweep too")
+    levels = parse_sweep(query.sweep) if query.sweep else None
+    building = read_building(query.building)
+    grounds = _grounds(query)
+    run = replace(open_run(out), units=query.units)
+    if levels is not None:
+        check_kind("--sweep: the actuation", levels[1], run.actuation_unit)
+        if not building.devices:
+            raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
+        check_goal(query.quantity, query.goal, building.limits)
+    return Prepared(query, run, building, tuple(grounds), levels)
+
+
+def _grounds(query: Query) -> list[Ground]:
+    """Ground motions as they are scaled."""
+    meant = query.scale is not None or bool(query.peak)
+    grounds = grounds_of(list(query.grounds), unit=query.unit, meant=meant)
+    scale = 1.0 if query.scale is None else query.scale
+    if not (np.isfinite(scale) and scale > 0):
+        raise BuildingError(f"--scale must be positive, got {scale}")
+    if not query.peak:
+        return [g if scale == 1.0 else g.scaled(scale) for g in grounds]
+    if query.scale is not None:
+        raise BuildingError("give either --scale or --peak")
+    try:
+        peak = parse_acceleration(query.peak)
+    except UnitError as error:
+        raise BuildingError(f"--peak: {error}") from error
+    if not peak > 0:
+        raise BuildingError(f"--peak must be positive, got {query.peak!r}")
+    return [ground.with_peak(peak) for ground in grounds]
+
+
+def respond(prepared: Prepared, observe: Callable[[Step], None]) -> Answer:
+    """Response of a building with the device of a run; page and tables are written.
+
+    Raises
+    ------
+    MfdError
+        When every draw diverged, or something cannot be written.
+    """
+    query, run = prepared.query, prepared.run
+    system = SYSTEMS[run.system.name == "si"]
+
+    def response_of(building: Building, prefix: str = "") -> Response:
+        return run.respond(
+            *(building, prepared.grounds, query.draws, query.seed),
+            kind=query.kind,
+            tolerance=query.tolerance,
+            jobs=query.jobs,
+            observe=lambda step: observe(replace(step, id=f"{prefix}{step.id}")),
+        )
+
+    sweep, remarks = None, tuple[str, ...]()
+    with unchanged(run.folder, run.manifest):
+        response = response_of(prepared.building)
+        if prepared.levels is not None:
+            levels, unit = prepared.levels
+            each = [
+                response_of(
+                    prepared.building.at_level(level),
+                    f"{system.words([level], unit, actuation=True)}, ",
+                )
+                for level in levels.tolist()
+            ]
+            try:
+                sweep = sweep_of(prepared.levels, each, query.quantity, query.goal, query.seed)
+                remarks = sweep.remarks
+            except BuildingError as error:  # the response at the file's own actuation is there
+                remarks = (str(error),)
+    response = replace(response, remarks=(*response.remarks, *remarks))
+    view = view_of(run, response, sweep, query, system)
+    write_response(query.folder, response, sweep, view, system)
+    return Answer(response, sweep, view, query.folder / "report.html")
+
+
+def view_of(
+    run: Run, response: Response, sweep: Sweep | None, query: Query, system: System
+) -> ResponseView:
+    """What the page shows of a response."""
+    count, grounds = len(response.building.devices), response.grounds
+    about = (
+        f"{response.draws} draws of kind {query.kind} of the device in "
+        f"{run.folder.resolve().name}, {count} damper{'' if count == 1 else 's'}, "
+        f"{len(grounds)} ground motion{'' if len(grounds) == 1 else 's'}, fundamental period "
+        f"{response.building.modes.periods[0]:.3g} s."
+    )
+    shares = (
+        Shares(name, ground.name, variance_shares(response, name, g))
+        for name in ("drift", "acceleration")
+        for g, ground in enumerate(grounds)
+    )
+    beyond, use, word = beyond_tests(run, response), run.caution, run.use
+    stated = {*chain.from_iterable(beyond), use}
+    mark, headline = _mark(response, beyond=any(beyond), use=word)
+    imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
+    return ResponseView(
+        f"{response.building.title}: response with dampers",
+        about,
+        mark,
+        tuple(_verdict(response, system, beyond, use)),
+        tuple(remark for remark in response.remarks if remark not in stated),
+        tuple(response.rows()),
+        tuple(response.limits()),
+        tuple(share for share in shares if share.shares),
+        "" if sweep is None else sweep_sentence(sweep, run.tested, system),
+        tuple(ground.name for ground in grounds),
+        count,
+        system is SI,
+        {
+            "run": str(run.folder),
+            "building": str(query.building),
+            "ground motions": "; ".join(ground.words for ground in grounds),
+            "kind, draws, seed": f"{query.kind}, {query.draws}, {query.seed}",
+            "tolerance of peaks": f"{query.tolerance:g}",
+            "largest energy not accounted for": f"{imbalance:.1e} of the input",
+            "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
+        },
+        headline,
+    )
+
+
+def _mark(response: Response, *, beyond: bool, use: str) -> tuple[str, str]:
+    """Word of the verdict's colour, and the verdict in a few words.
+
+    They rest on the draws that are not settled, on the tests and on the run.
+    """
+    bad = float(np.mean(response.unstable | response.unsettled))
+    if use == Use.NOT_USABLE:
+        return "fail", "✗ The run is not usable"
+    if bad > 0.1 or response.unstable.mean() > 0.01:
+        return "fail", "✗ Not settled"
+    if beyond:
+        return "care", "! Answered, but beyond the tests"
+    if bad or use == Use.WITH_CARE:
+        return "care", "! Answered, with care"
+    return "pass", "✓ Answered"
+
+
+def _verdict(response: Response, system: System, beyond: list[list[str]], use: str) -> list[str]:
+    """The answer in sentences, verdict first; beside each, where it lies beyond the tests."""
+    sentences = []
+    ratios = bool(np.all(np.isfinite(response.building.heights)))
+    for g, ground in enumerate(response.grounds):
+        usable = response.usable(g)
+        values = (response.drift_ratio if ratios else response.drift)[usable, g]
+        if not len(values):
+            sentences.append(f"{ground.name}: every draw diverged.")
+            continue
+        by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
+        scale = by / response.building.heights if ratios else by
+        low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
+        without = float(np.max(response.bare.drift[0, g] * scale))
+        sentences.append(
+            f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
+            f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
+        )
+        sentences += _bounds(response, g, scale, unit) + _matters(response, g)
+        sentences += [f"{sentence}." for sentence in beyond[g]] if response.dampers.count else []
+    sentences += [f"{sentence}." for sentence in beyond[-1]]
+    sentences += [use] if use else []
+    for limit in response.limits():
+        if np.isfinite(limit.probability):
+            sentences.append(
+                f"{limit.ground}: the limit of the {limit.quantity} is exceeded with a probability "
+                f"of {100 * limit.probability:.3g} % (standard error {100 * limit.error:.2g} %)."
+            )
+    return sentences
+
+
+def _bounds(response: Response, ground: int, scale: Array | float, unit: str) -> list[str]:
+    """The largest drift with all dampers at one of their design values, in a sentence."""
+    at = {name: response.references.get(name) for name in ("lower", "upper")}
+    parts = [
+        f"{name} {float(np.max(bound.drift[0, ground] * scale)):.3g} {unit}"
+        for name, bound in at.items()
+        if bound is not None and not bound.unstable[0, ground]
+    ]
+    name = response.grounds[ground].name
+    return [f"{name}: with all dampers at their bound, {', '.join(parts)}."] if parts else []
+
+
+def _matters(response: Response, ground: int) -> list[str]:
+    """What makes the band of the largest drift wide, in a sentence."""
+    shares = variance_shares(response, "drift", ground)
+    if not shares:
+        return []
+    source = max(shares, key=lambda name: shares[name])
+    return [
+        f"{response.grounds[ground].name}: {100 * shares[source]:.0f} % of the variance of the "
+        f"largest drift is {source}."
+    ]
+
+
+def write_response(
+    folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: System
+) -> None:
+    """Write page, tables and pictures; what an earlier response left beside them is removed.
+
+    Raises
+    ------
+    StoreError
+        When something cannot be written or removed.
+    """
+    from mfd_bayes.reporting.figures import to_png
+    from mfd_bayes.reporting.figures.response import figures_of
+
+    for path in sorted(folder.glob("*")):  # files that not every response has
+        if re.fullmatch(r"sweep\.(csv|png)|(history|loops)_\d+\.png", path.name):
+            remove_file(path)
+    about = {"title": view.title, "verdict": list(view.verdict), "remarks": list(view.remarks)}
+    texts = {
+        "response.json": response_json(view.rows, view.limits, dict(about), system),
+        "peaks.csv": peaks_csv(view.rows, system),
+        "peaks.tex": peaks_tex(view.rows, system),
+        "limits.csv": limits_csv(view.limits, system),
+        "shares.csv": shares_csv(view.shares),
+        "draws.csv": draws_csv(response, system),
+    } | ({} if sweep is None else {"sweep.csv": sweep_csv(sweep, system)})
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    images = {}
+    for each in SYSTEMS:
+        for name, figure in figures_of(response, sweep, each):
+            images[f"{name}_{each.name}"] = to_png(figure)
+            if each is system:
+                write_bytes(folder / f"{name}.png", images[f"{name}_{each.name}"])
+    page = render_response(replace(view, metric=system is not US), images)
+    write_text(folder / "report.html", page)

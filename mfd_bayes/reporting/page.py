@@ -1,0 +1,344 @@
+"""The report as HTML pages that load nothing from the network.
+
+A page holds each number once, in internal units, with its unit: `<span data-value="1.2"
+data-unit="kip">1.20</span>`. One small script writes all of them in the units that the reader
+chooses; without scripts they are in those of the campaign.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from mfd_bayes.calibration.noise import NOISES
+from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
+from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
+from mfd_bayes.evaluation.width import width_sentence
+from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.reporting import symbols
+from mfd_bayes.reporting.conversion import system_of
+from mfd_bayes.reporting.explorer import explore, script_json
+from mfd_bayes.reporting.tables import (
+    ACTUATION,
+    Line,
+    datasheet_sheet,
+    paper_sheets,
+    score_sheet,
+    table_of,
+)
+from mfd_bayes.runs.unit_system import US, System
+from mfd_bayes.runs.verdict import Use
+from mfd_bayes.units import in_digits
+
+if TYPE_CHECKING:
+    from mfd_bayes.evaluation.datasheet import Datasheet
+
+Pair = tuple[System, System]
+"""Customary and metric system of units."""
+
+NEXT = 10
+"""Candidates for the next test that the page shows."""
+
+ELSEWHERE = frozenset(
+    {
+        *("gamma1", "gamma2", "start", "offset", "static_excess_fwd", "static_excess_bwd"),
+        *(q.name for noise in NOISES.values() for q in noise.quantities),
+    }
+)
+"""Quantities that the tests' own pages show: those of a record, and those without a meaning."""
+
+WORDS = (
+    *("95\N{NO-BREAK SPACE}% interval", "Mean property (band of kind device)", "Coverage", "CRPS"),
+    "This device tested again (band of kind new_test)",
+    "A measurement of it (band of kind observation)",
+    "This very test (band of kind this_test)",
+    "Bounding properties, λ",
+)
+"""Words of the glossary that the page explains."""
+
+CONDITIONS = 12
+"""Most columns of the data sheet side by side on its page."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG as a page shows it; width and height in pixels.
+
+    `uri` is the embedded PNG, or its path. `png` and `csv` are the paths from the page to the
+    picture and to the table behind it.
+    """
+
+    uri: str
+    width: int
+    height: int
+    png: str
+    csv: str
+
+    @classmethod
+    def embedded(cls, key: str, png: bytes) -> Picture:
+        """Picture that is part of its page, which stands in the run folder."""
+        uri = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+        path = f"{key}.png" if key.startswith("tests/") else f"figures/{key}.png"
+        return cls(uri, *_size(png), quote(path), quote(table_of(key)))
+
+    @classmethod
+    def linked(cls, key: str, png: bytes) -> Picture:
+        """Picture that stands beside its page."""
+        name, table = (path.rpartition("/")[2] for path in (f"{key}.png", table_of(key)))
+        return cls(quote(name), *_size(png), quote(name), quote(table))
+
+
+def _size(png: bytes) -> tuple[int, int]:
+    """Width and height, which are in the first chunk of a PNG."""
+    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+    return width, height
+
+
+def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
+    if unit.startswith(ACTUATION):
+        return system.of_actuation(unit.removeprefix(ACTUATION))
+    return system.factor(unit), symbols.unit_text(system.unit(unit))
+
+
+@dataclass
+class Units:
+    """Numbers and units of one page, as its script can change them.
+
+    Attributes
+    ----------
+    systems : pair of System
+    metric : bool
+        Whether the page begins with the second of them.
+    convert : callable
+        Factor and name of an internal unit in a system.
+    used : dict
+        Factor and name in each system, of every internal unit on the page so far.
+    """
+
+    systems: Pair
+    metric: bool = False
+    convert: Callable[[str, System], tuple[float, str]] = _factor_and_name
+    used: dict[str, dict[str, tuple[float, str]]] = field(default_factory=dict)
+
+    def _own(self, unit: str) -> tuple[float, str]:
+        of = {system.name: self.convert(unit, system) for system in self.systems}
+        self.used[unit] = of
+        return of[self.systems[self.metric].name]
+
+    def number(self, value: float, unit: str, digits: int = 3, *, short: bool = False) -> Markup:
+        """A number that is stored in an internal unit; a short one without zeros at its end."""
+        by, _ = self._own(unit)
+        text = symbols.number(value * by, digits)
+        if not math.isfinite(value):
+            return Markup(escape(text))
+        if short:
+            text = in_digits(value * by, digits).replace("-", "−")
+        span = Markup('<span data-value="{:.7g}" data-unit="{}" data-digits="{}"{}>{}</span>')
+        return span.format(value, unit, digits, Markup(" data-short" * short), text)
+
+    def name(self, unit: str) -> Markup:
+        """The name of an internal unit; empty for none."""
+        _, text = self._own(unit)
+        return Markup('<span data-unit="{}">{}</span>').format(unit, text) if text else Markup()
+
+    def values(self, values: Sequence[float], unit: str, digits: int = 3) -> Markup:
+        """One value, or the ends of a range, with their unit: "500 to 1500 psi"."""
+        by, _ = self._own(unit)
+        texts = {
+            in_digits(v * by, digits): self.number(v, unit, digits, short=True) for v in values
+        }
+        shown = Markup(" to ").join(texts.values())
+        return Markup("{} {}").format(shown, self.name(unit)) if self._own(unit)[1] else shown
+
+    def line(self, line: Line, unit: str) -> Markup:
+        """A line of a cell of a sheet."""
+        digits = [self.number(value, "1" if line.ratio else unit) for value in line.numbers]
+        return Markup(escape(line.template)).format(*digits)
+
+    def level(self, test: TestView, unit: str) -> Markup:
+        """Actuation of a test; `unit` is its internal one."""
+        text = self.values([test.trace.reference_actuation], ACTUATION + unit, 4)
+        return text + Markup(" (mean of a history)" if test.trace.varying else "")
+
+    def sentence(self, sentence: Message | str) -> Markup:
+        """A sentence with its quantities."""
+        if isinstance(sentence, str):
+            return Markup(escape(symbols.printable(sentence)))
+        shown = {
+            name: self.values(value.values, value.unit, value.digits)
+            if isinstance(value, Quantity)
+            else symbols.printable(value)
+            for name, value in sentence.values.items()
+        }
+        return Markup(escape(sentence.template)).format(**shown)
+
+    @property
+    def table(self) -> Markup:
+        """JSON for the script: factor and name of each unit in each system."""
+        return Markup(script_json(self.used))
+
+
+def render(
+    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None = None
+) -> dict[str, str]:
+    """HTML of the whole report, by the pages' paths from the run folder.
+
+    `report.html` holds the pictures of all tests together; `tests/ID/page.html`, of each test,
+    shows the PNGs beside it; `datasheet.html` is the data sheet alone, for printing.
+
+    Parameters
+    ----------
+    view : CampaignView
+    images : mapping of str to bytes
+        PNGs by the keys of `figures.draw_shared` and `draw_test`; of those of tests the first 24
+        bytes are enough. A picture that is not given is left out.
+    sheet : Datasheet, optional
+    """
+    pages = {"report.html": _summary(view, images, sheet)}
+    if sheet is not None:
+        units = Units(view.systems, view.metric)
+        pages["datasheet.html"] = render_page(
+            "datasheet.html.j2", units, view=view, **_datasheet(sheet, view)
+        )
+    held = {judged.subject: judged for judged in view.judgements}
+    for test in view.tests:
+        own = {key: png for key, png in images.items() if key.startswith(f"tests/{test.id}/")}
+        pages[f"tests/{test.id}/page.html"] = render_page(
+            "test.html.j2",
+            Units(view.systems, view.metric),
+            view=view,
+            test=test,
+            judged=held.get(test.id),
+            pictures={key: Picture.linked(key, png) for key, png in own.items()},
+        )
+    return pages
+
+
+def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None) -> str:
+    calibrated = [test for test in view.tests if test.role != "validate"]
+    held_out = [test for test in view.tests if test.role == "validate"]
+    names = {test.id for test in held_out}
+    explained = [test.shares for test in held_out if test.shares]
+    sources = dict.fromkeys(name for shares in explained for name in shares)
+    shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
+    explorer = explore(view) if view.tests else None
+    parameters, laws = paper_sheets(view, US)
+    shown = tuple(row for row in parameters.rows if row.name not in ELSEWHERE)
+    missed = [judged for judged in view.judgements if judged.use != Use.USABLE]
+    terms = (term for subject in read_glossary().values() for term in subject.items())
+    system, unit, advice = system_of(view), view.actuation_unit, view.next_test
+    return render_page(
+        "report.html.j2",
+        Units(view.systems, view.metric),
+        *([explorer.library] if explorer else []),
+        view=view,
+        calibrated=calibrated,
+        held_out=held_out,
+        missed=missed,
+        links={test.id: f"tests/{quote(test.id)}/page.html" for test in view.tests},
+        pictures={
+            key: Picture.embedded(key, png)
+            for key, png in images.items()
+            if not key.startswith("tests/")
+        },
+        explorer=explorer,
+        parameters=replace(parameters, rows=shown),
+        laws=laws,
+        scores=score_sheet([row for row in view.scores if row.subject in names]),
+        left_out=score_sheet([*view.left_out.rows, view.left_out.mean]) if view.left_out else None,
+        width=width_sentence(shares),
+        exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
+        advice=None
+        if advice is None
+        else {
+            "sentences": [
+                advice_sentence(advice, system, unit),
+                *together_words(advice, system, unit),
+            ],
+            "rows": shown_rows(advice, system, unit, NEXT),
+        },
+        words={name: text for name, text in terms if name in WORDS},
+        **_datasheet(sheet, view),
+    )
+
+
+def _datasheet(sheet: Datasheet | None, view: CampaignView) -> dict[str, Any]:
+    if sheet is None:
+        return {"datasheet": None}
+    properties = datasheet_sheet(sheet.rows, US, view.title)
+    heads = dict(zip(sheet.rows["condition"].unique(), properties.heads, strict=True))
+    noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
+    notes = [
+        f"{heads[condition]}: {note}"
+        for condition, note in zip(noted["condition"], noted["note"], strict=True)
+    ]
+    return {
+        "datasheet": sheet,
+        "properties": properties.blocks(CONDITIONS),
+        "property_notes": notes,
+    }
+
+
+def render_page(template: str, units: Units, *scripts: str, **values: Any) -> str:
+    """A page from its template; `scripts` are those that it may run besides the report's own."""
+    script = files("mfd_bayes.reporting").joinpath("templates", "report.js").read_text("utf-8")
+    made = environment().get_template(template)
+    return made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
+
+
+def policy_of(*scripts: str) -> str:
+    """Content security policy that allows these scripts and pictures of the page, nothing else."""
+    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
+    return (
+        "default-src 'none'; img-src data: blob: file: 'self'; style-src 'unsafe-inline'; "
+        f"script-src {allowed}; base-uri 'none'; form-action 'none'"
+    )
+
+
+@cache
+def environment() -> Environment:
+    """Environment of all templates, which are compiled once."""
+    made = Environment(
+        loader=PackageLoader("mfd_bayes.reporting"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_finalize,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters |= {
+        "digits": symbols.number,
+        "count": symbols.count,
+        "percent": symbols.percent,
+        "symbol": symbols.in_html,
+        "meaning": symbols.meaning,
+    }
+    made.tests["finite"] = math.isfinite
+    return made
+
+
+def _finalize(value: object) -> object:
+    """Value as a page shows it: without controls, which could hide or reverse text."""
+    is_text = isinstance(value, str) and not isinstance(value, Markup)
+    return symbols.printable(str(value)) if is_text else value
+
+
+def read_glossary() -> dict[str, dict[str, Markup]]:
+    """The words of the project with their meanings, as HTML, by subject."""
+    text = files("mfd_bayes.reporting").joinpath("glossary.toml").read_text(encoding="utf-8")
+    return {
+        subject: {name: Markup(meaning) for name, meaning in terms.items()}
+        for subject, terms in tomllib.loads(text).items()
+    }

@@ -1,0 +1,217 @@
+"""What the tests of a run cover, and where a motion leaves it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mfd_bayes.calibration.result import Extras
+from mfd_bayes.population.bands import Band
+from mfd_bayes.population.population import RATE, STROKE
+from mfd_bayes.population.settings import SAME_LEVEL, Setting
+from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.unit_system import System
+
+MARGIN = 0.1
+"""A stroke, speed or frequency within this share of a tested one counts as tested."""
+
+FAR = 2.0
+"""Far outside: so many times the largest tested value, or so many times below the smallest
+tested actuation."""
+
+FASTEST = 0.995
+"""Quantile of the speeds of a motion that is its peak: the noise of a few samples is not."""
+
+_SHARE = 20  # of a half-cycle, over which a speed is taken, so that noise does not make it
+_UNITS = {"stroke": "in", "speed": "in/s", "frequency": "Hz"}
+_MARGINS = {"stroke": MARGIN, "speed": MARGIN, "frequency": MARGIN, "actuation": SAME_LEVEL}
+
+
+@dataclass(frozen=True)
+class Span:
+    """Smallest and largest value of one condition, in its internal unit.
+
+    Attributes
+    ----------
+    name : {"stroke", "speed", "frequency", "actuation"}
+        Stroke: from one end of the motion to the other, in. Speed: its peak, in/s. Frequency: of
+        the largest loops, Hz. Actuation, ksi, kip or another: over a history, if it is one.
+    """
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+
+    def words(self, system: System) -> str:
+        """Both values with their unit, such as "500 to 1500 psi"."""
+        ends = self.lowest, self.highest
+        if self.name == "actuation":
+            return system.words(ends, self.unit, actuation=True)
+        return system.words(ends, self.unit, 3)
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A condition of a motion that lies outside what was tested."""
+
+    reached: Span
+    tested: Span
+
+    @property
+    def times(self) -> float:
+        """How many times the largest tested value it is; below 1 where it is too small."""
+        if self.reached.highest > self.tested.highest * (1.0 + _MARGINS[self.reached.name]):
+            return self.reached.highest / self.tested.highest if self.tested.highest else np.inf
+        return self.reached.lowest / self.tested.lowest
+
+    @property
+    def far(self) -> bool:
+        """Whether it lies so far outside that a prediction has to be asked for expressly."""
+        margin = _MARGINS[self.reached.name]
+        if self.reached.highest > FAR * (1.0 + margin) * self.tested.highest:
+            return True
+        low = self.tested.lowest * (1.0 - margin) / FAR
+        return self.reached.name == "actuation" and self.reached.lowest < low
+
+    def sentence(self, system: System, *, widened: bool = False) -> str:
+        """What lies outside, of what, and what a band, `widened` for it or not, rests on there."""
+        name, times = self.reached.name, self.times
+        form = "the form of the laws" if name == "actuation" else "the form of the model"
+        rests = f"relies only on {form}"
+        if widened and name != "actuation":
+            what, slope = ("slip force", RATE) if name != "stroke" else _STROKE
+            rests = (
+                f"is wider, by what {what} may do ({100 * slope:.0f} % for each factor of 2.7), "
+                f"but relies on {form}"
+            )
+        return (
+            f"the {name}, {self.reached.words(system)}, lies {'far ' if self.far else ''}outside "
+            f"the tested range, {self.tested.words(system)} ({float(f'{times:.2g}'):g} times the "
+            f"{'largest' if times > 1 else 'smallest'}): there the band {rests}"
+        )
+
+
+_STROKE = "slip force and gap", STROKE
+
+
+def conditions_of(trace: Trace) -> dict[str, float]:
+    """Stroke (in), peak speed (in/s), frequency (Hz) and level of actuation of a trace.
+
+    Frequency is left out where the motion has no full loop, actuation where it is not known.
+    """
+    turns = trace.cycle_turns
+    half = float(np.median(np.diff(turns))) if turns.size > 1 else trace.samples - 1.0
+    step = max(1, int(half) // _SHARE)
+    speeds = (trace.displacement[step:] - trace.displacement[:-step]) / (
+        trace.time[step:] - trace.time[:-step]
+    )
+    found = {
+        "stroke": float(np.ptp(trace.displacement)),
+        "speed": float(np.quantile(np.abs(speeds), FASTEST)),
+    }
+    loops = find_loops(trace)
+    if loops.period.size:
+        found["frequency"] = float(1.0 / np.median(loops.period[loops.strong]))
+    if np.isfinite(trace.reference_actuation):
+        found["actuation"] = float(trace.reference_actuation)
+    return found
+
+
+def conditions(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
+    """Conditions of a test as spans of one value, with the level of its actuation."""
+    return range_of([conditions_of(trace)], actuation_unit)
+
+
+def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple[Span, ...]:
+    """Smallest and largest value of each condition among tests, of `conditions_of`."""
+    several = list(tests)
+    spans = []
+    for name in _MARGINS:
+        values = [test[name] for test in several if name in test]
+        if values:
+            unit = _UNITS.get(name, actuation_unit)
+            spans.append(Span(name, unit, min(values), max(values)))
+    return tuple(spans)
+
+
+def reach_of(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
+    """As `conditions`, but with the least and the largest actuation of a history."""
+    levels = np.atleast_1d(trace.actuation)
+    spans = [s for s in conditions(trace, actuation_unit) if s.name != "actuation"]
+    if np.all(np.isfinite(levels)):
+        ends = float(levels.min()), float(levels.max())
+        spans.append(Span("actuation", actuation_unit, *ends))
+    return tuple(spans)
+
+
+def departures(tested: Iterable[Span], reached: Iterable[Span]) -> tuple[Departure, ...]:
+    """Which of the reached conditions lie outside what was tested.
+
+    A peak speed below those of the tests is none: every test passes through all speeds down to
+    rest. A stroke below is one, for the damper may then not slip at all.
+    """
+    by_name = {span.name: span for span in reached}
+    outside = []
+    for own in tested:
+        span, margin = by_name.get(own.name), _MARGINS[own.name]
+        if span is None:
+            continue
+        above = span.highest > own.highest * (1.0 + margin)
+        below = span.lowest < own.lowest * (1.0 - margin) and own.name != "speed"
+        if above or below:
+            outside.append(Departure(span, own))
+    return tuple(outside)
+
+
+def far_sentences(outside: Iterable[Departure], system: System) -> str:
+    """The departures that are far, as one text; empty where there are none."""
+    return "; ".join(departure.sentence(system) for departure in outside if departure.far)
+
+
+@dataclass(frozen=True, eq=False)
+class TestUnderWay:
+    """Completes the bands of a test that is followed; see `Forecaster.complete`.
+
+    Attributes
+    ----------
+    planned : Setting
+        The band is wider where this leaves the tested range; what the motion does is not known
+        before.
+    remarks : tuple of str
+        Remarks of every band.
+    """
+
+    __test__ = False
+
+    planned: Setting
+    tested: tuple[Span, ...]
+    system: System
+    actuation_unit: str
+    remarks: tuple[str, ...]
+    extras: Extras | None
+
+    def __call__(self, band: Band, motion: Trace) -> Band:
+        """The band with its remarks; the motion is that of the whole test, to the band's end."""
+        unit, covariates = self.actuation_unit, self.planned.covariates
+        plan = {
+            "stroke": 2.0 * covariates["amplitude"],
+            "speed": covariates["velocity"],
+            "actuation": self.planned.actuation,
+        }
+        spans = []
+        for span in reach_of(motion, unit):  # of a stroke and a speed the larger counts
+            value = plan.get(span.name, span.highest)
+            high = max(span.highest, value)
+            low = min(span.lowest, value) if span.name == "actuation" else high
+            spans.append(replace(span, lowest=low, highest=high))
+        wider = {d.reached.name for d in departures(self.tested, range_of([plan], unit))}
+        outside = tuple(
+            departure.sentence(self.system, widened=departure.reached.name in wider)
+            for departure in departures(self.tested, spans)
+        )
+        remarks = (*outside, *self.remarks, *band.remarks)
+        return replace(band, remarks=remarks, extras=self.extras)

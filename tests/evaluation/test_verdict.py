@@ -1,0 +1,177 @@
+"""What a test may be used for: the worst first, by test, with the likely cause."""
+
+import pytest
+
+from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.evaluation.checks import GROSS, coverage_checks, feature_check
+from mfd_bayes.evaluation.verdict import judge, use_of, verdict_sentences
+from mfd_bayes.evaluation.views import COVERAGE, LOOP_ESTIMATE, MODES, Check, ScoreRow
+from mfd_bayes.messages import Message, join
+from mfd_bayes.runs.unit_system import SI
+from mfd_bayes.runs.verdict import Finding, Use, Verdict
+
+NAN = float("nan")
+
+
+class Manifest:
+    """What the sentences need of a manifest."""
+
+    effort = Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000)
+
+
+def missed(test, feature, observed, expected, p_value=0.0, tolerance=0.05, unit="kip"):
+    difference = (expected - observed) / abs(observed)
+    return feature_check(test, feature, unit, observed, expected, difference, p_value, tolerance)
+
+
+def energy(test, observed, expected, p_value=0.0):
+    return missed(test, "energy per cycle", observed, expected, p_value, unit="kip*in")
+
+
+def band(test, half=0.5, most=0.9, nearly=0.95):
+    return coverage_checks(ScoreRow(test, "calibrate", half, most, nearly, NAN, NAN, NAN, NAN))
+
+
+def sentence(checks, judged):
+    return str(join(verdict_sentences(Manifest, checks, judged), " "))
+
+
+SWAPPED = Finding(
+    "t70lb",
+    "force sign",
+    Message("the force does negative work in the loops: the sign of the force is swapped"),
+)
+CHECKS = [
+    energy("t70lb", -5.31, 0.299, 1.0),
+    missed("t70lb", "peak force forward", 3.26, 2.6),
+    missed("t25lb", "peak force forward", 3.68, 2.9, tolerance=0.15),
+    missed("t35lb", "peak force forward", 3.7, 3.5, tolerance=0.15),
+]
+TESTS = ("t25lb", "t35lb", "t70lb", "t80lb")
+
+
+def test_the_verdict_of_a_run_with_a_swapped_sign_names_the_test_and_the_sign():
+    judged = judge(TESTS, CHECKS, [SWAPPED])
+    assert [j.subject for j in judged][:2] == ["t70lb", "t25lb"]
+    assert use_of(judged, CHECKS) == Use.NOT_USABLE
+    text = sentence(CHECKS, judged)
+    assert text.startswith(
+        "Something is wrong with 1 of 4 tests. t70lb: energy per cycle -5.31 kip·in where 0.299 "
+        "kip·in is expected: the force does negative work"
+    )
+    assert "To be used with care: 1 of 4 tests. t25lb: peak force forward 3.68 kip where" in text
+    assert "The test to believe least is t70lb." in text
+
+
+def test_a_reader_of_metric_units_reads_metric_units():
+    judged = judge(TESTS, CHECKS, [])
+    text = join(verdict_sentences(Manifest, CHECKS, judged), " ").to_text(SI.words)
+    assert "peak force forward 16.4 kN where 12.9 kN is expected" in text
+
+
+def test_negative_energy_alone_tells_of_a_swapped_sign():
+    (judged,) = judge(["a"], [energy("a", -5.31, 0.3)], [])
+    assert judged.use == Use.NOT_USABLE
+    assert "displacement is probably swapped" in str(judged.reasons[0])
+
+
+def test_the_worst_miss_stands_first_whatever_its_p_value():
+    checks = [
+        missed("a", "peak force forward", 3.0, 2.4, tolerance=0.15),
+        energy("a", 5.0, 5.9, 0.004),
+        missed("b", "peak force forward", 3.0, 2.5, tolerance=0.15),
+    ]
+    first, second = judge(["b", "a"], checks, [])
+    assert first.subject == "a"
+    assert "energy per cycle 5 kip·in where 5.9 kip·in" in str(first.reasons[0])
+    assert "1 more" in str(first.reasons[0])
+    assert first.misfit > second.misfit > 1.0
+
+
+@pytest.mark.parametrize(
+    ("expected", "p_value", "status"),
+    [
+        (5.1, 0.0, Verdict.PASS),  # 2 % off: nobody minds, however many samples say so
+        (5.5, 0.3, Verdict.PASS),  # records differ by as much
+        (5.5, 0.0, Verdict.WARNING),
+        (5.0 * (1 + 0.05 * GROSS) + 0.1, 0.0, Verdict.FAIL),
+    ],
+)
+def test_a_figure_is_judged_by_its_size_and_its_p_value(expected, p_value, status):
+    assert energy("a", 5.0, expected, p_value).status == status
+
+
+@pytest.mark.parametrize(
+    ("shares", "status"),
+    [
+        ({"nearly": 0.53}, Verdict.WARNING),
+        ({"half": 0.7}, Verdict.NOTE),
+        ({"nearly": 0.3}, Verdict.FAIL),
+        ({"nearly": 1.0}, Verdict.PASS),
+        ({"half": 0.35}, Verdict.WARNING),
+    ],
+)
+def test_a_band_is_judged_by_too_few_inside(shares, status):
+    checks = band("a", **shares)
+    assert status in {check.status for check in checks}
+    assert {check.check for check in checks} == {COVERAGE}
+    (judged,) = judge(["a"], checks, [])
+    assert (judged.use == Use.USABLE) == (status in (Verdict.PASS, Verdict.NOTE))
+
+
+def test_tests_without_fault_are_reproduced():
+    checks = [energy("a", 5.0, 5.1), energy("b", 5.0, 5.01)]
+    judged = judge(["b", "a"], checks, [])
+    assert use_of(judged, checks) == Use.USABLE
+    assert sentence(checks, judged).startswith("Both tests are reproduced within tolerance.")
+
+
+def test_a_mild_fault_of_a_record_asks_for_care():
+    (judged,) = judge(["a"], [], [Finding("a", "lag", Message("the force is late"))])
+    assert (judged.use, str(judged.reasons[0])) == (Use.WITH_CARE, "the force is late")
+
+
+def test_sampling_that_fell_short_is_no_fault_of_the_record():
+    short = Check("a", "R-hat", "k3", 1.2, 1.01, Verdict.FAIL)
+    (judged,) = judge(["a"], [short], [])
+    assert (judged.use, judged.wrong) == (Use.NOT_USABLE, False)
+    assert sentence([short], [judged]).startswith("The sampling did not reach its targets")
+
+
+def test_sampling_that_a_wrong_record_spoiled_asks_to_correct_the_record_first():
+    short = Check("population", "R-hat", "K_c_fwd", 1.2, 1.01, Verdict.FAIL)
+    text = sentence([*CHECKS, short], judge(TESTS, CHECKS, [SWAPPED]))
+    assert "but correct what is wrong first" in text
+    assert "--effort" not in text
+    assert "but give a larger --effort" in sentence([short], judge(TESTS, [], []))
+
+
+@pytest.mark.parametrize(
+    ("status", "use"), [(Verdict.WARNING, Use.WITH_CARE), (Verdict.NOTE, Use.USABLE)]
+)
+def test_two_modes_ask_for_care_and_a_small_one_is_a_note(status, use):
+    check = Check("a", MODES, "posterior (60 %, 40 % of the draws)", 2.0, 1.0, status)
+    (judged,) = judge(["a"], [check], [])
+    assert judged.use == use
+    assert "2 different sets of parameters explain it (60 %, 40 %" in judged.to_text(SI.words)
+
+
+@pytest.mark.parametrize(
+    ("inside", "use"),
+    [(0.98, "its band is usable, its parameters are not"), (0.4, "do not use its parameters")],
+)
+def test_a_test_whose_slip_force_is_not_the_measured_one_has_no_usable_parameters(inside, use):
+    check = Check("a", LOOP_ESTIMATE, "Fc_fwd", 0.931, 0.083, Verdict.FAIL, "kip")
+    (judged,) = judge(["a"], [check, *band("a", nearly=inside)], [])
+    assert judged.use == Use.NOT_USABLE
+    assert f"{use}: a slip force is not the measured one" in judged.to_text(SI.words)
+    assert "Fc_fwd 0.369 kN, measured 4.14 kN" in judged.to_text(SI.words)
+
+
+def test_a_test_that_was_not_calibrated_has_not_converged_and_one_not_shown_says_why():
+    lost = Check("b", "calibration", "finished", 0.0, 1.0, Verdict.FAIL)
+    text = sentence([lost], judge(["a", "b", "c"], [lost], []))
+    assert "All 2 calibrated tests" in text
+    hidden = Check("b", "report", "shown", 0.0, 1.0, Verdict.FAIL)
+    worst = judge(["a", "b"], [hidden], [])[0]
+    assert (worst.subject, str(worst.reasons[0])) == ("b", "it could not be shown in the report")

@@ -1,0 +1,423 @@
+"""Real schedulers and workers of dask.distributed: their results, also when one is lost."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mfd_bayes.campaign.synthetic import Matrix, write_campaign
+from mfd_bayes.cli.commands import app
+from mfd_bayes.errors import FitError
+from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
+from mfd_bayes.jobs.job import Outcome, Progress
+from mfd_bayes.jobs.local import run_in_processes
+from mfd_bayes.pipeline.calibrate import calibrate
+from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.runs.paths import posterior_of
+
+pytestmark = [
+    pytest.mark.skipif(
+        not (importlib.util.find_spec("distributed") and importlib.util.find_spec("threadpoolctl")),
+        reason='needs the extra "cluster": pip install ".[cluster]"',
+    ),
+    pytest.mark.skipif(not Path("/proc").is_dir(), reason="kills processes as Linux has them"),
+]
+
+THREADS = {f"{name}_NUM_THREADS": "2" for name in ("OPENBLAS", "OMP", "MKL")}
+ODD = 'p500 "ü" $(x); 1'
+TIMEOUT = 120.0
+
+
+def until(found, what):
+    """The first true value of a function, called again and again."""
+    limit = time.monotonic() + TIMEOUT
+    while time.monotonic() < limit:
+        answer = found()
+        if answer:
+            return answer
+        time.sleep(0.1)
+    raise TimeoutError(what)
+
+
+def start(log, module, *words, **environment):
+    """Start a command of dask whose output goes to a file."""
+    with log.open("w") as file:
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words)],
+            stdout=file,
+            stderr=file,
+            env=os.environ | environment,
+            start_new_session=True,
+        )
+
+
+def end(process):
+    """End a process and those that it has started."""
+    process.terminate()
+    try:
+        process.wait(20)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def start_scheduler(folder, **environment):
+    """A scheduler that gives up a test whose workers are lost twice, and its address."""
+    file = folder / "scheduler.json"
+    words = ("--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", file)
+    environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "1"
+    process = start(folder / "scheduler.log", "dask_scheduler", *words, **environment)
+
+    def address():
+        try:
+            return json.loads(file.read_text())["address"]
+        except (OSError, ValueError):
+            return ""
+
+    return process, until(address, (folder / "scheduler.log").read_text)
+
+
+def start_worker(folder, address):
+    """A worker that does two tests at a time, and whose environment asks for several threads."""
+    words = (address, "--nthreads", 2, "--no-dashboard", "--local-directory", folder)
+    return start(folder / "worker.log", "dask_worker", *words, **THREADS)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Address of a scheduler with one worker."""
+    folder = tmp_path_factory.mktemp("cluster")
+    scheduler, address = start_scheduler(folder)
+    worker = start_worker(folder, address)
+    with ask(address) as client:
+        until(lambda: client.nthreads(), "no worker")
+    yield address
+    end(worker)
+    end(scheduler)
+
+
+def ask(address):
+    from distributed import Client
+
+    return Client(address, set_as_default=False)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """Campaign of two tests that take a second or two each."""
+    folder = tmp_path_factory.mktemp("campaign")
+    matrix = Matrix(
+        pressures=(500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5)
+    )
+    write_campaign(folder, 1, matrix)
+    path = folder / "campaign.toml"
+    text = path.read_text().replace('"three_stage"', '"lugre"')
+    path.write_text(text.replace('"ou"', '"iid"\nrate = "25 Hz"'))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tasks(campaign):
+    """The jobs of the tests, one with a name full of special characters."""
+    first, second = plan_campaign(campaign, Options(effort="quick")).tasks
+    return replace(first, id=ODD, file=posterior_of(ODD)), second
+
+
+@pytest.fixture(scope="module")
+def reference(tasks, tmp_path_factory):
+    """Posteriors of the tests by one process of this machine."""
+    out = tmp_path_factory.mktemp("reference")
+    assert [o.status for o in run_in_processes(tasks, out, 1, lambda _: None)] == ["done", "done"]
+    return out
+
+
+@pytest.fixture(scope="module")
+def whole(campaign, tmp_path_factory):
+    """A whole run by one process of this machine."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    calibrate(plan_campaign(campaign, Options(effort="quick", jobs=1)), out, lambda _: None)
+    return out
+
+
+def arrays(path):
+    """Every array of a NetCDF file, as bytes."""
+    found = {}
+
+    def visit(name, item):
+        if isinstance(item, h5py.Dataset):
+            found[name] = np.asarray(item[()]).tobytes()
+
+    with h5py.File(path) as file:
+        file.visititems(visit)
+    return found
+
+
+def stored(out):
+    return {p.relative_to(out).as_posix(): arrays(p) for p in sorted(out.rglob("*.nc"))}
+
+
+def command(campaign, out, address, *options):
+    words = ("calibrate", campaign, "-o", out, "--effort", "quick", "--scheduler", address)
+    return [str(word) for word in (*words, *options)]
+
+
+def refused(outcome, *words):
+    assert outcome.exit_code == 2, (outcome.output, outcome.exception)
+    (sentence,) = outcome.stderr.splitlines()
+    for word in words:
+        assert word in sentence
+
+
+def on_cluster(*arguments):
+    from mfd_bayes.jobs.dask_cluster import run_on_cluster
+
+    return run_on_cluster(*arguments)
+
+
+# --- what comes of it
+
+
+def test_draws_are_those_of_one_process_to_the_last_bit(address, tasks, reference, tmp_path):
+    seen = []
+    outcomes = list(on_cluster(tasks, tmp_path, address, seen.append))
+    assert {(o.id, o.status) for o in outcomes} == {(task.id, "done") for task in tasks}
+    assert stored(tmp_path) == stored(reference)
+    assert not list(tmp_path.rglob("*.part"))
+    for task in tasks:  # as a table shows them
+        steps = [step for step in seen if step.id == task.id]
+        assert [s.stage for s in steps[:2]] == ["waiting", "finding modes"]
+        assert {s.stage for s in steps[2:-1]} == {"sampling"}
+        assert steps[-1].stage == "done"
+        assert isinstance(steps[-1].progress, Progress)
+        assert steps[-1].progress.steps == steps[-2].progress.steps
+
+
+def test_another_seed_would_be_noticed(address, tasks, reference, tmp_path):
+    changed = replace(tasks[1], seed=(7, 7))
+    list(on_cluster([changed], tmp_path, address, lambda _: None))
+    name = f"tests/{changed.id}/posterior.nc"
+    assert stored(tmp_path)[name] != stored(reference)[name]
+
+
+def test_folds_of_a_cross_validation_need_no_shared_folder(address, whole):
+    from mfd_bayes.runs.run import open_run
+
+    run = open_run(whole)
+    folds = folds_of(run, "test", "quick")
+    found = run_folds(run, folds, Options(effort="quick", scheduler=address), lambda _: None)
+    for fold in folds:
+        (whole / "crossvalidation" / fold.file).unlink()
+    assert found == run_folds(run, folds, Options(effort="quick", jobs=1), lambda _: None)
+
+
+# --- losses
+
+
+def pids_of_workers(address):
+    with ask(address) as client:
+        return list(client.run(os.getpid).values())
+
+
+def kill_worker(address, times):
+    """Observer that kills the worker the first times that a test begins, and the steps it saw."""
+    seen = []
+
+    def observe(step):
+        seen.append(step)
+        if step.stage == "finding modes" and sum(s.stage == step.stage for s in seen) <= times:
+            for pid in pids_of_workers(address):
+                os.kill(pid, signal.SIGKILL)
+
+    return observe, seen
+
+
+def test_a_test_whose_worker_is_killed_begins_again(address, tasks, reference, tmp_path):
+    observe, seen = kill_worker(address, 1)
+    (outcome,) = on_cluster(tasks[:1], tmp_path, address, observe)
+    assert outcome.status == "done"
+    (again,) = [step for step in seen if step.stage == "begins again:"]
+    assert "was lost" in again.message
+    name = f"tests/{ODD}/posterior.nc"
+    assert stored(tmp_path)[name] == stored(reference)[name]
+
+
+def test_a_test_whose_workers_are_always_killed_is_given_up_alone(address, tasks, tmp_path):
+    observe, seen = kill_worker(address, 2)
+    (outcome,) = on_cluster(tasks[1:], tmp_path, address, observe)
+    assert outcome.status == "failed"
+    assert outcome.error.startswith("its workers were lost 2 times, the last one tcp://127")
+    assert seen[-1].stage == "failed"
+    assert not list(tmp_path.iterdir())
+
+
+def begun(campaign, out, address, folder):
+    """The process of the command, once the cluster has begun its tests."""
+    log = folder / "printed.txt"
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with log.open("w") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mfd_bayes", *command(campaign, out, address)],
+            stdout=file,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        )
+    until(lambda: "finding modes" in log.read_text() or process.poll() is not None, "not begun")
+    return process
+
+
+def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tmp_path):
+    scheduler, address = start_scheduler(tmp_path)
+    worker = start_worker(tmp_path, address)
+    out = tmp_path / "out"
+    try:
+        process = begun(campaign, out, address, tmp_path)
+        scheduler.kill()
+        _, complaint = process.communicate(timeout=60)
+    finally:
+        end(worker)
+        end(scheduler)
+    assert process.returncode == 2
+    (sentence,) = complaint.splitlines()
+    assert sentence.startswith(f"mfd-bayes: the scheduler at {address} was lost")
+    assert "--resume" in sentence
+    assert not list(out.glob(".*"))
+    options = Options(effort="quick", jobs=1, resume=True)
+    calibrate(plan_campaign(campaign, options), out, lambda _: None)
+    assert stored(out) == stored(whole)
+
+
+def test_a_cluster_without_workers_is_reported_once_each_time():
+    from mfd_bayes.jobs.dask_cluster import _tell_idle
+
+    seen, idle = [], False
+    for workers in ({"tcp://w:1": 1}, {}, {}, {"tcp://w:2": 1}, {}):
+        client = SimpleNamespace(nthreads=lambda there=workers: there)
+        idle = _tell_idle(client, "tcp://host:1", seen.append, idle=idle)
+    assert [step.stage for step in seen] == ["waits for a worker:", "done", "waits for a worker:"]
+    assert seen[0].message == "start one with: dask worker tcp://host:1"
+
+
+def test_a_worker_that_is_lost_during_the_check_is_not_refused(monkeypatch):
+    from distributed.comm import CommClosedError
+
+    from mfd_bayes.jobs import dask_cluster
+
+    answers = {"tcp://w:1": "", "tcp://w:2": CommClosedError("in <TCP>: Stream is closed")}
+    client = SimpleNamespace(run=lambda *_, **__: answers)
+    monkeypatch.setattr(dask_cluster, "_connected", lambda address: nullcontext(client))
+    dask_cluster.check_cluster("tcp://host:1")
+    answers["tcp://w:1"] = ModuleNotFoundError("No module named 'mfd_bayes'")
+    with pytest.raises(FitError, match=r"tcp://w:1 cannot run mfd_bayes: .*No module named"):
+        dask_cluster.check_cluster("tcp://host:1")
+
+
+def test_ctrl_c_cancels_the_jobs_that_have_not_ended(address, campaign, tmp_path):
+    process = begun(campaign, tmp_path / "out", address, tmp_path)
+    with ask(address) as client:
+        assert any(client.processing().values())
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate(timeout=60)
+        assert process.returncode == 130
+        assert complaint.startswith("mfd-bayes: interrupted")
+        until(lambda: not any(client.processing().values()), "still waiting")
+        at_work = "lambda dask_worker: dask_worker.state.executing_count"
+        until(lambda: not any(client.run(eval(at_work)).values()), "still at work")
+
+
+def test_a_job_that_cannot_be_pickled_is_refused(address, tmp_path):
+    @dataclass
+    class Clenched:
+        id: str
+        lock: object
+        makes: tuple[str, ...] = ()
+
+        def needs(self, out):
+            return ()
+
+    with pytest.raises(FitError, match=r"^cannot send held to the workers: "):
+        list(on_cluster([Clenched("held", threading.Lock())], tmp_path, address, lambda _: None))
+
+
+# --- refusals
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("tcp://127.0.0.1:9", ("no scheduler answers at tcp://127.0.0.1:9", "dask scheduler")),
+        ("127.0.0.1:8786", ("must be like tcp://host:8786", "'127.0.0.1:8786'")),
+        ("tcp://127.0.0.1:87867", ("tcp://127.0.0.1:87867",)),
+    ],
+)
+def test_a_scheduler_that_does_not_answer_is_refused_at_once(campaign, tmp_path, address, words):
+    out = tmp_path / "out"
+    began = time.monotonic()
+    outcome = CliRunner().invoke(app, command(campaign, out, address))
+    assert time.monotonic() - began < 60.0
+    refused(outcome, *words)
+    assert not out.exists()
+
+
+def test_a_run_takes_either_a_cluster_or_processes_of_this_machine(campaign, tmp_path):
+    outcome = CliRunner().invoke(app, command(campaign, tmp_path / "o", "tcp://x:1", "--jobs", "2"))
+    refused(outcome, "either --jobs", "or --scheduler")
+
+
+@pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "Python"])
+def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeypatch, name):
+    from mfd_bayes.jobs import dask_cluster
+
+    dask_cluster.check_cluster(address)  # the same versions
+    ours = dask_cluster.versions()
+    monkeypatch.setattr(dask_cluster, "versions", lambda: ours | {name: "0.0.1"})
+    words = f"^the worker tcp://127.* has {name} {ours[name]} and not 0.0.1"
+    with pytest.raises(FitError, match=words):
+        dask_cluster.check_cluster(address)
+    with (
+        pytest.raises(FitError, match=words),
+        closing(on_cluster(tasks, tmp_path, address, lambda _: None)) as outcomes,
+    ):
+        next(outcomes)
+    assert not list(tmp_path.iterdir())
+
+
+def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
+    from mfd_bayes.jobs import dask_cluster
+
+    pools = [{"num_threads": 1, "filepath": "libone.so"}]
+    monkeypatch.setattr(dask_cluster, "threadpool_limits", lambda limits: None)
+    monkeypatch.setattr(dask_cluster, "threadpool_info", lambda: pools)
+    monkeypatch.setattr(dask_cluster, "get_worker", lambda: SimpleNamespace(address="tcp://w:1"))
+    assert dask_cluster.limit_threads() == ""
+    pools.append({"num_threads": 4, "filepath": "libmany.so"})
+    for word in ("tcp://w:1", "libmany.so cannot be told", "OPENBLAS_NUM_THREADS=1"):
+        assert word in dask_cluster.limit_threads()
+
+
+def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
+    from mfd_bayes.jobs.dask_cluster import _store
+
+    answer = {"refused": "", "status": "done", "seconds": 1.0, "error": "", "steps": []}
+    future = SimpleNamespace(
+        status="finished",
+        exception=lambda: None,
+        result=lambda: answer | {"files": {"../beyond": b""}},
+    )
+    outcome = _store(future, tasks[1], tmp_path / "out", "tcp://host:1", lambda _: None)
+    sentence = "its worker sent files that are not this test's"
+    assert outcome == Outcome(tasks[1].id, "failed", 0.0, sentence)
+    assert not list(tmp_path.rglob("*"))

@@ -1,0 +1,161 @@
+"""Jobs in processes of this machine: losses, full disks, and how the processes start and end."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, context, run_in_processes, started_alike
+
+ERRORS = {
+    "disk": OSError(28, "No space left on device", "/tmp/block.npz"),
+    "memory": MemoryError("Unable to allocate 3 GiB"),
+}
+
+
+@dataclass(frozen=True)
+class Work:
+    """A job that writes nothing, fails, or is killed `kills` times."""
+
+    id: str
+    kills: int = 0
+    makes: tuple[str, ...] = ()
+
+    def needs(self, out):
+        return ()
+
+    def run(self, out, observe):
+        observe(Step(self.id, "at work"))
+        if self.id in ERRORS:
+            raise ERRORS[self.id]
+        killed = len(list(out.iterdir()))
+        if killed < self.kills:
+            (out / str(killed)).touch()
+            time.sleep(0.3)  # its step is seen
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Outcome(self.id, State.DONE, 0.0)
+
+
+def work(*jobs, out, processes=1, observe=lambda _: None):
+    return list(run_in_processes(jobs, out, processes, observe))
+
+
+def test_a_killed_process_is_said_in_one_sentence_and_its_job_begins_again(tmp_path):
+    seen = []
+    outcomes = work(Work("a", kills=2), Work("b"), out=tmp_path, observe=seen.append)
+    assert sorted(o.id for o in outcomes) == ["a", "b"]
+    assert {o.status for o in outcomes} == {"done"}
+    notes = [step.message for step in seen if step.stage == "note:"]
+    assert len(notes) == 2
+    assert all("killed" in note and note.endswith(": a") for note in notes)
+
+
+def test_a_job_whose_processes_are_always_killed_ends_the_run(tmp_path):
+    with pytest.raises(FitError, match=r"killed 3 times at a: .*fewer --jobs.*--resume"):
+        work(Work("a", kills=9), out=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_processes_of_the_caller_live_on_and_those_of_the_jobs_do_not(tmp_path):
+    with started_alike(), ProcessPoolExecutor(1, context()) as pool:
+        theirs = pool.submit(os.getpid).result()
+        jobs = [Work("a"), Work("b"), Work("c")]
+        with closing(run_in_processes(jobs, tmp_path, 2, lambda _: None)) as outcomes:
+            assert next(outcomes).status == "done"
+        assert [child.pid for child in multiprocessing.active_children()] == [theirs]
+        assert pool.submit(os.getpid).result() == theirs
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "sentence"),
+    [
+        ("disk", StoreError, "cannot store disk in /tmp/block.npz: No space left on device"),
+        ("memory", FitError, r"memory is too short for memory \(Unable to .*\): give fewer --jobs"),
+    ],
+)
+def test_a_full_disk_or_memory_is_said_in_a_sentence(tmp_path, capfd, name, kind, sentence):
+    with pytest.raises(kind, match=sentence):
+        work(Work(name), out=tmp_path)
+    assert capfd.readouterr().err == ""
+
+
+def test_as_many_processes_as_this_process_may_use(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5, 6}, raising=False)
+    assert Workplace().processes == 3
+    assert Workplace(jobs=7).processes == 7
+    monkeypatch.delattr(os, "sched_getaffinity")  # as on a Mac
+    assert Workplace().processes == 64
+
+
+def test_processes_have_one_thread_whatever_this_one_has(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
+    with started_alike(), ProcessPoolExecutor(1, context()) as pool:
+        assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
+
+
+# --- the server that processes are forked from
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the server here")
+
+POOL = """
+import sys, time
+from concurrent.futures import ProcessPoolExecutor
+from mfd_bayes.jobs.local import context, get_ready, started_alike
+from mfd_bayes.jobs.signals import end_on_signals
+if __name__ == "__main__":
+    get_ready("colorsys")
+    with end_on_signals(), started_alike(), ProcessPoolExecutor(1, context()) as pool:
+        there = pool.submit(eval, "'colorsys' in __import__('sys').modules").result()
+        print(there, "colorsys" in sys.modules, context().get_start_method(), flush=True)
+        time.sleep(60 * int(sys.argv[1]))
+"""
+
+
+def run(script: str, folder: Path, *words: str) -> "subprocess.Popen[str]":
+    """Start Python with a script in a session of its own."""
+    file = folder / "script.py"
+    file.write_text(script)
+    return subprocess.Popen(
+        [sys.executable, str(file), *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])},
+        start_new_session=True,
+    )
+
+
+@linux
+@pytest.mark.parametrize(("size", "how"), [(75, "forkserver"), (76, "spawn"), (120, "spawn")])
+def test_processes_start_also_where_the_folder_of_temporary_files_has_a_long_name(
+    tmp_path, monkeypatch, size, how
+):
+    with tempfile.TemporaryDirectory(dir="/tmp") as short:
+        folder = Path(short) / ("x" * (size - len(short) - 1))
+        folder.mkdir()
+        monkeypatch.setenv("TMPDIR", str(folder))
+        printed, complaint = run(POOL, tmp_path, "0").communicate(timeout=60)
+    served = how == "forkserver"  # which has imported the module; the parent has not
+    assert (printed.split(), complaint) == ([str(served), "False", how], "")
+
+
+@linux
+def test_a_signal_ends_a_pool_with_one_sentence(tmp_path):
+    process = run(POOL, tmp_path, "1")
+    assert process.stdout.readline()
+    process.send_signal(signal.SIGTERM)
+    assert process.communicate(timeout=60)[1] == "mfd-bayes: interrupted by SIGTERM\n"
+    assert process.returncode == 143

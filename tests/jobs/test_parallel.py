@@ -1,0 +1,89 @@
+"""Functions computed by several processes: the same values, also when a process is lost."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from functools import partial
+
+import numpy as np
+import pytest
+
+from mfd_bayes.jobs.parallel import meanwhile, several_processes
+
+TESTS = 9
+
+
+@pytest.fixture
+def functions():
+    """Linear functions, which can be pickled without this file."""
+    rng = np.random.default_rng(2)
+    return [partial(np.dot, b=rng.standard_normal(3)) for _ in range(TESTS)]
+
+
+@pytest.fixture
+def points():
+    rng = np.random.default_rng(1)
+    return [(j, rng.standard_normal((5, 3))) for j in [*range(TESTS), 3, 3, 0]]
+
+
+def not_here(x):
+    raise AssertionError("computed by the process that gathers")
+
+
+def test_values_are_those_of_one_process_in_the_same_order(functions, points):
+    expected = [functions[j](x) for j, x in points]
+    with several_processes(functions, 2) as evaluate:
+        functions[:] = [not_here] * TESTS
+        for _ in range(2):
+            np.testing.assert_array_equal(list(evaluate(iter(points))), expected)
+        assert len(multiprocessing.active_children()) == 2
+        with pytest.raises(ValueError, match="shapes"):
+            list(evaluate([(0, np.zeros((5, 2)))]))
+    assert not multiprocessing.active_children()
+
+
+def test_few_tests_and_one_job_need_no_process(functions):
+    for some, jobs in ((functions, 1), (functions[:3], 4)):
+        with several_processes(some, jobs) as evaluate:
+            assert evaluate is None
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_where_a_process_is_killed_this_one_goes_on(functions, points):
+    expected = [functions[j](x) for j, x in points]
+    with several_processes(functions, 2) as evaluate:
+        stream = evaluate(iter(points))
+        first = next(stream)
+        os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
+        np.testing.assert_array_equal([first, *stream], expected)
+        np.testing.assert_array_equal(list(evaluate(points)), expected)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_work_done_meanwhile_has_its_result_or_its_error(jobs):
+    here = threading.get_ident()
+    with meanwhile(jobs) as later:
+        place, wrong = later(threading.get_ident), later(lambda: 1 // 0)
+        assert (place() == here) == (jobs == 1)
+        with pytest.raises(ZeroDivisionError):
+            wrong()
+
+
+def test_work_that_has_not_begun_is_left_undone_where_this_thread_ends():
+    done, begin = [], threading.Event()
+
+    def first():
+        begin.wait(10.0)
+        done.append(1)
+
+    def stopped():
+        with meanwhile(2) as later:
+            later(first)
+            later(lambda: done.append(2))
+            threading.Timer(0.2, begin.set).start()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert done == [1]

@@ -1,0 +1,114 @@
+"""Everything that a reader is given of a run, written into its folder."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from mfd_bayes.errors import ReportError
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.publish import Drawing, Forms, publish
+from mfd_bayes.runs.unit_system import SI, US
+
+
+def files(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.fixture
+def quickly_drawn(monkeypatch):
+    """Figures are made as they are, but every picture of one is the same small one."""
+    dot = figures.to_png(figures.style.new_figure(1, 1))
+    monkeypatch.setattr("mfd_bayes.reporting.figures.campaign.look.to_png", lambda _: dot)
+
+
+@pytest.mark.usefixtures("quickly_drawn")
+def test_a_report_holds_every_figure_and_every_table(campaign, datasheet, tmp_path):
+    pytest.importorskip("docx")
+    steps = []
+    forms = Forms(word=True, excel=True)
+    publish(campaign, tmp_path, 1, steps.append, forms, datasheet)
+    found = files(tmp_path)
+    own = ("loops", "history", "residuals", "marginals", "corner", "ranks")
+    expected = {f"tests/p800_f0.25/{name}.png" for name in own}
+    expected |= {f"tests/held/{name}.png" for name in ("loops", "history")}
+    expected |= {
+        f"tests/{name}/{file}"
+        for name in ("held", "p800_f0.25")
+        for file in ("page.html", "record.csv")
+    }
+    expected |= {f"figures/{n}.{s}" for n in ("overview", "laws", "truth") for s in ("png", "csv")}
+    names = (
+        "parameters",
+        "derived",
+        "readings",
+        "noises",
+        "laws",
+        "law_scores",
+        "checks",
+        "scores",
+    )
+    expected |= {f"{name}.csv" for name in (*names, "tested_range", "crossvalidation", "datasheet")}
+    expected |= {f"{name}.{end}" for name in ("parameters", "laws") for end in ("json", "tex")}
+    expected |= {"datasheet.tex", "report.html", "datasheet.html", "tables.docx", "tables.xlsx"}
+    assert set(found) == expected
+    assert [step.stage for step in steps] == ["figures", "pages", "done"]
+    assert all(isinstance(step, Step) for step in steps)
+
+
+@pytest.mark.slow
+def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(
+    campaign, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("mfd_bayes.reporting.publish.ALONE", 2)
+    quick = replace(campaign.tests[0], marginals=(), chains={}, corner=(), identifiability=None)
+    tests = [replace(quick, id=name) for name in ("t0", "t1")]
+    view = replace(campaign, tests=(*tests, campaign.tests[1]))
+    publish(view, tmp_path / "one", 1, lambda _: None)
+    publish(view, tmp_path / "two", 2, lambda _: None)
+    one, two = files(tmp_path / "one"), files(tmp_path / "two")
+    assert one == two
+    sizes = re.findall(r'src="loops\.png" width="(\d+)"', one["tests/t0/page.html"].decode())
+    assert int(sizes[0]) > 300
+
+
+@pytest.mark.usefixtures("quickly_drawn")
+def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkeypatch):
+    monkeypatch.setattr("mfd_bayes.reporting.publish.ALL_DRAWN", 1)
+    left, drawn = (test.id for test in campaign.tests)
+    stale = tmp_path / "tests" / left / "loops.png"
+    stale.parent.mkdir(parents=True)
+    stale.write_bytes(b"of an earlier report")
+    publish(campaign, tmp_path, 1, lambda _: None, Forms(tests=(drawn,)))
+    pictures = {str(path.relative_to(tmp_path)) for path in tmp_path.glob("tests/*/*.png")}
+    assert pictures == {f"tests/{drawn}/{name}.png" for name in ("loops", "history")}
+    pages = {n: (tmp_path / "tests" / n / "page.html").read_text("utf-8") for n in (left, drawn)}
+    assert f"mfd-bayes report OUT --tests {left}" in pages[left]
+    assert "--tests" not in pages[drawn]
+
+
+def test_what_cannot_be_made_is_refused_before_anything_is_written(monkeypatch):
+    names = ("p500_f0.05", "p800_f0.05")
+    with pytest.raises(ReportError, match=r"no test 'p500_f005'; did you mean 'p500_f0\.05'\?"):
+        Forms(tests=("p500_f005",)).check(names)
+    Forms(tests=names[:1]).check(names)
+    monkeypatch.setattr("mfd_bayes.reporting.publish.find_spec", lambda _: None)
+    for form, extra in ((Forms(word=True), "word"), (Forms(excel=True), "excel")):
+        with pytest.raises(ReportError, match=rf"mfd_bayes\[{extra}\]"):
+            form.check(names)
+    monkeypatch.setattr("shutil.which", lambda _: None)
+    with pytest.raises(ReportError, match="needs a Chromium"):
+        Forms(pdf=True).check(names)
+
+
+@pytest.mark.usefixtures("quickly_drawn")
+@pytest.mark.parametrize("system", [US, SI])
+def test_a_picture_with_nothing_to_show_any_more_is_removed(campaign, tmp_path, system):
+    test = campaign.tests[0]
+    Drawing(test, system, "ksi").run(tmp_path, lambda _: None)
+    assert (tmp_path / "tests" / test.id / "corner.png").is_file()
+    without = Drawing(replace(test, corner=()), system, "ksi")
+    assert without.run(tmp_path, lambda _: None).status == "done"
+    assert not (tmp_path / "tests" / test.id / "corner.png").exists()
+    assert f"tests/{test.id}/corner.png" in without.makes

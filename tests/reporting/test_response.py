@@ -1,0 +1,186 @@
+"""Page and tables of a response of a building, and its best actuation in words."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import BuildingError
+from mfd_bayes.reporting.figures import style, to_png
+from mfd_bayes.reporting.response import (
+    ResponseView,
+    peaks_csv,
+    render_response,
+    response_json,
+    sweep_csv,
+    sweep_sentence,
+)
+from mfd_bayes.response.result import Passing, Row
+from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import SI, US
+from mfd_bayes.units import GRAVITY
+
+UNITS = ("1", "in", "in/s^2", "kip", "kip*in")
+ROWS = [
+    Row(
+        f"of {unit}", "g.csv", "storey 1", unit, 2.0, 3.0, ((1.5, 2.5), (1.0, 3.0), (0.5, 4.0)), 5.0
+    )
+    for unit in UNITS
+]
+LIMITS = [
+    Passing("travel", "g.csv", 2.0, "in", 0.3, 0.1),
+    Passing("drift ratio", "g.csv", 0.01, "1", 0.2, 0.1),
+]
+
+
+@pytest.mark.parametrize("system", [US, SI])
+def test_json_and_csv_of_peaks_say_the_same(system):
+    told = json.loads(response_json(ROWS, LIMITS, {"title": "t"}, system))
+    table = list(csv.DictReader(io.StringIO(peaks_csv(ROWS, system))))
+    for row, one in zip(table, told["peaks"], strict=True):
+        assert row["unit"] == one["unit"]
+        assert float(row["median"]) == pytest.approx(one["median"], rel=1e-5)
+        assert float(row["without_dampers"]) == pytest.approx(one["bare"], rel=1e-5)
+        assert one["plain"] is None
+        for share, (low, high) in one["bands"].items():
+            assert float(row[f"lower_{share}"]) == pytest.approx(low, rel=1e-5)
+            assert float(row[f"upper_{share}"]) == pytest.approx(high, rel=1e-5)
+
+
+def test_json_is_in_the_units_of_its_system():
+    told = json.loads(response_json(ROWS, LIMITS, {}, SI))
+    assert [one["unit"] for one in told["peaks"]] == ["%", "mm", "g", "kN", "kN*mm"]
+    middles = [one["median"] for one in told["peaks"]]
+    assert middles == pytest.approx([200.0, 50.8, 2.0 / GRAVITY, 8.89644, 225.97], rel=1e-5)
+    assert [(one["limit"], one["unit"]) for one in told["limits"]] == [(50.8, "mm"), (1.0, "%")]
+    assert [one["probability"] for one in told["limits"]] == [0.3, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("unit", "system", "name", "by"),
+    [
+        ("ksi", SI, "actuation_MPa", 6.894757),
+        ("kip", SI, "actuation_kN", 4.448222),
+        ("ksi", US, "actuation_ksi", 1.0),
+        ("kip", US, "actuation_kip", 1.0),
+    ],
+)
+def test_the_actuation_of_a_sweep_is_in_the_units_of_its_system(unit, system, name, by):
+    levels = np.array([0.5, 1.0])
+    values = dict.fromkeys(("drift", "acceleration"), np.ones((2, 3, 1)))
+    sweep = Sweep(levels, unit, values, "drift", "mean", np.ones(2), 0.5, (0.5, 1.0))
+    rows = list(csv.DictReader(io.StringIO(sweep_csv(sweep, system))))
+    assert [float(row[name]) for row in rows] == pytest.approx(by * levels, rel=1e-5)
+
+
+ROW = Row("drift", "quake.csv", "storey 1", "in", 1.0, 1.0, ((0.9, 1.1),) * 3, 2.0, 1.5)
+
+
+def view(rows=(), sweep=""):
+    grounds = "quake.csv", "other.csv"
+    return ResponseView("", "", "fail", (), (), rows, (), {}, sweep, grounds, 1, True, {})
+
+
+def test_a_page_without_a_draw_that_stayed_and_without_a_sweep_is_refused():
+    with pytest.raises(BuildingError, match=r"every draw diverged under quake\.csv, other\.csv: "):
+        view()
+    assert view((ROW,)).rows == (ROW,)  # one of the ground motions is enough
+    assert view(sweep="The mean of the largest drift is smallest at 3 MPa.").rows == ()
+
+
+def test_a_page_of_a_response_has_both_systems_of_units():
+    dot = to_png(style.new_figure(1, 1))
+    names = ("profile", "building", "history_1", "history_2", "loops_1", "loops_2")
+    images = {f"{name}_{system}": dot for name in names for system in ("us", "si")}
+    text = render_response(view((ROW,)), images)
+    assert text.count('data-system="us" hidden') == len(names)
+    assert '<span data-value="0.9" data-unit="in" data-digits="3">22.9</span> to' in text
+    assert "nan" not in text
+
+
+TESTED = (Span("stroke", "in", 1.0, 2.0), Span("actuation", "ksi", 0.5, 1.5))
+
+
+def swept(best, low, high, goal="mean"):
+    """A sweep of five levels between these, with the best one of them."""
+    levels = np.linspace(low, high, 5)
+    scores = np.arange(5.0)
+    return Sweep(levels, "ksi", {}, "drift", goal, scores, best, (0.9 * best, best))
+
+
+@pytest.mark.parametrize(
+    ("best", "low", "high", "more"),
+    [
+        (1.0, 0.5, 1.5, ""),
+        (1.2, 0.8, 1.2, " This is the upper end of the sweep: sweep further."),
+        (0.8, 0.8, 1.2, " This is the lower end of the sweep: sweep further."),
+        (
+            1.5,
+            0.8,
+            1.5,
+            " This is the upper end of the sweep and of the tests: make a test above it before you "
+            "sweep further.",
+        ),
+        (
+            0.5,
+            0.5,
+            1.2,
+            " This is the lower end of the sweep and of the tests: make a test below it before you "
+            "sweep further.",
+        ),
+        (
+            1.8,
+            0.8,
+            2.0,
+            " No test was made there (tests: 500 to 1500 psi): make one before you use this "
+            "actuation.",
+        ),
+    ],
+)
+def test_what_to_do_where_the_best_level_is_at_an_end(best, low, high, more):
+    told = sweep_sentence(swept(best, low, high), TESTED, US)
+    ends = f"{900 * best:.4g} to {1000 * best:.4g} psi"
+    assert told == (
+        f"The mean of the largest drift is smallest at {1000 * best:.4g} psi (90 % interval: "
+        f"{ends}).{more}"
+    )
+
+
+def test_the_goal_and_the_system_of_units_are_told():
+    told = sweep_sentence(swept(1.0, 0.5, 1.5, "passing"), TESTED, SI)
+    assert told.startswith(
+        "The probability that the largest drift exceeds its limit is smallest at"
+    )
+    assert "6890 kPa" in told or "6.89 MPa" in told
+
+
+@pytest.mark.parametrize(
+    ("scores", "words"),
+    [
+        ((0, 0, 0), "is the same at all 3 levels, 500 to 1500 psi: none of them is better."),
+        (
+            (0.1, 0, 0),
+            "is smallest at 2 levels alike, 1000 to 1500 psi: none of them is better (90 % "
+            "interval: 500 to 1500 psi).",
+        ),
+        ((0, 0, np.inf), "is the same at all 2 levels, 500 to 1000 psi: none of them is better."),
+        ((0, np.inf, np.inf), "is smallest at 500 psi (90 % interval: 500 to 1500 psi)."),
+    ],
+)
+def test_levels_that_are_best_alike_are_no_optimum(scores, words):
+    levels, scores = np.array([0.5, 1.0, 1.5]), np.array(scores, dtype=float)
+    sweep = Sweep(levels, "ksi", {}, "drift", "passing", scores, 0.5, (0.5, 1.5))
+    told = sweep_sentence(sweep, (Span("actuation", "ksi", 0.1, 2.0),), US)
+    assert told.startswith(f"The probability that the largest drift exceeds its limit {words}")
+
+
+def test_levels_that_are_best_alike_and_were_not_tested_are_told():
+    levels, scores = np.array([0.5, 1.0, 1.5]), np.array([0.1, 0.0, 0.0])
+    sweep = Sweep(levels, "ksi", {}, "drift", "passing", scores, np.nan, (1.0, 1.5))
+    told = sweep_sentence(sweep, (Span("actuation", "ksi", 0.5, 1.2),), US)
+    assert told.endswith(
+        "No test was made there (tests: 500 to 1200 psi): make one before you use this actuation."
+    )

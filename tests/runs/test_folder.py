@@ -1,0 +1,219 @@
+"""What a resumed run keeps where its campaign or its prior file has changed; links."""
+
+import json
+import shutil
+from contextlib import suppress
+from dataclasses import replace
+
+import pytest
+
+from mfd_bayes.errors import StoreError
+from mfd_bayes.pipeline.report import report
+from mfd_bayes.runs.folder import Existing, check_links, discard, prepare_folder
+from mfd_bayes.runs.manifest import with_keys
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.store.files import write_text
+
+
+def resume(plan, out, priors=None, **settings):
+    """Resume with changed settings, or another prior file, as a campaign file with them has it."""
+    manifest = plan.manifest
+    changed = manifest.changed(
+        settings=manifest.settings.model_copy(update=settings),
+        inputs={**manifest.inputs, "campaign.toml": "0" * 64},
+    )
+    changed = with_keys(changed, priors or plan.priors)
+    return prepare_folder(changed, plan.campaign.folder, out, Existing.RESUMED)
+
+
+def stored(out):
+    """Tests whose posteriors are stored, and whether what was left out is."""
+    tests = "".join(name for name in "ab" if (out / f"tests/{name}/posterior.nc").is_file())
+    return tests, (out / "crossvalidation").is_dir()
+
+
+def wider_scatter(priors):
+    scatter = dict(priors.scatter)
+    name = next(iter(scatter))
+    return replace(priors, scatter={**scatter, name: replace(scatter[name], sd=9.0)})
+
+
+def other_k3(priors):
+    k3 = replace(priors.parameters["k3"], figures={"median": 1.0, "spread": 0.1})
+    return replace(priors, parameters={**priors.parameters, "k3": k3})
+
+
+@pytest.mark.parametrize(
+    ("settings", "priors", "tests", "population", "left_out"),
+    [
+        (lambda s: s, None, "ab", True, True),
+        (lambda s: s.model_copy(update={"tolerances": {"energy": 0.2}}), None, "ab", True, True),
+        (lambda s: s.with_test("b", after="a"), None, "ab", True, False),
+        (lambda s: s.with_test("a", session="Monday"), None, "ab", False, False),
+        (
+            lambda s: s.model_copy(update={"laws": {**s.laws, "sigma0": "constant"}}),
+            *(None, "ab", False, False),
+        ),
+        (
+            lambda s: s.model_copy(update={"dependence": {"Fc_fwd": ("velocity",)}}),
+            *(None, "ab", False, False),
+        ),
+        (lambda s: s, wider_scatter, "ab", False, False),
+        (lambda s: s.with_test("a", fit="0 s to 1 s"), None, "b", False, False),
+        (lambda s: s.with_test("b", actuation="999 psi"), None, "a", False, False),
+        (lambda s: s, other_k3, "", False, False),
+        (
+            lambda s: s.model_copy(
+                update={"campaign": s.campaign.model_copy(update={"noise": "iid"})}
+            ),
+            *(None, "", False, False),
+        ),
+    ],
+    ids=[
+        *("comment", "tolerance", "order", "session", "laws", "dependence", "scatter"),
+        *("window", "actuation", "prior", "noise"),
+    ],
+)
+def test_what_does_not_rest_on_a_change_is_kept(
+    plan, out, settings, priors, tests, population, left_out
+):
+    changed = settings(plan.manifest.settings)
+    fields = {name: getattr(changed, name) for name in type(changed).model_fields}
+    resumed = resume(plan, out, priors and priors(plan.priors), **fields)
+    assert stored(out) == (tests, left_out)
+    status = {name: entry.status for name, entry in resumed.manifest.tests.items()}
+    assert "".join(name for name in "ab" if status[name] == "done") == tests
+    assert all(f"tests/{name}/posterior.nc" in resumed.manifest.files for name in tests)
+    assert (resumed.before is not None) == population
+    if population:
+        assert (resumed.before.crossvalidation is not None) == left_out
+    else:
+        assert json.loads((out / "manifest.json").read_text())["status"] == "running"
+    again = [name for name in "ab" if name not in tests]
+    assert (f"sampled again: {', '.join(again)}" in "".join(resumed.notes)) == bool(again)
+    assert (resumed.manifest.comparison is not None) == (tests == "ab")
+
+
+def test_another_record_or_role_has_its_test_sampled_again(plan, out):
+    (file,) = {test.file for test in plan.manifest.settings.test}
+    inputs = {**plan.manifest.inputs, file: "1" * 64}
+    resume(replace(plan, manifest=plan.manifest.changed(inputs=inputs)), out)
+    assert stored(out) == ("", False)
+
+
+def test_of_an_earlier_session_only_its_end_is_taken_over(plan, out, change):
+    change(out, lambda manifest: manifest["tests"]["a"].update(rate=1.0))
+    resumed = resume(plan, out)
+    assert resumed.manifest.tests["a"].rate != 1.0
+    assert resumed.manifest.seconds == 1.0
+
+
+def test_a_comparison_is_not_kept_where_a_posterior_is_lost(plan, out):
+    (out / "tests/a/posterior.nc").unlink()  # which is sampled again
+    assert resume(plan, out).manifest.comparison is None
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"seed": 2}, "seed changed.*--force"),
+        ({"versions": {f"{i}{'x' * 3000}": str(i) for i in range(100)}}, "versions .*98 more"),
+        ({"seconds": "long"}, "cannot be resumed: .*seconds.*--force"),
+        ({"format": 1}, "cannot be resumed: .*format 1.*--force"),
+        ({"tests": []}, "cannot be resumed: .*tests.*--force"),
+    ],
+)
+def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change, how, words):
+    change(out, lambda manifest: manifest.update(how))
+    with pytest.raises(StoreError, match=words) as caught:
+        resume(plan, out)
+    assert len(str(caught.value)) < 1500
+    assert stored(out) == ("ab", True)
+
+
+def test_a_run_of_other_tests_is_refused_and_stays(plan, out, change):
+    def rename(manifest):
+        manifest["tests"] = {f"x{name}": entry for name, entry in manifest["tests"].items()}
+        for test in manifest["settings"]["test"]:
+            test["id"] = f"x{test['id']}"
+        del manifest["truth"]
+
+    change(out, rename)
+    with pytest.raises(StoreError, match=r"a run of other tests \(xa, .*another folder"):
+        resume(plan, out)
+    assert stored(out) == ("ab", True)
+
+
+def test_what_cannot_be_removed_leaves_the_run_as_it_was(plan, out, monkeypatch):
+    def fail(path):
+        raise OSError(16, "Device or resource busy")
+
+    monkeypatch.setattr(shutil, "rmtree", fail)
+    before = (out / "manifest.json").read_bytes()
+    with pytest.raises(StoreError, match=r"cannot remove .*crossvalidation: Device or resource"):
+        resume(plan, out, dependence={"Fc_fwd": ("velocity",)})
+    assert (out / "manifest.json").read_bytes() == before
+
+
+def test_another_machine_is_said(plan, out, change):
+    assert resume(plan, out).notes == ()
+    change(out, lambda manifest: manifest["machines"][0].update(processor="Z80"))
+    (note,) = resume(plan, out).notes
+    assert "another machine" in note
+    assert "processor was Z80, is " in note
+
+
+# --- links
+
+LINKED = ("tests", "tests/a", "figures", "crossvalidation", "tests/a/posterior.nc")
+
+
+@pytest.mark.parametrize("name", LINKED)
+def test_nothing_is_written_through_a_link(plan, out, tmp_path, name):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    if (out / name).exists():
+        (out / name).rename(elsewhere / "it")
+    else:
+        (elsewhere / "it").mkdir()
+    (out / name).symlink_to(elsewhere / "it")
+    before = {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()}
+    for act in (
+        lambda: open_run(out),
+        lambda: report(out),
+        lambda: discard(out),
+        lambda: resume(plan, out),
+        lambda: prepare_folder(plan.manifest, plan.campaign.folder, out, Existing.REPLACED),
+    ):
+        with pytest.raises(StoreError, match="outside of the run folder"):
+            act()
+    assert {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()} == before
+    assert (out / "manifest.json").is_file()
+
+
+def test_a_link_out_of_the_folder_is_not_written_through_nor_replaced(out, tmp_path):
+    (tmp_path / "mine.html").write_text("mine")
+    (out / "report.html").symlink_to(tmp_path / "mine.html")
+    with pytest.raises(StoreError, match="link out of its folder"):
+        write_text(out / "report.html", "ours")
+    assert (tmp_path / "mine.html").read_text() == "mine"
+    assert (out / "report.html").is_symlink()
+
+
+def test_a_link_in_place_of_a_folder_is_removed_and_not_what_it_leads_to(out):
+    (out / "kept").mkdir()
+    (out / "kept" / "notes.txt").write_text("mine")
+    shutil.rmtree(out / "crossvalidation")
+    (out / "crossvalidation").symlink_to("kept")
+    discard(out)
+    assert [path.name for path in out.iterdir()] == ["kept"]
+    assert (out / "kept" / "notes.txt").read_text() == "mine"
+
+
+def test_links_within_the_folder_pass_and_those_in_a_circle_end(out):
+    (out / "figures").symlink_to(out / "tests")
+    check_links(out)
+    (out / "figures").unlink()
+    (out / "figures").symlink_to(out / "figures")
+    with suppress(StoreError):  # Python before 3.13 detects the circle
+        check_links(out)

@@ -1,0 +1,143 @@
+"""Tests that follow each other: where each of them begins, of a run that no sampler has seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mfd_bayes.errors import FitError
+from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence
+
+FORECAST = Forecast(draws=20)
+
+
+@pytest.fixture(scope="module")
+def run(made):
+    return open_run(made)
+
+
+def ordered(run, turns=None, **after):
+    """The run with tests that follow others, and with parts of records outside their windows."""
+    settings = run.manifest.settings
+    for name, before in after.items():
+        settings = settings.with_test(name, after=before, file=f"{name}.csv")
+    manifest = run.manifest.changed(settings=settings)
+    for name, around in (turns or {}).items():
+        manifest = manifest.with_test(name, **around)
+    return replace(run, manifest=manifest)
+
+
+def test_a_test_begins_where_the_posterior_of_the_one_before_ends(run):
+    chained = ordered(run, c="b")
+    trace = run.held_out["c"]
+    found = chained.sequence.before("c", trace, FORECAST)
+    model, test = run.tests["b"].posterior.model, run.tests["b"]
+    values = test.stored.values()
+    pick = np.linspace(0, len(values["start"]) - 1, 20).astype(int)
+    taken = {name: column[pick] for name, column in values.items()}
+    ended = model.end(model.theta(taken), test.trace, taken["start"])
+    gap = model.gap(taken)
+    moved = ended + (trace.displacement[0] - test.trace.displacement[-1]) / gap
+    np.testing.assert_allclose(found.place, np.clip(moved, 0.0, 1.0))
+    assert (found.test, found.predicted) == ("b", False)
+    assert chained.sequence.before("b", trace, FORECAST) is None
+
+
+def test_the_test_before_is_known_as_pooled_with_the_others_where_that_is_stored(run):
+    own = run.sequence.values("b")
+    np.testing.assert_array_equal(own["start"], run.tests["b"].stored.values()["start"])
+    pooled = {name: np.full(7, 0.25) for name in ("start", "d2", "Fc_fwd")}
+    found = replace(run.sequence, pooled={"b": pooled}.get).values("b")
+    assert all(column.shape == (7,) for column in found.values())
+    assert set(found) == set(own)
+    np.testing.assert_array_equal(found["d2"], pooled["d2"])
+    np.testing.assert_array_equal(found["v_s"], np.median(own["v_s"]))
+    # a version that did not keep the starts of the tests
+    del pooled["start"]
+    older = replace(run.sequence, pooled={"b": pooled}.get).values("b")
+    np.testing.assert_array_equal(older["d2"], own["d2"])
+
+
+def test_what_the_windows_leave_out_moves_the_device_in_between(run):
+    trace = run.held_out["c"]
+    for turns, place in (
+        ({"b": {"after": (90.0, 80.0)}}, 0.0),
+        ({"b": {"after": (90.0, -90.0)}}, 1.0),
+        ({"c": {"before": (90.0, -90.0)}}, 1.0),
+        ({"b": {"after": (-90.0,)}, "c": {"before": (90.0,)}}, 0.0),
+    ):
+        found = ordered(run, turns, c="b").sequence.before("c", trace, FORECAST)
+        np.testing.assert_allclose(found.place, place, atol=1e-9)
+
+
+def test_of_two_windows_in_one_file_what_lies_between_them_counts(run):
+    turns = {"b": {"after": (90.0, -90.0)}, "c": {"before": (80.0, 70.0, 90.0)}}
+    chained = ordered(run, turns, c="b")
+    assert np.all(chained.sequence.before("c", run.held_out["c"], FORECAST).place == 0.0)
+    motion = Trace.from_arrays(np.arange(9) / 10, 100.0 + np.arange(9), 0.7)
+    after = chained.sequence.ending("b", motion, FORECAST)  # after all of the file
+    np.testing.assert_allclose(after.place, 1.0)
+    settings = chained.manifest.settings.with_test(
+        "c", file=chained.manifest.settings.tests["b"].file
+    )
+    manifest = chained.manifest.with_test("b", after=(90.0,)).with_test("c", before=())
+    places = []
+    for given in (manifest, manifest.changed(settings=settings)):  # two files, then one
+        found = replace(chained, manifest=given).sequence.before("c", run.held_out["c"], FORECAST)
+        places.append(found.place)
+    assert np.all(places[0] == 0.0)
+    assert not np.all(places[1] == 0.0)
+
+
+def test_a_prediction_says_which_test_it_follows(run):
+    motion = replace(run.held_out["c"], force=None)
+    band = run.predict(motion, draws=20, after="b")
+    assert band.source.endswith("begun where in its gap test b ended")
+    model, found = run.tests["b"].posterior.model, run.sequence.ending("b", motion, FORECAST)
+    assert set(band.values["start"]) <= set(model.start_at(found.place, motion))
+    own = run.predict(motion, draws=20, after=found)
+    np.testing.assert_array_equal(own.draws, band.draws)
+    free = run.predict(motion, draws=20)
+    assert not np.array_equal(free.values["start"], band.values["start"])
+
+
+def test_a_test_that_is_predicted_itself_is_followed_as_it_is_predicted(run):
+    chained = ordered(run, b="a", c="b")
+    some = run.tests["a"].posterior
+    predictor = Predictor(run.population, some.model, some.noise)
+    left_out = {"b": run.tests["b"].trace, **run.held_out}
+    sequence = TestSequence(chained.manifest, {"a": run.tests["a"]}, left_out, predictor)
+    found = sequence.before("c", run.held_out["c"], FORECAST)
+    assert (found.test, found.predicted) == ("b", True)
+    assert "test b, which is predicted itself, ended" in found.words
+    assert sequence.before("b", left_out["b"], FORECAST).predicted is False
+    # without the posterior of a it begins anywhere, and a slow way forward makes that forgotten
+    alone = replace(sequence, tests={}, motions=left_out)
+    assert alone.before("b", left_out["b"], FORECAST) is None  # a is lost: nothing is known
+    assert alone.before("c", run.held_out["c"], FORECAST).predicted
+
+
+def test_what_is_not_there_or_does_not_go_together_is_refused(run):
+    motion = run.held_out["c"]
+    with pytest.raises(FitError, match=r"after must be the id of a test .*one of a, b, c, got 'd'"):
+        run.predict(motion, draws=20, after="d")
+    with pytest.raises(FitError, match=r"after \('b'\) cannot be combined with given"):
+        run.predict(motion, draws=20, after="b", given=(0.0, 1.0))
+
+
+def test_without_a_gap_a_remark_says_that_it_is_without_effect(runs, tmp_path):
+    runs.write_run(tmp_path / "out", small=True)
+    run = open_run(tmp_path / "out")
+    motion = Trace.from_arrays(
+        *(getattr(run.held_out["c"], k) for k in ("time", "displacement")), 0.7
+    )
+    assert NO_GAP in run.predict(motion, draws=20, after="a").remarks
+    assert NO_GAP not in run.predict(motion, draws=20).remarks
+
+
+def test_tests_that_follow_in_a_circle_are_survived(run):
+    circle = ordered(run, c="c")
+    assert circle.sequence.before("c", run.held_out["c"], FORECAST).test == "c"

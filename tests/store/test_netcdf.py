@@ -1,0 +1,208 @@
+"""Stored tests and draws: they come back bit for bit, and a damaged file is named."""
+
+import pickle
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.errors import StoreError
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.store.netcdf import (
+    CalibratedTest,
+    load_arrays,
+    load_groups,
+    load_test,
+    load_trace,
+    save_arrays,
+    save_test,
+    save_trace,
+)
+
+RNG = np.random.default_rng(1)
+UNITS = {name: units()[name] for name in ThreeStage().parameters}
+TIME = np.arange(0, 4, 0.02)
+MOTION = np.sin(2 * np.pi * 0.5 * TIME)
+TRACE = Trace.from_arrays(TIME, MOTION, actuation=0.8, force=np.sign(MOTION), velocity=np.cos(TIME))
+VALUES = {name: RNG.lognormal(size=(4, 30)) for name in UNITS}
+STATS = {name: RNG.normal(size=(4, 30)) for name in ("lp", "log_prior", "log_likelihood")}
+PREDICTIVE = RNG.normal(size=(4, 5, TIME.size))
+FACTS = {"model": "three_stage", "r_hat": np.float64(1.01), "steps": np.int64(400), "ess": np.nan}
+
+
+def save(path, trace=TRACE):
+    save_test(path, CalibratedTest(VALUES, UNITS, STATS, trace, PREDICTIVE, FACTS))
+    return path
+
+
+def same_trace(got, expected):
+    for name in ("time", "displacement", "velocity", "force", "turning_points", "actuation"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(expected, name))
+    assert got.direction == expected.direction
+
+
+def test_a_test_comes_back_as_it_was_saved(tmp_path):
+    path = save(save(tmp_path / "posterior.nc"))  # saving again replaces the file
+    assert list(tmp_path.iterdir()) == [path]
+    stored = load_test(path)
+    assert set(stored.draws.data_vars) == set(UNITS)
+    for name, values in VALUES.items():
+        np.testing.assert_array_equal(stored.draws[name], values)
+        np.testing.assert_array_equal(stored.values()[name], values.reshape(-1))
+        assert stored.draws[name].attrs["units"] == UNITS[name]
+    for name, values in STATS.items():
+        np.testing.assert_array_equal(stored.stats[name], values)
+    same_trace(stored.trace, TRACE)
+    assert stored.facts == {"model": "three_stage", "r_hat": 1.01, "steps": 400, "ess": None}
+    np.testing.assert_allclose(
+        load_groups(path)["posterior_predictive"]["force"], PREDICTIVE, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("actuation", [None, 0.0, 0.8, np.linspace(0, 1, TIME.size)])
+def test_every_kind_of_actuation_comes_back(tmp_path, actuation):
+    trace = Trace.from_arrays(TIME, MOTION, actuation, force=MOTION)
+    same_trace(load_test(save(tmp_path / "posterior.nc", trace)).trace, trace)
+    save_trace(tmp_path / "record.nc", trace, {"id": "a"})
+    got, facts = load_trace(tmp_path / "record.nc")
+    same_trace(got, trace)
+    assert facts == {"id": "a"}
+
+
+def test_arrays_of_any_dimension_come_back(tmp_path):
+    arrays = {"K": RNG.normal(size=(4, 9)), "theta": RNG.normal(size=(4, 9, 3, 2))}
+    save_arrays(tmp_path / "population.nc", arrays, {"laws": {"Fc_fwd": "power"}})
+    got, facts = load_arrays(tmp_path / "population.nc")
+    assert set(got) == set(arrays)
+    for name, values in arrays.items():
+        np.testing.assert_array_equal(got[name], values)
+    assert facts == {"laws": {"Fc_fwd": "power"}}
+
+
+def test_a_failing_save_leaves_the_old_posterior(tmp_path):
+    path = save(tmp_path / "posterior.nc")
+    before = path.read_bytes()
+    ragged = STATS | {"lp": np.zeros((4, 31))}
+    with pytest.raises(ValueError, match="draw"):
+        save_test(path, CalibratedTest(VALUES, UNITS, ragged, TRACE, PREDICTIVE, FACTS))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+# --- damaged files
+
+READERS = pytest.mark.parametrize("read", [load_test, load_trace, load_arrays])
+
+
+@READERS
+@pytest.mark.parametrize("content", [None, b"", b"time,force\n0,1\n", b"CDF\x01" + bytes(200)])
+def test_a_file_that_is_no_netcdf_is_named(tmp_path, read, content):
+    path = tmp_path / "posterior.nc"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"posterior\.nc"):
+        read(path)
+
+
+@READERS
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
+def test_a_truncated_file_is_named(tmp_path, read, share):
+    path = save(tmp_path / "posterior.nc")
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(StoreError, match=r"posterior\.nc"):
+        read(path)
+
+
+@pytest.mark.parametrize("twentieth", [1, 8])
+def test_a_file_with_a_damaged_part_is_named_or_still_read(tmp_path, twentieth):
+    path = save(tmp_path / "posterior.nc")
+    content = bytearray(path.read_bytes())
+    begin, end = (len(content) * k // 20 for k in (twentieth, twentieth + 1))
+    content[begin:end] = b"\xff" * (end - begin)
+    path.write_bytes(content)
+    try:
+        load_test(path)
+    except StoreError as error:
+        assert "posterior.nc" in str(error)  # noqa: PT017
+
+
+@READERS
+def test_netcdf_of_another_program_is_named(tmp_path, read):
+    path = tmp_path / "other.nc"
+    for group in ("posterior", "sample_stats", "observed_data", "constant_data"):
+        data = xr.Dataset({"mu": (("chain", "draw"), np.zeros((2, 3)))})
+        data.to_netcdf(path, mode="a", group=group, engine="h5netcdf")
+    with pytest.raises(StoreError, match=r"other\.nc"):
+        read(path)
+
+
+def external_link(group, secret):
+    group["time"] = h5py.ExternalLink(str(secret), "time")
+
+
+def soft_link(group, secret):
+    group["time"] = h5py.SoftLink("/posterior/mu")
+
+
+def virtual(group, secret):
+    layout = h5py.VirtualLayout((30,), "f8")
+    layout[:] = h5py.VirtualSource(str(secret), "time", (30,))
+    group.create_virtual_dataset("time", layout)
+
+
+def external_storage(group, secret):
+    group.create_dataset("time", (30,), "f8", external=[(str(secret), 0, h5py.h5f.UNLIMITED)])
+
+
+def packed(group, secret):
+    group.create_dataset("time", data=np.zeros(30), chunks=(30,), compression="lzf")
+
+
+def declared(group, secret):
+    group.create_dataset("time", (10**9,), "f8", chunks=(1000,))
+
+
+def pickled(group, secret):
+    group["evil"] = np.void(pickle.dumps(print))
+
+
+def scaled_by_a_text(group, secret):
+    group["mu"].attrs["scale_factor"] = "kip"
+
+
+def circle(group, secret):
+    group["again"] = group
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        *(external_link, soft_link, virtual, external_storage),
+        *(packed, declared, pickled, scaled_by_a_text, circle),
+    ],
+)
+def test_a_file_reaches_nowhere_else_and_holds_plain_numbers_alone(tmp_path, make):
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["time"] = np.arange(30.0)
+    path = tmp_path / "population.nc"
+    save_arrays(path, {"mu": np.zeros((2, 3))}, {})
+    with h5py.File(path, "a") as file:
+        make(file["posterior"], tmp_path / "secret.h5")
+    with pytest.raises(StoreError, match=r"population\.nc"):
+        load_arrays(path)
+
+
+@pytest.mark.parametrize(("at", "size"), [(8, 2**40), (24, 2**63), (24, 5000)])
+def test_a_heap_of_texts_that_is_never_read_to_its_end_is_refused(tmp_path, at, size):
+    path = tmp_path / "population.nc"
+    save_arrays(path, {"mu": np.zeros((2, 3))}, {})
+    content = bytearray(path.read_bytes())
+    begin = content.index(b"GCOL") + at
+    content[begin : begin + 8] = size.to_bytes(8, "little")
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"population\.nc.*heap"):
+        load_arrays(path)
