@@ -67,9 +67,9 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(name="quick", ess=100, limit=2400, r_hat=1.03, length=3.0, kept=1200),
-    "standard": Effort(name="standard", ess=400, limit=8000),
-    "thorough": Effort(name="thorough", ess=2000, limit=40000, length=50.0, kept=8000, starts=72),
+    "quick": Effort(name="quick", ess=100.0, limit=2400, r_hat=1.03, length=3.0, kept=1200),
+    "standard": Effort(name="standard", ess=400.0, limit=8000),
+    "thorough": Effort(name="thorough", ess=2000.0, limit=40000, length=50.0, kept=8000, starts=72),
 }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import CampaignError
+from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.design import sessions_of
 from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
 from mfd_bayes.messages import Message
@@ -43,6 +43,14 @@ _QUANTITIES = (
     ("energy", "", "energy"),
     ("gap", "", "gap"),
 )
+
+
+_COLUMNS = [
+    *("condition", "actuation", "actuation_unit", "stroke", "frequency", "tested"),
+    *("quantity", "direction", "unit", "cycle", "measured_low", "measured", "measured_high"),
+    *("n_cycles", "n_outside", "nominal", "lower", "upper", "lambda_min", "lambda_max", "note"),
+]
+"""Of `Datasheet.rows`, there even where no test is harmonic."""
 
 
 class Condition(NamedTuple):
@@ -116,19 +124,24 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
     """
     peaks = peaks_of(run)
     tests = _harmonic_tests(run)
-    table, measured = [], []
+    table, measured, lacking = [], [], []
     for condition in dict.fromkeys([*sorted({c for c, _, _, _ in tests}), *at]):
         own = [(name, trace, cycles) for c, name, trace, cycles in tests if c == condition]
         label = condition_words(run, condition)
-        table += _rows(run, condition, label, own, peaks)
+        try:
+            table += _rows(run, condition, label, own, peaks)
+        except MfdError as error:
+            if condition in at:
+                raise
+            lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
         measured += [row for name, _, cycles in own for row in _measured(run, name, label, cycles)]
-    rows = pd.DataFrame(table)
+    rows = pd.DataFrame(table, columns=_COLUMNS)
     return Datasheet(
         rows=rows,
         measured=pd.DataFrame(measured),
         tested=_tested(run),
         verdict=_verdict(run, rows),
-        not_known=_not_known(run),
+        not_known=(*lacking, *_not_known(run)),
         formulas={quantity: FORMULAS[quantity] for quantity, _, _ in _QUANTITIES},
     )
 
@@ -152,8 +165,8 @@ def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycle
         if full.size and full.mean() >= HARMONIC:
             amplitude = 0.5 * float(np.median(cycles.stroke[full]))
             frequency = float(np.median(cycles.frequency[full]))
-            level = traces[name].reference_actuation
-            condition = Condition(level, _rounded(amplitude), _rounded(frequency))
+            level, by = traces[name].reference_actuation, run.system.factor("in")
+            condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
             found.append((condition, name, traces[name], cycles))
     return found
 
@@ -294,7 +307,7 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     count = len(run.tests)
     fine = " All tests are reproduced within tolerance." if use == Use.USABLE else ""
     first = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
-    tested = rows[(rows["cycle"] == 0) & rows["tested"]]
+    tested = rows[(rows["cycle"] == 0) & rows["tested"].astype(bool)]
     cycles, outside = int(tested["n_cycles"].sum()), int(tested["n_outside"].sum())
     share = outside / cycles if cycles else 0.0
     most = ""
@@ -307,6 +320,8 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
         "bounds{most}.",
         {"most": most},
     )
+    if not cycles:
+        second = Message("No test is harmonic: there are no measured cycles to compare.")
     spans = {span.name: span for span in run.tested}
     where = [spans[name] for name in ("actuation", "stroke", "frequency") if name in spans]
     third = Message(

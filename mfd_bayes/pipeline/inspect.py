@@ -60,8 +60,8 @@ def inspect(
 def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     """Inspections of the tests of a campaign, with what their comparison shows; their records."""
     campaign = load_campaign(path)
-    priors = load_priors(campaign.priors, campaign.folder)
     records = [test.read() for test in campaign.tests]
+    priors = load_priors(campaign.priors, campaign.folder)
     inspections, tested = [], []
     for test, record in zip(campaign.tests, records, strict=True):
         inspection = inspect_record(test.id, record, priors.gap)

@@ -24,7 +24,7 @@ from mfd_bayes.population.given import Forecaster, predict_given
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.regular import path_of
+from mfd_bayes.records.regular import path_of, why_no_file
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import check_links, check_stored
 from mfd_bayes.runs.manifest import Manifest, read_manifest, unchanged
@@ -112,8 +112,11 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     if not done:
         raise StoreError(f"the run in {folder} has no calibrated test")
     for name in (*map(posterior_of, done), *map(record_of, held_out)):
-        if not (folder / name).is_file():
-            raise StoreError(f"{folder / name} is missing from the run")
+        path = folder / name
+        if path.exists() and (reason := why_no_file(path)):
+            raise StoreError(f"{path} {reason}")
+        if not path.is_file():
+            raise StoreError(f"{path} is missing from the run")
     read_test = partial(_read_test, folder, manifest, priors, extras)
     tests = ByName("calibrated test", done, read_test)
     traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))

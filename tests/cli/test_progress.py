@@ -109,7 +109,7 @@ def work(plan, out, observe):
         time.sleep(LAST if name == names[-1] else PAUSE)
         observe(Step(name, "done", Progress(300, 300, 1.0123, 432.1, 3.0)))
     return SimpleNamespace(
-        judgements=(), warnings=(), verdict="usable", sentences=(Message("It is so."),),
+        judgements=(), warnings=(), checks=(), verdict="usable", sentences=(Message("It is so."),),
         systems=(SimpleNamespace(words=None),), metric=False,
     )
 

@@ -125,8 +125,10 @@ limits = "10 in/s, 6 in, 20 kip"
 
 def test_the_goal_of_the_campaign_file_is_taken(out, finished_run, tmp_path):
     changed = shutil.copytree(out, tmp_path / "out")
-    path = changed / "campaign.toml"
-    path.write_text(path.read_text() + GOAL)
+    path = changed / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["settings"] |= tomllib.loads(GOAL)  # as a campaign with this goal is stored
+    path.write_text(json.dumps(manifest))
     advice = mb.open_run(changed).next_test(draws=300)
     assert (advice.goal.quantity, advice.unit) == ("energy", "kip*in")
     assert sorted(row.candidate.actuation for row in advice) == [0.5, 1.0]

@@ -59,7 +59,7 @@ def read_in_child(
     forks = hasattr(os, "fork") and threading.active_count() == 1
     try:
         content = (_fork if forks else _spawn)(read, path)
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        with np.load(io.BytesIO(content)) as stored:
             arrays = {name: stored[name] for name in stored.files}
         facts = json.loads(str(arrays.pop("facts")))
     except subprocess.TimeoutExpired as error:
