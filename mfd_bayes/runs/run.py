@@ -393,7 +393,8 @@ class Run:
             As `read_building` reads it.
         grounds : Ground or path, or several
             Paths as `read_ground` reads them; "FILE:0.01s" gives the step of a file without one.
-        draws, seed : int
+        draws : int
+        seed : int
         kind : {"new_test", "device"}
             With each damper's scatter from test to test, or the mean property alone.
         tolerance : float
