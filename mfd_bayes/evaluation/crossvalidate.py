@@ -68,8 +68,6 @@ class Fold:
     kept: tuple[str, ...]
     effort: str
     seed: int
-    scores: int = 4
-    """Number of the kind of scores, so that those of earlier versions are computed anew."""
     rests_on: str = ""
     """Digest of what the run's population rests on, so that those under other laws are too."""
 

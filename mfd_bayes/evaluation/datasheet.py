@@ -160,7 +160,7 @@ def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycle
     for name in run.manifest.tests:
         if name not in traces:
             continue
-        cycles = measured_of(run.manifest, name, traces[name])
+        cycles = measured_of(run.manifest, name)
         full = cycles.full_stroke
         if full.size and full.mean() >= HARMONIC:
             amplitude = 0.5 * float(np.median(cycles.stroke[full]))

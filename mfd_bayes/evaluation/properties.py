@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.measured import (
-    MeasuredCycles,
-    cycle_values,
-    mean_of,
-    measured_cycles,
-)
+from mfd_bayes.records.measured import MeasuredCycles, cycle_values, mean_of
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
@@ -50,14 +45,9 @@ _OF_CYCLES = (
 )
 
 
-def measured_of(manifest: Manifest, name: str, trace: Trace) -> MeasuredCycles:
-    """Measured cycles of a test, as recorded; of its trace where an earlier version kept none."""
-    stored = manifest.tests[name].measured
-    if stored:
-        return MeasuredCycles.from_content(stored)
-    found = measured_cycles(trace)
-    assert found is not None  # every test of a run has a force
-    return found
+def measured_of(manifest: Manifest, name: str) -> MeasuredCycles:
+    """Measured cycles of a test, as recorded."""
+    return MeasuredCycles.from_content(manifest.tests[name].measured)
 
 
 def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
@@ -134,7 +124,7 @@ def peak_factors(manifest: Manifest, tests: Mapping[str, TestResult]) -> Peaks:
     """
     ratios: dict[str, list[Array]] = {"fwd": [], "bwd": []}
     for name, test in tests.items():
-        cycles = measured_of(manifest, name, test.trace)
+        cycles = measured_of(manifest, name)
         values = cycle_values(test.trace, _median_force(test.posterior, test)[None])
         loops = find_loops(test.trace)
         if loops.strong.size != cycles.full_stroke.size:

@@ -75,7 +75,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
     known = identify(posterior, draws, prior, *densities)
-    measured = measured_of(manifest, test.id, trace)
+    measured = measured_of(manifest, test.id)
     properties = properties_of(trace, replicas.observed, peaks, smooth=replicas.force)
     score = score_of(test.id, "calibrate", trace, replicas.observed, posterior.first)
     arguments = test.id, posterior, replicas, measured, properties, tolerances
@@ -127,7 +127,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     seen = run.predict(trace, "observation", explain=True, **how)
     test = run.predict(trace, "new_test", **how)
     drawn = _drawn(run, trace, seen, test)
-    measured = measured_properties(measured_of(run.manifest, name, trace))
+    measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
         id=name,
         role="validate",
@@ -328,7 +328,7 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
     shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
     kept = [k for k in np.argsort(-shares).tolist() if shares[k] >= checks.SMALLEST_MODE]
     values = facts.get("mode_values", [])
-    if len(kept) < 2 or len(values) != len(shares):  # as earlier versions wrote it
+    if len(kept) < 2 or len(values) != len(shares):
         return ()
     return tuple({**values[k], "share": float(shares[k])} for k in kept)
 

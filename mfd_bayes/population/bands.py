@@ -26,7 +26,6 @@ from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 DRAWS = 500  # draws of a band where no other number is asked for
 FEWEST = 10  # fewest draws of a band
