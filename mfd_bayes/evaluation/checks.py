@@ -122,7 +122,7 @@ def predictive_checks(
     replicated records by the same rules; `properties` are theirs, by name, (n,) each.
     """
     allowed = complete_tolerances(tolerances)
-    width = posterior.model.crossing(replicas.values)
+    width = posterior.model.gap_width(replicas.values)
     gap = None if width is None else float(np.median(width))
     found = []
     for check in check_predictive(posterior, replicas, gap):

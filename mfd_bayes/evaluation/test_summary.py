@@ -81,7 +81,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     arguments = test.id, posterior, replicas, measured, properties, tolerances
     predictive = checks.predictive_checks(*arguments)
     level, area = trace.reference_actuation, _area(manifest)
-    drawn = properties | _of_parameters(posterior, replicas.values, level, area)
+    drawn = properties | derive_from_parameters(posterior.model, replicas.values, level, area)
     stage, travel = _stages(posterior, values)
     return TestView(
         id=test.id,
@@ -191,19 +191,8 @@ def _drawn(run: Run, trace: Trace, band: Band, test: Band) -> dict[str, Array]:
         smooth = smooth + np.asarray(test.values["offset"])[:, None]
     posterior = next(iter(run.tests.values())).posterior
     level, area = trace.reference_actuation, _area(run.manifest)
-    of_parameters = _of_parameters(posterior, band.values, level, area)
+    of_parameters = derive_from_parameters(posterior.model, band.values, level, area)
     return properties_of(trace, band.draws, peaks_of(run), smooth=smooth) | of_parameters
-
-
-def _of_parameters(
-    posterior: Posterior, values: Mapping[str, Array], level: float, area: float | None
-) -> dict[str, Array]:
-    """Width of the gap and self-energizing factors, from the parameters."""
-    found = derive_from_parameters(posterior.model, values, level, area)
-    for name in ("gap", "crossing"):
-        if name in found:
-            found["gap_width"] = found.pop(name)
-    return found
 
 
 def _area(manifest: Manifest) -> float | None:

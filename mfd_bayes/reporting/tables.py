@@ -60,7 +60,9 @@ _COLUMNS = {
     "parameters": f"subject:test name:parameter {_POSTERIOR} {_JOINT}",
     "laws": f"subject:group name:constant {_POSTERIOR}",
     "derived": f"subject:test role name:quantity unit mean sd {_INTERVAL} measured note",
-    "readings": f"subject:test name:quantity unit value:read_off {_INTERVAL} tolerance missed",
+    "loop_estimates": (
+        f"subject:test name:quantity unit value:loop_estimate {_INTERVAL} tolerance missed"
+    ),
     "noises": (
         f"subject:test name:quantity unit noise {_INTERVAL} other:other_noise "
         "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 decides"
@@ -104,7 +106,7 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
     rows: dict[str, Iterable[Any]] = {
         "parameters": (row for test in tests for row in test.rows),
         "derived": (row for test in tests for row in test.derived),
-        "readings": (row for test in tests for row in test.loop_estimates),
+        "loop_estimates": (row for test in tests for row in test.loop_estimates),
         "noises": (row for test in tests for row in test.noises),
         "laws": view.law_rows,
         "law_scores": (row for choice in view.law_choices for row in choice.rows),
