@@ -156,7 +156,7 @@ def condition_words(run: Run, condition: Condition) -> str:
 def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycles]]:
     """Condition and measured cycles of every harmonic test, also of those held out."""
     traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
-    found = []
+    tests = []
     for name in run.manifest.tests:
         if name not in traces:
             continue
@@ -167,8 +167,8 @@ def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycle
             frequency = float(np.median(cycles.frequency[full]))
             level, by = traces[name].reference_actuation, run.system.factor("in")
             condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
-            found.append((condition, name, traces[name], cycles))
-    return found
+            tests.append((condition, name, traces[name], cycles))
+    return tests
 
 
 def _rounded(value: float) -> float:

@@ -32,8 +32,8 @@ class Misfit:
     ----------
     quantity : str
     unit : str
-        Internal unit of `expected` and `found`.
-    expected, found : float
+        Internal unit of `expected` and `observed`.
+    expected, observed : float
         Median of the prior, and the figure that the record shows.
     away : float
         Distance of both in standard deviations of the prior.
@@ -44,17 +44,17 @@ class Misfit:
     quantity: str
     unit: str
     expected: float
-    found: float
+    observed: float
     away: float
     source: str
 
     def sentence(self, system: System) -> str:
         """What is wrong with the prior, and what would mend it."""
-        found = system.words([self.found], self.unit, 3)
+        value = system.words([self.observed], self.unit, 3)
         return (
             f"the prior most wrong is that of {self.quantity}: its median is "
-            f"{system.words([self.expected], self.unit, 3)}, and {self.source} is {found}, "
-            f"{self.away:.2g} of its standard deviations away; give it a median of about {found}, "
+            f"{system.words([self.expected], self.unit, 3)}, and {self.source} is {value}, "
+            f"{self.away:.2g} of its standard deviations away; give it a median of about {value}, "
             "or let mfd-bayes init write priors.toml from the records"
         )
 
@@ -80,14 +80,14 @@ def most_wrong(priors: PriorFile, model: str, traces: Sequence[Trace]) -> Misfit
     None where the records show no scales, or no prior can be compared with one.
     """
     known = {quantity.name for quantity in models.find_model(model).quantities}
-    found = [
+    misfits = [
         misfit
         for trace in traces
         if (scales := scales_of(trace)) is not None
         for misfit in _misfits(priors, scales)
         if misfit.quantity in known
     ]
-    return max(found, key=lambda misfit: misfit.away, default=None)
+    return max(misfits, key=lambda misfit: misfit.away, default=None)
 
 
 def _misfits(priors: PriorFile, scales: Scales) -> Iterator[Misfit]:

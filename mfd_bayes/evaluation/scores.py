@@ -207,10 +207,10 @@ def spread_of(draws: Array, tail: float = 0.025) -> Spread:
 
 def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
     """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
-    found = score(draws[:, first:], np.asarray(trace.force)[first:])
-    scales = found.width, found.interval_score, found.crps
-    half, most, nearly = found.coverage
-    return ScoreRow(name, role, half, most, nearly, *scales, found.rrse)
+    scores = score(draws[:, first:], np.asarray(trace.force)[first:])
+    scales = scores.width, scores.interval_score, scores.crps
+    half, most, nearly = scores.coverage
+    return ScoreRow(name, role, half, most, nearly, *scales, scores.rrse)
 
 
 def score(draws: Array, observed: Array) -> Score:

@@ -39,14 +39,14 @@ Given = TypeVar("Given")
 
 def assess(run: Run, jobs: int = 1) -> CampaignView:
     """Everything that the report of a run shows, by one process or several."""
-    with meanwhile(jobs) as beside:
-        rows, laws = beside(partial(law_rows, run)), beside(partial(law_views, run))
-        tests, lost = views_of_tests(run, jobs, beside)
+    with meanwhile(jobs) as background:
+        rows, laws = background(partial(law_rows, run)), background(partial(law_views, run))
+        tests, lost = views_of_tests(run, jobs, background)
         return build_summary(run, tests, rows(), laws(), lost)
 
 
 def views_of_tests(
-    run: Run, jobs: int = 1, beside: Meanwhile = when_wanted
+    run: Run, jobs: int = 1, background: Meanwhile = when_wanted
 ) -> tuple[list[TestView], dict[str, str]]:
     """Views of all tests, in the order of the campaign; and why others cannot be shown.
 
@@ -55,7 +55,7 @@ def views_of_tests(
     run : Run
     jobs : int
         Processes that make those of calibrated tests.
-    beside : Meanwhile
+    background : Meanwhile
         Makes those of the other tests.
 
     Raises
@@ -64,7 +64,7 @@ def views_of_tests(
         When a stored file cannot be used: that is no fault of one test.
     """
     others = {
-        name: beside(partial(_attempt, partial(held_out_view, run, name), trace))
+        name: background(partial(_attempt, partial(held_out_view, run, name), trace))
         for name, trace in run.held_out.items()
     }
     make = partial(_attempt, partial(calibrated_view, run.manifest, peaks_of(run)))
@@ -174,15 +174,15 @@ def fails(view: CampaignView) -> bool:
 
 def verdicts(view: CampaignView) -> dict[str, str]:
     """Verdict of the campaign with its sentence in the campaign's units, and of every test."""
-    found: dict[str, str] = {}
+    uses: dict[str, str] = {}
     for check in view.checks:
         worse = {Verdict.WARNING: Use.WITH_CARE, Verdict.FAIL: Use.NOT_USABLE}.get(check.status)
-        if worse != Use.WITH_CARE or found.get(check.test) != Use.NOT_USABLE:
-            found[check.test] = worse or found.get(check.test, Use.USABLE)
-    found |= {judged.subject: judged.use for judged in view.judgements}
+        if worse != Use.WITH_CARE or uses.get(check.test) != Use.NOT_USABLE:
+            uses[check.test] = worse or uses.get(check.test, Use.USABLE)
+    uses |= {judged.subject: judged.use for judged in view.judgements}
     sentence = join(view.sentences, " ").to_text(view.systems[view.metric].words)
     whole = {"campaign": view.verdict, "sentence": sentence}
-    return whole | found | whole  # tests may have these names too
+    return whole | uses | whole  # tests may have these names too
 
 
 def _truth_rows(

@@ -174,11 +174,11 @@ class Units:
     def sentence(self, sentence: Message | str) -> Markup:
         """A sentence with its quantities."""
         if isinstance(sentence, str):
-            return Markup(escape(symbols.printable(sentence)))
+            return symbols.sentence_in_html(sentence)
         shown = {
             name: self.values(value.values, value.unit, value.digits)
             if isinstance(value, Quantity)
-            else symbols.printable(value)
+            else symbols.sentence_in_html(value)
             for name, value in sentence.values.items()
         }
         return Markup(escape(sentence.template)).format(**shown)
