@@ -175,11 +175,11 @@ def feature_check(
 def is_missed(values: Array, measured: float, name: str) -> bool:
     """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
     kind = _FEATURES[name][1] if name in _FEATURES else "energy"
-    known, tolerance = values[np.isfinite(values)], complete_tolerances(None)[kind]
-    if not known.size or not np.isfinite(measured):
+    finite, tolerance = values[np.isfinite(values)], complete_tolerances(None)[kind]
+    if not finite.size or not np.isfinite(measured):
         return False
-    share = float(np.mean(known > measured) + 0.5 * np.mean(known == measured))
-    beyond = abs(float(np.median(known)) - measured) > tolerance * abs(measured)
+    share = float(np.mean(finite > measured) + 0.5 * np.mean(finite == measured))
+    beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
     return beyond and not EXTREME <= share <= 1.0 - EXTREME
 
 

@@ -96,15 +96,17 @@ def check_models(names: Sequence[str]) -> tuple[str, ...]:
     return _chosen("--models", names, tuple(models.MODELS), 2)
 
 
-def _chosen(option: str, names: Sequence[str], known: Sequence[str], least: int) -> tuple[str, ...]:
+def _chosen(
+    option: str, names: Sequence[str], allowed: Sequence[str], least: int
+) -> tuple[str, ...]:
     """Names of an option, each once, in the order of those that are known."""
-    if not set(names) <= set(known) or len(set(names)) < max(len(names), least):
+    if not set(names) <= set(allowed) or len(set(names)) < max(len(names), least):
         got = ", ".join(map(repr, names)) or "nothing"
         many = "two or more" if least > 1 else option.lstrip("-")
         raise CampaignError(
-            f"{option} must name {many} of {', '.join(known)}, each once, got {got}"
+            f"{option} must name {many} of {', '.join(allowed)}, each once, got {got}"
         )
-    return tuple(name for name in known if name in names)
+    return tuple(name for name in allowed if name in names)
 
 
 def check_cycles(task: Task) -> None:
@@ -442,14 +444,14 @@ def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> floa
     if tests.size < 2:
         return float(alone)
     away = figures - figures.mean()
-    sums = np.array([away[test == one].sum() for one in tests])
+    sums = np.array([away[test == name].sum() for name in tests])
     return float(max(alone, np.sqrt(tests.size / (tests.size - 1) * np.sum(sums**2))))
 
 
-def difference(one: CrossValidation, other: CrossValidation) -> tuple[float, float]:
+def difference(first: CrossValidation, other: CrossValidation) -> tuple[float, float]:
     """Elpd of one minus that of the other, and its standard error, paired over cycles."""
-    apart = one.elpd - other.elpd
-    return float(apart.sum()), standard_error(apart, one.test)
+    apart = first.elpd - other.elpd
+    return float(apart.sum()), standard_error(apart, first.test)
 
 
 # --- the density of a cycle given all others

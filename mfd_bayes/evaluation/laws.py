@@ -127,8 +127,8 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
         by_kind: dict[str, list[dict[str, Array]]] = {"device": [], "new_test": []}
         for at, p in enumerate(grid.tolist()):
             setting = Setting(p, session, dict(population.design.covariates))
-            known = population.within_levels(p)
-            chosen, effects = (inside, within) if known else (index, beyond)
+            within_tested = population.within_levels(p)
+            chosen, effects = (inside, within) if within_tested else (index, beyond)
             here = {name: effect[:, at] for name, effect in effects.items()}
             made = population.parts(setting, chosen, numbers, here)
             by_kind["device"].append(population.values(made.mean))
@@ -213,25 +213,25 @@ def _chosen(population: Population) -> Iterator[tuple[str, str, NDArray[np.bool_
     for column, (name, law) in enumerate(population.design.laws.items()):
         if law != COMPARE:
             continue
-        for number, one in enumerate(LAW_NAMES):
+        for number, law_name in enumerate(LAW_NAMES):
             picked = population.choice[..., column] == number
             if np.count_nonzero(picked) >= FEWEST:
-                yield name, one, picked
+                yield name, law_name, picked
 
 
 def _constants(population: Population, name: str, law: str) -> dict[str, Array]:
     """Constants of a quantity's law by name, (chain, draw): slope, intercept, level, exponent."""
-    design, known = population.design, LAWS[law]
+    design, form = population.design, LAWS[law]
     level = population.median(name, np.array([design.reference]))[..., 0]
     share, exponent = population.shapes(name)
     constants: dict[str, Array] = {}
-    if known.exponent == 1.0 and known.share != 0.0 and name in _SLOPES:
+    if form.exponent == 1.0 and form.share != 0.0 and name in _SLOPES:
         constants[_SLOPES[name]] = level * share / design.reference
     else:
         constants[name] = level
-    if f"{name}_0" in INTERCEPTS and "share" in known.shapes:
+    if f"{name}_0" in INTERCEPTS and "share" in form.shapes:
         constants[f"{name}_0"] = level * (1.0 - share)
-    if "exponent" in known.shapes:
+    if "exponent" in form.shapes:
         constants[f"exponent_{name}"] = exponent
     return constants
 

@@ -79,13 +79,13 @@ def most_wrong(priors: PriorFile, model: str, traces: Sequence[Trace]) -> Misfit
 
     None where the records show no scales, or no prior can be compared with one.
     """
-    known = {quantity.name for quantity in models.find_model(model).quantities}
+    names = {quantity.name for quantity in models.find_model(model).quantities}
     misfits = [
         misfit
         for trace in traces
         if (scales := scales_of(trace)) is not None
         for misfit in _misfits(priors, scales)
-        if misfit.quantity in known
+        if misfit.quantity in names
     ]
     return max(misfits, key=lambda misfit: misfit.away, default=None)
 
@@ -115,5 +115,5 @@ def _away(prior: Prior, value: float) -> float | None:
         drawn, middle = np.log(drawn), float(np.log(middle))
         value = float(np.log(value)) if value > 0.0 else np.nan
     spread = float(np.std(drawn))
-    known = spread > 0.0 and np.isfinite(value)
-    return abs(value - middle) / spread if known else None
+    comparable = spread > 0.0 and np.isfinite(value)
+    return abs(value - middle) / spread if comparable else None

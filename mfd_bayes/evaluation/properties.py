@@ -131,8 +131,8 @@ def peak_factors(manifest: Manifest, tests: Mapping[str, TestResult]) -> Peaks:
             continue  # noise that the filter took away made other cycles
         for side, side_ratios in ratios.items():
             measured, model = getattr(cycles, f"peak_{side}"), values[f"peak_{side}"][0]
-            known = cycles.full_stroke & (measured > 0.0) & (model > 0.0)
-            side_ratios.append(measured[known] / model[known])
+            kept = cycles.full_stroke & (measured > 0.0) & (model > 0.0)
+            side_ratios.append(measured[kept] / model[kept])
     return {"fwd": PeakFactor.of(ratios["fwd"]), "bwd": PeakFactor.of(ratios["bwd"])}
 
 

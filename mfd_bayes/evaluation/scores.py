@@ -94,8 +94,8 @@ class Compared:
         """Whether most measured values are outside, or far more samples than the band allows."""
         worst = np.nanmin([self.coverage, self.full])
         missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
-        known = len(_held(rows))
-        return (missed and self.kind == "observation") or 2 * len(outside(rows)) > known
+        held = len(_held(rows))
+        return (missed and self.kind == "observation") or 2 * len(outside(rows)) > held
 
     def judged(self, rows: Sequence[DerivedRow]) -> str:
         """What measured values outside their intervals, and a low coverage, say; "" for nothing.
@@ -105,10 +105,10 @@ class Compared:
         out, promised = outside(rows), f"{percent(self.probability)} %"
         parts = []
         if out:
-            known = len(_held(rows))
+            held = len(_held(rows))
             counted = ", offset and noise included" if self.kind == "observation" else ""
             parts = [
-                f"{len(out)} of {known} measured values lie outside their {promised} "
+                f"{len(out)} of {held} measured values lie outside their {promised} "
                 f"intervals{counted} ({', '.join(out)})"
             ]
         if not self.disagrees(rows):

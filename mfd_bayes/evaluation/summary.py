@@ -189,7 +189,7 @@ def _truth_rows(
     manifest: Manifest, tests: list[TestView], table: tuple[Row, ...]
 ) -> tuple[TruthRow, ...]:
     """The true values of a synthetic campaign, each beside its posterior."""
-    known = _truths(manifest)
+    truths = _truths(manifest)
     rows = [*(row for view in tests for row in view.rows), *table]
     return tuple(
         TruthRow(
@@ -204,7 +204,7 @@ def _truth_rows(
             informed=not row.note,
         )
         for row in rows
-        if (value := known.get(row.subject, {}).get(row.name)) is not None
+        if (value := truths.get(row.subject, {}).get(row.name)) is not None
     )
 
 
@@ -216,14 +216,14 @@ def _truths(manifest: Manifest) -> dict[str, dict[str, float | None]]:
     truth = manifest.truth
     if not truth:
         return {}
-    known = {"population": dict(truth.population)}
+    truths = {"population": dict(truth.population)}
     for name, values in truth.tests.items():
         filtered = manifest.tests[name].filtered
-        known[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
+        truths[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
         if filtered:
             for noise in ("scatter_noise_sd", "scatter_noise_time"):
-                known["population"].pop(noise, None)
-    return known
+                truths["population"].pop(noise, None)
+    return truths
 
 
 def _provenance(manifest: Manifest) -> dict[str, str]:

@@ -74,7 +74,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     rows = _parameters(test.id, stored, prior, noises)
     densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
-    known = identify(posterior, draws, prior, *densities)
+    identifiability = identify(posterior, draws, prior, *densities)
     measured = measured_of(manifest, test.id)
     properties = properties_of(trace, replicas.observed, peaks, smooth=replicas.force)
     score = score_of(test.id, "calibrate", trace, replicas.observed, posterior.first)
@@ -106,10 +106,10 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
             *checks.coverage_checks(score, tolerances),
             *checks.slip_checks(test.id, posterior, values, measured),
             *checks.notes(test.id, rows, facts),
-            *checks.identifiability_checks(test.id, known),
+            *checks.identifiability_checks(test.id, identifiability),
         ),
         score=score,
-        identifiability=known,
+        identifiability=identifiability,
         derived=_rows(test.id, "calibrate", trace, drawn, measured_properties(measured)),
         loop_estimates=checks.loop_estimates(predictive, properties),
         noises=noises,

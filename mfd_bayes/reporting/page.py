@@ -280,10 +280,10 @@ def _datasheet(sheet: Datasheet | None, view: CampaignView) -> dict[str, Any]:
         return {"datasheet": None}
     properties = datasheet_sheet(sheet.rows, US, view.title)
     heads = dict(zip(sheet.rows["condition"].unique(), properties.heads, strict=True))
-    noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
+    with_note = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
     notes = [
         f"{heads[condition]}: {note}"
-        for condition, note in zip(noted["condition"], noted["note"], strict=True)
+        for condition, note in zip(with_note["condition"], with_note["note"], strict=True)
     ]
     return {
         "datasheet": sheet,

@@ -134,9 +134,9 @@ def report_tables(view: CampaignView) -> dict[str, str]:
     texts["parameters.csv"] = to_csv(parameters)
     for name in ("parameters", "laws"):
         texts[f"{name}.json"] = _to_json(view.title, name, frames[name], noises)
-    one, two = paper_sheets(view, system)
-    texts["parameters.tex"] = to_latex("parameters", one)
-    texts["laws.tex"] = to_latex("laws", two)
+    parameters_sheet, laws_sheet = paper_sheets(view, system)
+    texts["parameters.tex"] = to_latex("parameters", parameters_sheet)
+    texts["laws.tex"] = to_latex("laws", laws_sheet)
     return texts
 
 
@@ -349,15 +349,15 @@ def paper_sheets(view: CampaignView, system: System) -> tuple[Sheet, Sheet]:
         for test in tests
     }
     parameters = to_units(frames["parameters"], system)
-    one = _sheet("Table I: parameters of the tests", parameters, heads, noises)
+    parameters_sheet = _sheet("Table I: parameters of the tests", parameters, heads, noises)
     laws = to_units(frames["laws"], system).assign(test="all tests")
-    two = _sheet(
+    laws_sheet = _sheet(
         "Table II: constants of the laws",
         laws.rename(columns={"constant": "parameter"}),
         {"all tests": "all tests"},
         {},
     )
-    return one, two
+    return parameters_sheet, laws_sheet
 
 
 def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: Noises) -> Sheet:
