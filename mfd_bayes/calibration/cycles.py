@@ -92,19 +92,17 @@ def derive_from_parameters(
     Returns
     -------
     dict
-        `gap`, in, the drum's travel from one side of the gap to the other, or, where that is a
-        parameter, `crossing`, the travel from slip to slip; `C_fwd` and `C_bwd`,
-        C = F_c/(p A), the friction force in slip over the actuator's thrust: the self-energizing
-        of the shoes in each direction (model.md section 7).
+        `gap_width`, in, the drum's travel from one side of the gap to the other, or, where that is
+        a parameter, the travel from slip to slip; `C_fwd` and `C_bwd`, C = F_c/(p A), the friction
+        force in slip over the actuator's thrust: the self-energizing of the shoes in each
+        direction (model.md section 7).
     """
-    crossing = model.crossing(values)
-    name = "crossing" if "gap" in model.parameters else "gap"
-    found = {} if crossing is None else {name: crossing}
+    width = model.crossing(values)
+    derived = {} if width is None else {"gap_width": width}
     if area is not None and pressure > 0.0:
-        thrust = pressure * area
-        sides = zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False)
-        found |= {name: values[force] / thrust for name, force in sides}
-    return found
+        for name, force in zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False):
+            derived[name] = values[force] / (pressure * area)
+    return derived
 
 
 def cycle_energies(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:

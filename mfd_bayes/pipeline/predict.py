@@ -9,8 +9,8 @@ import numpy as np
 
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, n_draws
+from mfd_bayes.evaluation.properties import predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
-from mfd_bayes.evaluation.test_summary import predicted_rows
 from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band

@@ -141,11 +141,12 @@ def test_gap_and_self_energizing_factors_follow_from_the_parameters():
         "Fc_bwd": np.array([3.0, 4.0]),
     }
     derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=2.0)
-    np.testing.assert_allclose(derived["gap"], [0.15, 0.3])
+    np.testing.assert_allclose(derived["gap_width"], [0.15, 0.3])
     np.testing.assert_allclose(derived["C_fwd"], [1.0, 2.0])
     np.testing.assert_allclose(derived["C_bwd"], [3.0, 4.0])
-    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap"}
-    assert set(derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)) == {"gap"}
+    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap_width"}
+    without = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
+    assert set(without) == {"gap_width"}
     assert derive_from_parameters(LuGre(), values) == {}
 
 
