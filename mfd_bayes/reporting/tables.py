@@ -814,15 +814,9 @@ def _csv_text(
     table = csv.writer(text, lineterminator="\n")
     table.writerow(names)
     for row in rows:
-        table.writerow(_csv_cell(value, digits) for value in row)
+        cells = ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
+        table.writerow(f"{cell:.{digits}g}" if isinstance(cell, float) else cell for cell in cells)
     return text.getvalue()
-
-
-def _csv_cell(value: object, digits: int) -> object:
-    """A number with its digits, empty for NaN; what is no number as it is."""
-    if not isinstance(value, float):
-        return value
-    return "" if math.isnan(value) else f"{value:.{digits}g}"
 
 
 _LOOP = 400
