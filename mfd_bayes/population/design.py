@@ -172,6 +172,11 @@ class Design:
             found += [(k, e) for k in effect.members for _ in range(size)]
         return np.array(found).T
 
+    @property
+    def quantity(self) -> Index:
+        """Quantity of each linear coefficient, (Z,)."""
+        return np.asarray(self._columns[0])
+
     def columns(self, effect: int) -> Index:
         """Numbers of the coefficients of an effect: (its quantities, cells or sessions)."""
         own = np.flatnonzero(self._columns[1] == effect)
@@ -261,7 +266,7 @@ class Design:
 
     def linear(self, z: Array, rows: Array) -> Array:
         """Levels, slopes and effects A z of coefficients (n, Z) and rows (m, Z), (n, m, d)."""
-        found, quantity = np.zeros((len(z), len(rows), len(self.names))), self._columns[0]
+        found, quantity = np.zeros((len(z), len(rows), len(self.names))), self.quantity
         for k in range(len(self.names)):
             own = quantity == k
             found[..., k] = z[:, own] @ rows[:, own].T
