@@ -104,14 +104,12 @@ def predict(
 
 def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     """Print what a prediction found, and where its tables are."""
-    from mfd_bayes.population.settings import KIND_NAMES
-
     band = answer.band
     for remark in band.remarks:
         console.say(f"warning: {remark}", err=True)
     console.say(
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
-        f"({KIND_NAMES[band.kind]}), from {band.source}: {question.bands}"
+        f"({answer.name}), from {band.source}: {question.bands}"
         f"{f' and {question.picture}' if question.figures else ''}"
     )
     if answer.compared is not None:

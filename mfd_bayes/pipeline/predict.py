@@ -15,6 +15,7 @@ from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
+from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.sine import parse_sine
 from mfd_bayes.records.time_axis import parse_window
@@ -127,6 +128,11 @@ class Answer:
     design: tuple[DesignRow, ...] = ()
     judged: str = ""
     disagrees: bool = False
+
+    @property
+    def name(self) -> str:
+        """What the band is about, in the words of design."""
+        return KIND_NAMES[self.band.kind]
 
 
 def predict(out: Path, question: Question) -> Answer:
