@@ -98,6 +98,11 @@ _FORCES: Mapping[str, str] = MappingProxyType(
 UNREAD = frozenset(_FORCES) | {"div", "volt", "volts", "v", "mv", "ma", "counts", "cts", "bits"}
 """Words, in lower case, that are units of a column, and none that a record can have."""
 
+_PLAIN: Mapping[str, tuple[float, ActuationUnit]] = MappingProxyType(
+    {"ksi": (1.0, "ksi"), "psi": (0.001, "ksi"), "kip": (1.0, "kip")}
+)
+"""Actuations in these units, as in internal ones, need no registry, which is slow to build."""
+
 _NONE = "dimensionless"  # pint's name of the unit 1
 
 _COUNTED = ("click", "notch", "step")
@@ -137,6 +142,8 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
     if dimension not in DIMENSIONS:
         return convert(unit, dimension)
     target = DIMENSIONS[dimension]
+    if unit == target.unit:
+        return 1.0
     named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
     parsed = _parse(unit, named)
     measure = _measure(parsed)
@@ -166,6 +173,8 @@ def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     UnitError
         When the unit is unknown, or none of an actuation, as a length or a time.
     """
+    if isinstance(unit, str) and unit in _PLAIN:
+        return _PLAIN[unit]
     named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
     parsed = _parse(unit, named)
     measure = _measure(parsed)

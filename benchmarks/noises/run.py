@@ -37,8 +37,7 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.noise_sensitivity import Bounds, moves, quantiles_of
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import calibrate_test, load_result
-from mfd_bayes.evaluation.checks import is_missed
-from mfd_bayes.evaluation.properties import properties_of
+from mfd_bayes.evaluation.properties import is_missed, properties_of
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.measured import measured_cycles
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
 
 from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.errors import FitError
@@ -243,6 +243,8 @@ def tempering(log_weights: Array, share: float) -> float:
     ----------
     log_weights : (n,)
     """
+    from scipy import optimize  # which takes long to import
+
     floor, below = np.log(share * log_weights.size), log_weights - log_weights.max()
     below = np.maximum(below, -1e6)  # that of −∞ would stay so at any power
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
@@ -164,6 +163,8 @@ def climb(
     sd : (dim,)
         Scale of each coordinate under its prior, for the covariance.
     """
+    from scipy.optimize import OptimizeResult, minimize  # which takes long to import
+
     dim, step = len(begin), 1e-4
     around = step * np.concatenate([np.zeros((1, dim)), np.eye(dim), -np.eye(dim)])
     met: list[Mode] = []
@@ -174,13 +175,13 @@ def climb(
         higher, lower = np.reshape(near, (2, dim))
         return float(here), (higher - lower) / (2 * step)
 
-    def look(intermediate_result: optimize.OptimizeResult) -> None:  # SciPy looks at this name
+    def look(intermediate_result: OptimizeResult) -> None:  # SciPy looks at this name
         q, height = begin + axes @ intermediate_result.x, -float(intermediate_result.fun)
         met.extend(m for m in modes if height <= m.log_prob and m.is_near(q, height))
         if met:
             raise StopIteration
 
-    fit = optimize.minimize(
+    fit = minimize(
         loss,
         np.zeros(dim),
         jac=True,

@@ -36,16 +36,7 @@ WIDTH = Figure(dimensional=True, positive=True)
 SHAPE = Figure(dimensional=False, positive=True)
 
 
-def _half_line(_: Figures) -> tuple[float, float]:
-    return 0.0, np.inf
-
-
-def _whole_line(_: Figures) -> tuple[float, float]:
-    return -np.inf, np.inf
-
-
-def _bounds(f: Figures) -> tuple[float, float]:
-    return f["lower"], f.get("upper", np.inf)
+WHOLE_LINE = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True)
@@ -62,28 +53,15 @@ class Family:
         Independent draws, (n,).
     median : callable
         Median of x.
-    support : callable
-        Lower and upper bound of x.
+    support : (float, float), or None
+        Lower and upper bound of x; None where they are the figures "lower" and "upper".
     """
 
     figures: Mapping[str, Figure]
     log_density: Callable[[Array, Figures], Array]
     draw: Callable[[np.random.Generator, int, Figures], Array]
     median: Callable[[Figures], float]
-    support: Callable[[Figures], tuple[float, float]] = _half_line
-
-    def check(self, name: str, figures: Figures) -> None:
-        """Raise PriorError where a figure is missing, unknown or out of its range."""
-        needed = {key for key, figure in self.figures.items() if figure.needed}
-        if not needed <= set(figures) <= set(self.figures):
-            raise PriorError(
-                f"{name} needs {' and '.join(sorted(needed))}, got {', '.join(sorted(figures))}"
-            )
-        for key, value in figures.items():
-            if self.figures[key].positive and not value > 0:
-                raise PriorError(f"{key} must be positive, got {value:g}")
-        if "upper" in figures and not figures["upper"] > figures.get("lower", -np.inf):
-            raise PriorError("upper must be above lower")
+    support: tuple[float, float] | None = (0.0, np.inf)
 
 
 def _normal(x: Array, mean: float, sd: float) -> Array:
@@ -107,7 +85,7 @@ def _tail(f: Figures) -> tuple[float, float, float]:
 
     The third figure is -1 where that is the upper tail.
     """
-    a, b = ((bound - f["mean"]) / f["sd"] for bound in _bounds(f))
+    a, b = ((bound - f["mean"]) / f["sd"] for bound in (f["lower"], f.get("upper", np.inf)))
     side = -1.0 if a > 0 else 1.0
     return float(special.log_ndtr(side * a)), float(special.log_ndtr(side * b)), side
 
@@ -137,14 +115,14 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             lambda x, f: _normal(x, f["mean"], f["sd"]),
             lambda rng, n, f: rng.normal(f["mean"], f["sd"], n),
             lambda f: f["mean"],
-            _whole_line,
+            WHOLE_LINE,
         ),
         "truncated_normal": Family(
             {"mean": MIDDLE, "sd": WIDTH, "lower": MIDDLE, "upper": Figure(True, needed=False)},
             _truncated,
             lambda rng, n, f: np.asarray(_truncated_quantile(1.0 - rng.random(n), f)),
             lambda f: float(_truncated_quantile(0.5, f)),
-            _bounds,
+            None,
         ),
         "half_normal": Family(
             {"sd": WIDTH},
@@ -157,7 +135,7 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             lambda x, f: np.full_like(x, -np.log(f["upper"] - f["lower"])),
             lambda rng, n, f: rng.uniform(f["lower"], f["upper"], n),
             lambda f: 0.5 * (f["lower"] + f["upper"]),
-            _bounds,
+            None,
         ),
         "gamma": Family(
             {"shape": SHAPE, "scale": WIDTH},
@@ -170,14 +148,14 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             _beta,
             lambda rng, n, f: np.asarray(rng.beta(f["a"], f["b"], n)),
             lambda f: float(special.betaincinv(f["a"], f["b"], 0.5)),
-            lambda _: (0.0, 1.0),
+            (0.0, 1.0),
         ),
         "fixed": Family(
             {"value": MIDDLE},
             lambda x, _: np.zeros_like(x),
             lambda _, n, f: np.full(n, f["value"]),
             lambda f: f["value"],
-            _whole_line,
+            WHOLE_LINE,
         ),
     }
 )
@@ -207,10 +185,21 @@ class Prior:
     upper: float = field(init=False)
 
     def __post_init__(self) -> None:
-        family = FAMILIES[self.family]
-        family.check(self.family, self.figures)
-        for name, bound in zip(("lower", "upper"), family.support(self.figures), strict=True):
-            object.__setattr__(self, name, float(bound))
+        family, figures = FAMILIES[self.family], self.figures
+        needed = {key for key, figure in family.figures.items() if figure.needed}
+        if not needed <= set(figures) <= set(family.figures):
+            raise PriorError(
+                f"{self.family} needs {' and '.join(sorted(needed))}, "
+                f"got {', '.join(sorted(figures))}"
+            )
+        for key, value in figures.items():
+            if family.figures[key].positive and not value > 0:
+                raise PriorError(f"{key} must be positive, got {value:g}")
+        if "upper" in figures and not figures["upper"] > figures.get("lower", -np.inf):
+            raise PriorError("upper must be above lower")
+        lower, upper = family.support or (figures["lower"], figures.get("upper", np.inf))
+        object.__setattr__(self, "lower", float(lower))
+        object.__setattr__(self, "upper", float(upper))
 
     @property
     def on_half_line(self) -> bool:

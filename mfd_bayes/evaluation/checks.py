@@ -13,7 +13,7 @@ from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import COVERAGES, Replicas, check_predictive
 from mfd_bayes.campaign.schema import complete_tolerances
-from mfd_bayes.evaluation.properties import measured_properties
+from mfd_bayes.evaluation.properties import EXTREME, TOLERANCE_OF, measured_properties
 from mfd_bayes.evaluation.views import (
     CONTRACTION,
     COVERAGE,
@@ -46,9 +46,6 @@ TELLING = 0.5
 """Width of an exponent's 95 % interval up to which it tells a law from others: it leaves the force
 at twice the actuation uncertain by less than a fifth either way."""
 
-EXTREME = 0.005
-"""A posterior predictive p-value nearer than this to 0 or 1 is extreme."""
-
 GROSS = 5.0
 """A feature that is missed by more than this many tolerances says that something is wrong."""
 
@@ -69,16 +66,16 @@ SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""
 
 _FEATURES = {
-    "energy_per_cycle": ("energy per cycle", "energy", "kip*in", PREDICTIVE),
-    "energy_in_all": ("energy in all", "energy", "kip*in", PREDICTIVE),
-    "peak_fwd": ("peak force forward", "peak", "kip", PREDICTIVE),
-    "peak_bwd": ("peak force backward", "peak", "kip", PREDICTIVE),
-    "slip_fwd": ("slip force forward", "slip_force", "kip", LOOP_ESTIMATE),
-    "slip_bwd": ("slip force backward", "slip_force", "kip", LOOP_ESTIMATE),
-    "build_up_slope": ("build-up slope", "build_up", "kip/in", LOOP_ESTIMATE),
-    "gap": ("gap", "gap", "in", LOOP_ESTIMATE),
+    "energy_per_cycle": ("energy per cycle", "kip*in", PREDICTIVE),
+    "energy_in_all": ("energy in all", "kip*in", PREDICTIVE),
+    "peak_fwd": ("peak force forward", "kip", PREDICTIVE),
+    "peak_bwd": ("peak force backward", "kip", PREDICTIVE),
+    "slip_fwd": ("slip force forward", "kip", LOOP_ESTIMATE),
+    "slip_bwd": ("slip force backward", "kip", LOOP_ESTIMATE),
+    "build_up_slope": ("build-up slope", "kip/in", LOOP_ESTIMATE),
+    "gap": ("gap", "in", LOOP_ESTIMATE),
 }
-"""Feature in words, kind of its tolerance, unit, and check, by property."""
+"""Feature in words, unit, and check, by property."""
 
 
 def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[Check]:
@@ -131,7 +128,7 @@ def predictive_checks(
             sizes = check.observed, check.expected, check.size, check.p_value
             checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
     seen = measured_properties(measured)
-    for name, (feature, kind, unit, check_name) in _FEATURES.items():
+    for name, (feature, unit, check_name) in _FEATURES.items():
         values = properties[name][np.isfinite(properties[name])]
         if not values.size or not np.isfinite(seen[name]):
             continue
@@ -140,7 +137,7 @@ def predictive_checks(
         expected, own = float(values.mean()), seen[name]
         difference = (expected - own) / max(abs(own), 1e-12)
         p_value = float(np.mean(values > own) + 0.5 * np.mean(values == own))
-        figures = unit, own, expected, difference, p_value, allowed[kind], check_name
+        figures = unit, own, expected, difference, p_value, allowed[TOLERANCE_OF[name]], check_name
         checks.append(feature_check(test, feature, *figures))
     return checks
 
@@ -170,17 +167,6 @@ def feature_check(
         status = Verdict.NOTE
     figures = unit, difference, tolerance, p_value
     return Check(test, check, feature, observed, expected, status, *figures)
-
-
-def is_missed(values: Array, measured: float, name: str) -> bool:
-    """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
-    kind = _FEATURES[name][1] if name in _FEATURES else "energy"
-    finite, tolerance = values[np.isfinite(values)], complete_tolerances(None)[kind]
-    if not finite.size or not np.isfinite(measured):
-        return False
-    share = float(np.mean(finite > measured) + 0.5 * np.mean(finite == measured))
-    beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
-    return beyond and not EXTREME <= share <= 1.0 - EXTREME
 
 
 def coverage_checks(score: ScoreRow, tolerances: Mapping[str, float] | None = None) -> list[Check]:

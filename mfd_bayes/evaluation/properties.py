@@ -5,16 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.cycles import derive_from_parameters
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
+from mfd_bayes.evaluation.scores import spread_of
+from mfd_bayes.evaluation.views import DerivedRow
+from mfd_bayes.friction.model import Model
+from mfd_bayes.population.bands import Band
 from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.measured import MeasuredCycles, cycle_values, mean_of
+from mfd_bayes.records.measured import (
+    MeasuredCycles,
+    cycle_values,
+    mean_of,
+    measured_cycles,
+)
+from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -37,6 +51,29 @@ UNITS: Mapping[str, str] = {
     "C_bwd": "1",
 }
 """Internal unit of every property of a test, in the order of tables."""
+
+EXTREME = 0.005
+"""Share of draws on one side of a measured value at which the value is extreme among them."""
+
+TOLERANCE_OF: Mapping[str, str] = {
+    "energy_per_cycle": "energy",
+    "energy_in_all": "energy",
+    "peak_fwd": "peak",
+    "peak_bwd": "peak",
+    "slip_fwd": "slip_force",
+    "slip_bwd": "slip_force",
+    "build_up_slope": "build_up",
+    "gap": "gap",
+}
+"""Kind of the tolerance of a property; of others that of an energy."""
+
+_MEANS = frozenset(
+    {
+        *("energy_per_cycle", "energy_of_ramps", "effective_stiffness", "effective_damping"),
+        "c_eq",
+    }
+)
+"""Properties that are means over cycles."""
 
 _SIGNS = {"fwd": 1.0, "bwd": -1.0}
 _OF_CYCLES = (
@@ -209,3 +246,103 @@ def cycles_of(
             rng, *shape
         )
     return values
+
+
+def of_parameters(
+    model: Model, values: Mapping[str, Array], level: float, settings: CampaignFile
+) -> dict[str, Array]:
+    """Width of the gap and, where the actuator's area is given, self-energizing factors, (n,)."""
+    area = settings.area if settings.actuation_unit == "ksi" else None
+    return derive_from_parameters(model, values, level, area)
+
+
+def device_properties(run: Run, trace: Trace, band: Band, test: Band) -> dict[str, Array]:
+    """Properties of a band's draws; `test` has the same motion without noise, for its peaks."""
+    smooth = test.draws
+    if band.kind == "observation" and "offset" in test.values:
+        smooth = smooth + np.asarray(test.values["offset"])[:, None]
+    model, level = run.predictor.model, trace.reference_actuation
+    drawn = properties_of(trace, band.draws, peaks_of(run), smooth=smooth)
+    return drawn | of_parameters(model, band.values, level, run.manifest.settings)
+
+
+def predicted_rows(
+    source: Run | ModelAverage,
+    trace: Trace,
+    band: Band,
+    record: Record | None = None,
+    after: str = "",
+    given: Trace | None = None,
+) -> tuple[DerivedRow, ...]:
+    """Properties of a prediction, with intervals of the band's probability.
+
+    Those of a band of kind "observation" have offset and noise, as a measured record has them.
+
+    Parameters
+    ----------
+    source : Run or ModelAverage
+    trace, band : Trace and Band
+        The motion with its actuation, and its prediction.
+    record : Record, optional
+        Whose measured values stand beside them.
+    after : str
+        Test that the motion follows without a reset.
+    given : Trace, optional
+        With the force of the part that was given.
+    """
+    test = band
+    if band.kind == "observation":
+        window = band.given.window if band.given else None
+        how: dict[str, Any] = {"given": window, "after": after, "draws": len(band.draws)}
+        test = source.predict(given or trace, "new_test", band.probability, **how)
+    if isinstance(source, ModelAverage):
+        drawn = properties_of(trace, band.draws, peaks_of(source.runs[0]), smooth=test.draws)
+    else:
+        drawn = device_properties(source, trace, band, test)
+    cycles = None if record is None else measured_cycles(record)
+    measured = {} if cycles is None else measured_properties(cycles)
+    return property_rows("", band.kind, trace, drawn, measured, band.probability)
+
+
+def property_rows(
+    subject: str,
+    role: str,
+    trace: Trace,
+    drawn: Mapping[str, Array],
+    measured: Mapping[str, float],
+    probability: float = 0.95,
+) -> tuple[DerivedRow, ...]:
+    """Rows of properties, in the order of `UNITS`, from draws (n,) by name."""
+    full, tail = find_loops(trace).strong, 0.5 * (1.0 - probability)
+    strong, ramps = int(np.count_nonzero(full)), int(np.count_nonzero(~full))
+    rows = []
+    for name, unit in UNITS.items():
+        if name not in drawn or (name == "energy_of_ramps" and not ramps):
+            continue
+        note = ""
+        if name in _MEANS:
+            which, count = (
+                ("of smaller", ramps) if name == "energy_of_ramps" else ("at full", strong)
+            )
+            cycles = f"{count} full cycle{'' if count == 1 else 's'}"
+            note = f"over {cycles} {which} stroke" if count else "the motion has no full cycle"
+        value = measured.get(name, float("nan"))
+        missed = bool(np.isfinite(value)) and is_missed(drawn[name], value, name)
+        spread = spread_of(drawn[name], tail)
+        rows.append(
+            DerivedRow(
+                subject, role, name, unit, **spread, measured=value, note=note, missed=missed
+            )
+        )
+    return tuple(rows)
+
+
+def is_missed(values: Array, measured: float, name: str) -> bool:
+    """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
+    tolerance, _ = TOLERANCES[TOLERANCE_OF.get(name, "energy")]
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return False
+    share = float(np.mean(finite > measured) + 0.5 * np.mean(finite == measured))
+    beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
+    return beyond and not EXTREME <= share <= 1.0 - EXTREME

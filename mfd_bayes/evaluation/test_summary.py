@@ -10,7 +10,6 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.cycles import derive_from_parameters
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import identify
 from mfd_bayes.calibration.noise_sensitivity import moves, quantiles_of
@@ -20,22 +19,19 @@ from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.properties import (
-    UNITS,
     Peaks,
+    device_properties,
     measured_of,
     measured_properties,
-    peaks_of,
+    of_parameters,
     properties_of,
+    property_rows,
 )
 from mfd_bayes.evaluation.scores import fan_of, score_of, spread_of
-from mfd_bayes.evaluation.views import DerivedRow, Marginal, NoiseRow, Row, TestView
-from mfd_bayes.population.bands import Band, Forecast
-from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.measured import measured_cycles
-from mfd_bayes.records.record import Record
+from mfd_bayes.evaluation.views import Marginal, NoiseRow, Row, TestView
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
-from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.netcdf import StoredTest
@@ -80,8 +76,8 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     score = score_of(test.id, "calibrate", trace, replicas.observed, posterior.first)
     arguments = test.id, posterior, replicas, measured, properties, tolerances
     predictive = checks.predictive_checks(*arguments)
-    level, area = trace.reference_actuation, _area(manifest)
-    drawn = properties | derive_from_parameters(posterior.model, replicas.values, level, area)
+    level, settings = trace.reference_actuation, manifest.settings
+    drawn = properties | of_parameters(posterior.model, replicas.values, level, settings)
     stage, travel = _stages(posterior, values)
     return TestView(
         id=test.id,
@@ -110,7 +106,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
         ),
         score=score,
         identifiability=identifiability,
-        derived=_rows(test.id, "calibrate", trace, drawn, measured_properties(measured)),
+        derived=property_rows(test.id, "calibrate", trace, drawn, measured_properties(measured)),
         loop_estimates=checks.loop_estimates(predictive, properties),
         noises=noises,
         modes=_modes(facts),
@@ -126,7 +122,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, "session": session, "after": before or ""}
     seen = run.predict(trace, "observation", explain=True, **how)
     test = run.predict(trace, "new_test", **how)
-    drawn = _drawn(run, trace, seen, test)
+    drawn = device_properties(run, trace, seen, test)
     measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
         id=name,
@@ -136,107 +132,10 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         first=0,
         observation=fan_of("observation", seen.draws),
         score=score_of(name, "validate", trace, seen.draws, 0),
-        derived=_rows(name, "validate", trace, drawn, measured),
+        derived=property_rows(name, "validate", trace, drawn, measured),
         shares=seen.explained,
         begun=before.words if before else "",
     )
-
-
-# --- properties
-
-
-def predicted_rows(
-    source: Run | ModelAverage,
-    trace: Trace,
-    band: Band,
-    record: Record | None = None,
-    after: str = "",
-    given: Trace | None = None,
-) -> tuple[DerivedRow, ...]:
-    """Properties of a prediction, with intervals of the band's probability.
-
-    Those of a band of kind "observation" have offset and noise, as a measured record has them.
-
-    Parameters
-    ----------
-    source : Run or ModelAverage
-    trace, band : Trace and Band
-        The motion with its actuation, and its prediction.
-    record : Record, optional
-        Whose measured values stand beside them.
-    after : str
-        Test that the motion follows without a reset.
-    given : Trace, optional
-        With the force of the part that was given.
-    """
-    run = source.runs[0] if isinstance(source, ModelAverage) else source
-    test = band
-    if band.kind == "observation":
-        window = band.given.window if band.given else None
-        how: dict[str, Any] = {"given": window, "after": after, "draws": len(band.draws)}
-        test = source.predict(given or trace, "new_test", band.probability, **how)
-    if isinstance(source, ModelAverage):
-        drawn = properties_of(trace, band.draws, peaks_of(run), smooth=test.draws)
-    else:
-        drawn = _drawn(source, trace, band, test)
-    cycles = None if record is None else measured_cycles(record)
-    measured = {} if cycles is None else measured_properties(cycles)
-    return _rows("", band.kind, trace, drawn, measured, band.probability)
-
-
-def _drawn(run: Run, trace: Trace, band: Band, test: Band) -> dict[str, Array]:
-    """Properties of a band's draws; `test` has the same motion without noise, for its peaks."""
-    smooth = test.draws
-    if band.kind == "observation" and "offset" in test.values:
-        smooth = smooth + np.asarray(test.values["offset"])[:, None]
-    posterior = next(iter(run.tests.values())).posterior
-    level, area = trace.reference_actuation, _area(run.manifest)
-    of_parameters = derive_from_parameters(posterior.model, band.values, level, area)
-    return properties_of(trace, band.draws, peaks_of(run), smooth=smooth) | of_parameters
-
-
-def _area(manifest: Manifest) -> float | None:
-    """The actuator's area, in², where it is given and the actuation is a pressure."""
-    settings = manifest.settings
-    return settings.area if settings.actuation_unit == "ksi" else None
-
-
-def _rows(
-    subject: str,
-    role: str,
-    trace: Trace,
-    drawn: Mapping[str, Array],
-    measured: Mapping[str, float],
-    probability: float = 0.95,
-) -> tuple[DerivedRow, ...]:
-    """Rows of properties, in the order of `UNITS`, from draws (n,) by name."""
-    full, tail = find_loops(trace).strong, 0.5 * (1.0 - probability)
-    strong = int(np.count_nonzero(full))
-    basis = {
-        name: _basis(strong, "at full stroke")
-        for name in ("energy_per_cycle", "effective_stiffness", "effective_damping", "c_eq")
-    } | {"energy_of_ramps": _basis(full.size - strong, "of smaller stroke")}
-    return tuple(
-        DerivedRow(
-            subject=subject,
-            role=role,
-            name=name,
-            unit=unit,
-            **spread_of(drawn[name], tail),
-            measured=measured.get(name, float("nan")),
-            note=basis.get(name, ""),
-            missed=checks.is_missed(drawn[name], measured.get(name, np.nan), name),
-        )
-        for name, unit in UNITS.items()
-        if name in drawn and not (name == "energy_of_ramps" and full.all())
-    )
-
-
-def _basis(count: int, which: str) -> str:
-    """Over how many cycles a property is a mean."""
-    if not count:
-        return "the motion has no full cycle"
-    return f"over {count} full cycle{'' if count == 1 else 's'} {which}"
 
 
 # --- parameters

@@ -20,7 +20,6 @@ from mfd_bayes.friction.model import Array, Columns, Model, State
 from mfd_bayes.friction.parameters import PARAMETERS, STATIC, quantities_of
 from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.friction.recurrence import solve
-from mfd_bayes.records.motion import MotionPath
 from mfd_bayes.records.trace import Trace
 
 FLOOR = 1e-9
@@ -94,44 +93,6 @@ def limit_of(c: Mapping[str, Array], z: Array, steady: Array) -> Array:
     return limit
 
 
-def force_along(c: Columns, factors: Columns, path: MotionPath) -> Array:
-    """F1 of bristles that start undeflected, (P, n), kip, at every sample of a path.
-
-    Between samples the velocity is taken constant, so that Δx is exact and the equation for z
-    linear (model.md section 2):
-
-        z_{n+1} = a_n z_n + (1 − a_n) sgn(Δx_n) g_n/σ0,   a_n = exp(−σ0 |Δx_n| / g_n)
-
-    The rate terms at sample n use the velocity of the path and the g of the step before it.
-
-    Parameters
-    ----------
-    c : dict of (n,)
-        At the reference actuation.
-    factors : dict of (P, n) or (P, 1)
-        Factors along the path of those that follow the actuation; empty where it is constant.
-    """
-    samples, n = path.step.size, c["v_s"].size
-    length = max(PIECE // max(n, 1), 1)
-    force, z, now, curve = np.empty((samples, n)), np.zeros(n), c, curve_of(c)
-    for begin in range(0, samples, length):
-        rows = slice(begin, begin + length)
-        if factors:
-            at = np.arange(samples)[rows]
-            last = np.maximum(at - 1, 0)
-            now = c | {k: f[at] * c[k] for k, f in factors.items()}
-            curve = curve_of(c | {k: 0.5 * (f[last] + f[at]) * c[k] for k, f in factors.items()})
-        way, rate, velocity = (a[rows, None] for a in (path.step, path.rate, path.velocity))
-        steady = steady_of(curve, rate)
-        decay = np.exp(-way / steady)
-        state = solve(decay, steady - decay * steady, z)
-        damping = np.copysign(velocity, rate) / steady
-        if factors:
-            damping *= limit_of(now, state, steady)
-        force[rows], z = slip_force(now, damping, state, velocity), state[-1]
-    return force
-
-
 class PaperModel(Model):
     """What LuGre and the three stages have in common: the paper's friction."""
 
@@ -151,7 +112,7 @@ class PaperModel(Model):
             known[static] = known[kinetic] * (1.0 + known[excess])
         if "gamma2" in self.parameters:
             known["gamma2"] = known["ell"] * known["gamma1"]
-        return super().theta(known)
+        return np.stack([known[name] for name in self.parameters], axis=1)
 
     def vectors(self, theta: ArrayLike) -> Array:
         """Theta as numbers, (n, p).
@@ -175,10 +136,46 @@ class PaperModel(Model):
         """Static friction, where its excess is sampled."""
         return tuple(static for static, (_, excess) in STATIC.items() if excess in names)
 
-    def slip_along(self, columns: Columns, trace: Trace, factors: Columns) -> Array:
-        """F1 at every sample of the trace's path, (P, n), kip."""
-        factors = {name: f.take(trace.path.nearest, axis=0) for name, f in factors.items()}
-        return force_along(columns, factors, trace.path)
+    def slip_along(self, c: Columns, trace: Trace, factors: Columns) -> Array:
+        """F1 of bristles that start undeflected, (P, n), kip, at every sample of the trace's path.
+
+        Between samples the velocity is taken constant, so that Δx is exact and the equation for z
+        linear (model.md section 2):
+
+            z_{n+1} = a_n z_n + (1 − a_n) sgn(Δx_n) g_n/σ0,   a_n = exp(−σ0 |Δx_n| / g_n)
+
+        The rate terms at sample n use the velocity of the path and the g of the step before it.
+
+        Parameters
+        ----------
+        c : dict of (n,)
+            At the reference actuation.
+        factors : dict of (T, n) or (T, 1)
+            Factors along the trace of those that follow the actuation; empty where it is constant.
+        """
+        path = trace.path
+        factors = {name: f.take(path.nearest, axis=0) for name, f in factors.items()}
+        samples, n = path.step.size, c["v_s"].size
+        length = max(PIECE // max(n, 1), 1)
+        force, z, now, curve = np.empty((samples, n)), np.zeros(n), c, curve_of(c)
+        for begin in range(0, samples, length):
+            rows = slice(begin, begin + length)
+            if factors:
+                at = np.arange(samples)[rows]
+                last = np.maximum(at - 1, 0)
+                now = c | {k: f[at] * c[k] for k, f in factors.items()}
+                curve = curve_of(
+                    c | {k: 0.5 * (f[last] + f[at]) * c[k] for k, f in factors.items()}
+                )
+            way, rate, velocity = (a[rows, None] for a in (path.step, path.rate, path.velocity))
+            steady = steady_of(curve, rate)
+            decay = np.exp(-way / steady)
+            state = solve(decay, steady - decay * steady, z)
+            damping = np.copysign(velocity, rate) / steady
+            if factors:
+                damping *= limit_of(now, state, steady)
+            force[rows], z = slip_force(now, damping, state, velocity), state[-1]
+        return force
 
     def constants(self, c: Columns) -> dict[str, Any]:
         """Columns and the Stribeck curve."""

@@ -114,8 +114,10 @@ class Model:
         """Read what the class declares; its `force`, `start` and `step` are called by ours."""
         super().__init_subclass__()
         given = cls.__dict__
-        if "parameters" in given and not _are_names(given["parameters"]):
-            _declare(cls, given["parameters"])
+        declared = given.get("parameters")
+        by_name = isinstance(declared, tuple) and {type(name) for name in declared} == {str}
+        if "parameters" in given and not (by_name or isinstance(declared, property)):
+            _declare(cls, declared)
         elif "quantities" in given and "parameters" not in given:
             cls.parameters = tuple(quantity.name for quantity in cls.quantities)
         for key, default in (("motion", "in"), ("response", "kip")):
@@ -712,15 +714,6 @@ def where_of(cls: type) -> str:
         return f"class {cls.__name__} of {Path(inspect.getfile(cls)).name}"
     except (OSError, TypeError):  # of a notebook
         return f"class {cls.__name__}"
-
-
-def _are_names(parameters: Any) -> bool:
-    """Whether these are the names of a built-in model's parameters, and declare nothing."""
-    return isinstance(parameters, property) or (
-        isinstance(parameters, tuple)
-        and bool(parameters)
-        and all(isinstance(name, str) for name in parameters)
-    )
 
 
 def _declare(cls: type[Model], declared: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from mfd_bayes.friction.quantity import Quantity, html_of
+from mfd_bayes.friction.quantity import Quantity
 
 PARAMETERS = (
     "sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd",
@@ -79,16 +79,11 @@ _LEAST = {"n": 1.0, "beta": 0.5, "exponent": 1.0}
 _MOST = {"alpha": 1.0, "beta": 1.0}
 
 
-def _html(name: str, maths: str) -> str:
-    """Symbol in HTML."""
-    if name.startswith("static_excess"):
-        return f"(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>{name[-3:]}</sub>"
-    return html_of(maths)
-
+_HTML = {f"static_excess_{s}": f"(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>{s}</sub>" for s in _SIDES}
 
 _QUANTITIES = {
     name: Quantity(
-        *(name, kind, maths, _html(name, maths), meaning),
+        *(name, kind, maths, _HTML.get(name, ""), meaning),
         least=_LEAST.get(name, 0.0),
         most=_MOST.get(name, float("inf")),
         sampled=name not in (*STATIC, "gamma2"),

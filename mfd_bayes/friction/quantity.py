@@ -29,7 +29,7 @@ class Quantity:
     kind : str
         What it measures, a key of `units.DIMENSIONS`; or, for any other, its unit.
     maths, html : str
-        Its symbol in LaTeX's mathematics and in HTML.
+        Its symbol in LaTeX's mathematics and in HTML; "" where `html_of` makes it of the first.
     meaning : str
         What it is, in a few words.
     least, most : float, in its unit

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, n_draws
+from mfd_bayes.evaluation.properties import predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
-from mfd_bayes.evaluation.test_summary import predicted_rows
 from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
@@ -23,7 +24,7 @@ from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_tra
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.model_average import ModelAverage
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
@@ -164,7 +165,17 @@ def predict(out: Path, question: Question) -> Answer:
     drawn = measured if question.compare else trace
     design: tuple[DesignRow, ...] = ()
     with unchanged(run.folder, run.manifest):
-        band = _band(source, measured if question.given else trace, question)
+        asked = measured if question.given else trace, question.kind, question.probability
+        how: dict[str, Any] = {
+            "whole": question.whole,
+            "given": question.window,
+            "after": question.after,
+        }
+        if not others:
+            how |= {"test": question.test, "explain": question.explain}
+            # without sessions the tables of --design are then of the same draws
+            how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
+        band = source.predict(*asked, **how)
         compared_with = record if question.compare else None
         rows = predicted_rows(source, trace, band, compared_with, question.after, measured)
         if question.design:
@@ -265,24 +276,6 @@ def _thinned(record: Record, rate: float, window: tuple[float, float] | None) ->
     known = replace(record, force=held).trace(rate)
     at = (trace.time >= begin) & (trace.time <= end)
     return replace(trace, force=np.where(at, np.asarray(known.force), trace.force))
-
-
-def _band(source: Run | ModelAverage, trace: Trace, question: Question) -> Band:
-    """Band that is asked for."""
-    asked = trace, question.kind, question.probability
-    whole, given, after = question.whole, question.window, question.after
-    if isinstance(source, ModelAverage):
-        return source.predict(*asked, whole=whole, given=given, after=after)
-    return source.predict(
-        *asked,
-        # without sessions the tables of --design are then of the same draws
-        draws=max(n_draws(source), DRAWS) if question.design else DRAWS,
-        test=question.test,
-        whole=whole,
-        explain=question.explain,
-        given=given,
-        after=after,
-    )
 
 
 def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) -> None:

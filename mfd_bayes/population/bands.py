@@ -140,7 +140,9 @@ class Band:
         for name in ("lower", "median", "upper", "draws", "whole_lower", "whole_upper"):
             values = getattr(self, name)
             if values is not None:
-                object.__setattr__(self, name, read_only(values))
+                view = values.view()
+                view.flags.writeable = False
+                object.__setattr__(self, name, view)
 
     @classmethod
     def of(
@@ -211,13 +213,6 @@ class Band:
             ("draws", f"{len(self.draws)}, from {self.source}"),
         ]
         return card("Force band", facts, "; ".join(self.remarks))
-
-
-def read_only(values: Array) -> Array:
-    """The same numbers, which cannot be changed by this name."""
-    view = values.view()
-    view.flags.writeable = False
-    return view
 
 
 def whole_band(draws: Array, probability: float) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from mfd_bayes.calibration.prior_files import PriorFile, known_quantities
@@ -226,14 +226,16 @@ class Design:
         same = np.array([[a[0] == b[0] for b in two] for a in one])
         return np.asarray(np.outer(*sizes) * same * (1.0 + r) * np.exp(-r))
 
-    def krige(self, cells: Sequence[Cell]) -> tuple[Array, Array]:
-        """Level effects of cells given those of the tests' cells (kriging).
+    def krige(self, session: str, actuations: ArrayLike) -> tuple[Array, Array]:
+        """Level effects of a session at actuations (m,) given those of the tests' cells (kriging).
 
         Returns
         -------
         weights, covariance : (m, cells), (m, m)
             The covariance is that of what the tests' cells do not tell, for an sd of 1.
         """
+        levels = np.atleast_1d(actuations)
+        cells = [self.cell_of(Setting(float(level), session)) for level in levels]
         own = self.level_covariance(self.cells, self.cells) + 1e-9 * np.eye(len(self.cells))
         across = self.level_covariance(cells, self.cells)
         weights = np.asarray(np.linalg.solve(own, across.T).T)
@@ -264,9 +266,9 @@ class Design:
 
     def linear(self, z: Array, rows: Array) -> Array:
         """Levels, slopes and effects A z of coefficients (n, Z) and rows (m, Z), (n, m, d)."""
-        found = np.zeros((len(z), len(rows), len(self.names)))
+        found, quantity = np.zeros((len(z), len(rows), len(self.names))), self.quantity
         for k in range(len(self.names)):
-            own = self.quantity == k
+            own = quantity == k
             found[..., k] = z[:, own] @ rows[:, own].T
         return found
 

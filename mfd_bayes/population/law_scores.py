@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.population.design import LEVELS, TESTS, Design
@@ -272,6 +272,8 @@ def stack(scores: Array, prior: float = 0.0) -> Array:
     prior : float
         Folds that equal weights are worth.
     """
+    from scipy import optimize  # which takes long to import
+
     laws = scores.shape[1]
     level = np.exp(scores - scores.max(axis=1, keepdims=True))
 

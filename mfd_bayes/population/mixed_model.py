@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
 
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.laws import EXPONENT, log_shape_prior
@@ -185,6 +185,8 @@ class MixedModel:
 
     def mode(self, choice: Index) -> Array:
         """Mode of the numbers by BFGS, its gradient by central differences, (dim,)."""
+        from scipy import optimize  # which takes long to import
+
         step, start = 1e-4 * np.eye(self.dim), np.zeros(self.dim)
 
         def loss(g: Array) -> tuple[float, Array]:

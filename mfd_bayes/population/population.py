@@ -160,7 +160,7 @@ class Population:
     @property
     def size(self) -> int:
         """Number of draws of all chains."""
-        return self.shape[0] * self.shape[1]
+        return int(np.prod(self.draws.h.shape[:2]))
 
     @cached_property
     def _all(self) -> LawDraws:
@@ -337,15 +337,10 @@ class Population:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
         free = ~self.design.common
         new = free & (setting.session not in self.design.sessions)
-        untested = np.any(np.abs(self._kriged(setting.session, grid)[1]) > 1e-9)
+        untested = np.any(np.abs(self.design.krige(setting.session, grid)[1]) > 1e-9)
         level = np.full(len(self._leveled) * grid.size, untested)
         outside = self._extrapolation_sd(setting) > 0
         return np.flatnonzero([*free, *outside, *new, *level, True, True])
-
-    def _kriged(self, session: str, actuations: ArrayLike) -> tuple[Array, Array]:
-        """Weights of the tested cells' level effects at actuations (G,), and what they leave."""
-        levels = np.atleast_1d(actuations)
-        return self.design.krige([self.design.cell_of(Setting(float(p), session)) for p in levels])
 
     def level_effects(
         self, index: Index, session: str, actuations: ArrayLike, numbers: Array
@@ -355,7 +350,7 @@ class Population:
         Tested levels have those of the tests; others are drawn together, given these, by numbers
         (n, M, G).
         """
-        weights, covariance = self._kriged(session, actuations)
+        weights, covariance = self.design.krige(session, actuations)
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         found = {}
@@ -414,7 +409,7 @@ class Population:
         """
         design = self.design
         stroke, rate = folds_beyond(setting, design.settings)
-        untested = self._kriged(setting.session, setting.actuation)[1][0, 0]
+        untested = self.design.krige(setting.session, setting.actuation)[1][0, 0]
         level = WIDER * design.scatter_sd * np.sqrt(np.maximum(untested, 0.0))
         level[[k for k, _, _ in self._leveled]] = 0.0
         found = np.zeros(len(design.names))

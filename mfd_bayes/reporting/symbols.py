@@ -10,6 +10,7 @@ from html import unescape
 from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.prior_files import known_quantities
+from mfd_bayes.friction.quantity import html_of
 
 # Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {
@@ -75,7 +76,8 @@ def _written(name: str) -> tuple[str, str, str]:
     """Symbol of a quantity in mathtext and HTML, and what it is; "" each of an unknown name."""
     quantity = known_quantities().get(name)
     if quantity is not None:
-        return quantity.maths, quantity.html, quantity.meaning
+        html = quantity.html or html_of(quantity.maths)
+        return quantity.maths, html, quantity.meaning
     return _SYMBOLS.get(name, ("", "", ""))
 
 

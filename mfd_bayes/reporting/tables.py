@@ -7,6 +7,7 @@ late, for many commands need no table.
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import math
@@ -753,7 +754,9 @@ def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float
         f"equal-tailed {percent(probability)} % intervals",
         f"actuation {actuation}; measured: of the force in the motion's file, as it is",
     )
-    return to_csv(frame_of("prediction", shown), about)
+    pairs = [word.partition(":") for word in _COLUMNS["prediction"].split()]
+    lines = [[_safe(getattr(row, name)) for name, _, _ in pairs] for row in shown]
+    return _csv_text(about, [column or name for name, _, column in pairs], lines, 6)
 
 
 def design_csv(rows: Iterable[DesignRow], actuation: str) -> str:
@@ -780,14 +783,16 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     `about` are lines of its head, besides what the band is; the columns are in the units of
     `system`.
     """
-    import pandas as pd
-
-    # times may be seconds since 1970
-    columns: dict[str, Any] = {"time_s": [f"{time:.15g}" for time in trace.time]}
-    columns["displacement_in"] = trace.displacement
+    length, force = system.unit("in"), system.unit("kip")
+    columns: dict[str, Any] = {
+        "time_s": [f"{time:.15g}" for time in trace.time],  # may be seconds since 1970
+        f"displacement_{length}": trace.displacement * system.factor("in"),
+    }
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
     forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
-    columns |= {f"{name}_kip": force for name, force in forces.items() if force is not None}
+    for name, values in forces.items():
+        if values is not None:
+            columns[f"{name}_{force}"] = values * system.factor("kip")
     if band.given is not None:
         columns["given"] = band.given.holds(trace.time).astype(np.float64)
     head = [
@@ -799,9 +804,21 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     if band.given is not None:
         head.append("given: 1 where the force was given, 0 elsewhere")
     head += [f"warning: {remark}" for remark in band.remarks] + list(about)
-    frame = to_units(pd.DataFrame(columns), system)
-    lines = "".join(f"# {' '.join(line.split())}\n" for line in head)
-    return lines + frame.to_csv(index=False, float_format="%.8g", lineterminator="\n")
+    return _csv_text(head, list(columns), zip(*columns.values(), strict=True), 8)
+
+
+def _csv_text(
+    about: Iterable[str], names: Sequence[str], rows: Iterable[Iterable[object]], digits: int
+) -> str:
+    """CSV below lines of comments, without pandas, which takes long to import."""
+    text = io.StringIO()
+    text.writelines(f"# {' '.join(line.split())}\n" for line in about)
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(names)
+    for row in rows:
+        cells = ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
+        table.writerow(f"{cell:.{digits}g}" if isinstance(cell, float) else cell for cell in cells)
+    return text.getvalue()
 
 
 _LOOP = 400

@@ -218,7 +218,7 @@ class Run:
     @cached_property
     def predictor(self) -> Predictor:
         """What predicts forces of the device."""
-        settings = self.manifest.settings
+        settings = self.manifest.settings.campaign
         return Predictor(self.population, find_model(settings.model), find_noise(settings.noise))
 
     @cached_property

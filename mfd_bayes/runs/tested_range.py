@@ -140,12 +140,12 @@ def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple
 
 def reach_of(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
     """As `conditions`, but with the least and the largest actuation of a history."""
-    levels = np.atleast_1d(trace.actuation)
-    spans = [s for s in conditions(trace, actuation_unit) if s.name != "actuation"]
-    if np.all(np.isfinite(levels)):
-        ends = float(levels.min()), float(levels.max())
-        spans.append(Span("actuation", actuation_unit, *ends))
-    return tuple(spans)
+    reached, levels = conditions_of(trace), np.atleast_1d(trace.actuation)
+    if not np.all(np.isfinite(levels)):
+        reached.pop("actuation", None)
+        return range_of([reached], actuation_unit)
+    ends = ({**reached, "actuation": float(level)} for level in (levels.min(), levels.max()))
+    return range_of(ends, actuation_unit)
 
 
 def departures(tested: Iterable[Span], reached: Iterable[Span]) -> tuple[Departure, ...]:

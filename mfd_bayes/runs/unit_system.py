@@ -114,12 +114,12 @@ def named_system(name: str, own: System) -> System:
     UnitError
         When the name is unknown.
     """
+    if not name:
+        return own
     for system in both_systems(own):
         if system.name == name:
             return system
-    if name:
-        raise UnitError(f"--units must be us (kip, in, ksi) or si (kN, mm, MPa), got {name!r}")
-    return own
+    raise UnitError(f"--units must be us (kip, in, ksi) or si (kN, mm, MPa), got {name!r}")
 
 
 def system_of(

@@ -138,9 +138,8 @@ def test_gap_and_self_energizing_factors_follow_from_the_parameters():
     np.testing.assert_allclose(derived["C_fwd"], [1.0, 2.0])
     np.testing.assert_allclose(derived["C_bwd"], [3.0, 4.0])
     assert set(derive_from_parameters(ThreeStage(), values)) == {"gap_width"}
-    assert set(derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)) == {
-        "gap_width"
-    }
+    without = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
+    assert set(without) == {"gap_width"}
     assert derive_from_parameters(LuGre(), values) == {}
 
 

@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -387,3 +389,19 @@ def test_what_is_of_one_model_is_not_asked_of_several(ask, out, option):
     refused = ask("--sine", "1 in, 0.5 Hz, 2 cycles", "--with", out, option)
     assert refused.exit_code == 2
     assert f"{option} cannot be combined with --with" in refused.stderr
+
+
+def test_a_sine_in_customary_units_needs_no_library_that_is_slow_to_load(out, tmp_path):
+    code = (
+        "import sys\n"
+        "from mfd_bayes.cli.commands import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print('loaded', sorted({'pint', 'pandas', 'scipy.optimize', 'xarray'} & set(sys.modules)))"
+    )
+    asked = ["--sine", "1 in, 0.5 Hz, 3 cycles", "--actuation", "1000 psi"]
+    arguments = ["predict", out, *asked, "-o", tmp_path / "b.csv"]
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert (tmp_path / "b.csv").is_file(), done.stderr
+    assert done.stdout.splitlines()[-1] == "loaded []"
