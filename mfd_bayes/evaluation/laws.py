@@ -19,7 +19,6 @@ from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 
@@ -40,7 +39,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
     found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
-    rows = _mixed_rows(population, run.actuation_unit, run.system)
+    rows = _mixed_rows(run)
     for name, draws in found.items():
         converged = measure_draws(draws, population.walkers)
         shrunk = _contraction(draws, prior_sd[name]) if name in prior_sd else float("nan")
@@ -97,7 +96,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
         views.append(
             LawView(
                 name=name,
-                unit=units()[name],
+                unit=units(run.model)[name],
                 law=law_label(law, population.law_weights[name]),
                 actuation=grid,
                 device=device,
@@ -177,15 +176,16 @@ FEWEST = 20
 _SLOPES = {"Fc_fwd": "K_c_fwd", "Fc_bwd": "K_c_bwd", "sigma0": "alpha_sigma0"}
 
 
-def _mixed_rows(population: Population, actuation_unit: str, system: System) -> list[Row]:
+def _mixed_rows(run: Run) -> list[Row]:
     """Constants of every law of each quantity whose laws are compared.
 
     Each draw of the population has one law. The rows of a law are of the draws that have it, so
     they hold given that law; a law of too few draws has none. R̂ and effective sample sizes of such
     a part of the chains are not known.
     """
-    unit, reference = actuation_unit, population.design.reference
-    at = system.words([reference], unit, actuation=True)
+    population, unit, kinds = run.population, run.actuation_unit, units(run.model)
+    reference = population.design.reference
+    at = run.system.words([reference], unit, actuation=True)
     rows = []
     for name, law, picked in _chosen(population):
         weight = population.law_weights[name].get(law, 0.0)
@@ -196,7 +196,7 @@ def _mixed_rows(population: Population, actuation_unit: str, system: System) -> 
                 Row(
                     subject="population",
                     name=constant,
-                    unit=units()[name] if of_level else law_unit(constant, unit),
+                    unit=kinds[name] if of_level else law_unit(constant, unit),
                     **spread_of(draws[picked]),
                     r_hat=np.nan,
                     ess_bulk=np.nan,

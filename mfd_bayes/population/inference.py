@@ -236,12 +236,13 @@ def _likelihoods(
     stroke = len(under) >= TESTS and varies(under, "amplitude")
     dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
     dependence |= {name: those for name, those in settings.dependence.items() if those}
-    design = design_of(priors, names, under, settings.laws, dependence)
+    design = design_of(priors, names, under, settings.laws, dependence, model)
     changing = [swings(design, model, test.trace) for test in tests.values()]
     if any(changing):
         # a test need not follow the law that others tell: it has shapes to itself
         shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
-        design = design_of(priors, [*names, *shapes], under, settings.laws, dependence)
+        every = [*names, *shapes]
+        design = design_of(priors, every, under, settings.laws, dependence, model)
     followed = {n: n for n in design.laws if n in model.parameters}
     followed |= {n: o for n, o in model.tied_laws.items() if o in followed}
     laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import Residual, TravelBasis
 from mfd_bayes.population.population import LawDraws, Population
@@ -66,8 +67,8 @@ def save_population(path: Path, population: Population) -> None:
     save_arrays(path, arrays, json.loads(json_text(facts)))
 
 
-def load_population(path: Path, priors: PriorFile) -> Population:
-    """Population of a file written by `save_population`.
+def load_population(path: Path, priors: PriorFile, model: Model | None = None) -> Population:
+    """Population of a file written by `save_population`; `model` is that of its tests.
 
     Raises
     ------
@@ -81,17 +82,18 @@ def load_population(path: Path, priors: PriorFile) -> Population:
             "mfd-bayes calibrate again"
         )
     try:
-        return _population(arrays, facts, priors)
+        return _population(arrays, facts, priors, model)
     except (KeyError, ValueError, TypeError, IndexError, AttributeError, MfdError) as error:
         raise StoreError(f"{path} is damaged: {error}") from error
 
 
 def _population(
-    arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile
+    arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile, model: Model | None
 ) -> Population:
     values = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
     settings = [Setting(**one) for one in facts["settings"]]
-    design = design_of(priors, facts["names"], settings, facts["laws"], facts["dependence"])
+    laws, dependence = facts["laws"], facts["dependence"]
+    design = design_of(priors, facts["names"], settings, laws, dependence, model)
     draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
     other = LawDraws(**{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()})
     z = design.row(settings[0]).size  # which fails where a covariate is unknown
