@@ -28,6 +28,7 @@ from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.symbols import check_symbols
 from mfd_bayes.runs.manifest import (
     FORMAT,
     Entry,
@@ -126,6 +127,8 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         When the campaign, its priors or one of its records cannot be used.
     """
     campaign = load_campaign(path, options.model, options.noise)
+    if campaign.force_model.source:
+        check_symbols(campaign.force_model)
     under = campaign.folder, campaign.force_model
     priors = load_priors(campaign.priors, *under, of_others=campaign.replaced)
     gap = gap_of(campaign.force_model, priors)

@@ -192,7 +192,9 @@ def _inferred(
     # the population
     shape, v = draws.h.shape[:2], mixed.f + mixed.e
     chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
-    drawn = mixed.shapes(draws.h.reshape(-1, mixed.dim), chosen.reshape(-1, len(design.laws)))
+    drawn = mixed.shapes(
+        draws.h.reshape(-1, mixed.dim), chosen.reshape(draws.h[..., 0].size, len(design.laws))
+    )
     share, exponent = (part.reshape(chosen.shape) for part in drawn)
     alternatives, alternative_weight = _alternatives(mixed, weights, gaussians, rng)
     posterior = likelihoods[0].posterior
