@@ -311,8 +311,10 @@ def _scatter(
     if unknown := [member for member in members if member not in known]:
         raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
     key = "sd" if "sd" in keys else "above"
+    kinds = {known[member].kind for member in members}
+    negative = bool(members) and all(known[member].least < 0.0 for member in members)
     size = _figure(
-        f"{where}, {key}", table[key], known["offset"].kind if members == ["offset"] else None
+        f"{where}, {key}", table[key], kinds.pop() if negative and len(kinds) == 1 else None
     )
     if not size > 0:
         raise PriorError(f"{where}: {key} must be positive, got {size:g}")

@@ -39,7 +39,9 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
     found = dict(population.slopes) | _shapes(population) | spreads
     found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
-    rows = _mixed_rows(run)
+    # the scatter of what may be negative is not of a logarithm
+    negative = {f"scatter_{q.name}": q.unit for q in run.model.quantities if q.least < 0.0}
+    rows = [*_mixed_rows(run), *_level_rows(run)]
     for name, draws in found.items():
         converged = measure_draws(draws, population.walkers)
         shrunk = _contraction(draws, prior_sd[name]) if name in prior_sd else float("nan")
@@ -47,7 +49,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
             Row(
                 subject="population",
                 name=name,
-                unit=law_unit(name, run.actuation_unit),
+                unit=negative.get(name) or law_unit(name, run.actuation_unit),
                 **spread_of(draws),
                 r_hat=converged.worst_r_hat,
                 ess_bulk=float(converged.ess_bulk[0]),
@@ -68,6 +70,32 @@ def _shapes(population: Population) -> dict[str, Array]:
         for shape, draws in zip(("share", "exponent"), population.shapes(name), strict=True)
         if shape in shapes_of(law)
     }
+
+
+def _level_rows(run: Run) -> list[Row]:
+    """What follows a law in a user's own model, at the reference actuation of the laws."""
+    population, rows = run.population, []
+    reference = population.design.reference
+    at = run.system.words([reference], run.actuation_unit, actuation=True)
+    for name, law in population.design.laws.items():
+        if not run.model.own or law == COMPARE:
+            continue
+        draws = population.median(name, [reference])[..., 0]
+        converged = measure_draws(draws, population.walkers)
+        rows.append(
+            Row(
+                subject="population",
+                name=name,
+                unit=units(run.model)[name],
+                **spread_of(draws),
+                r_hat=converged.worst_r_hat,
+                ess_bulk=float(converged.ess_bulk[0]),
+                ess_tail=float(converged.ess_tail[0]),
+                contraction=float("nan"),
+                note=f"{law} law; at {at}",
+            )
+        )
+    return rows
 
 
 def _contraction(draws: Array, prior_sd: float) -> float:
