@@ -224,15 +224,19 @@ def _read(
         except PriorError:
             if needed is None or key in needed:
                 raise
+    groups = sections[1]
     if needed is not None:
-        for table in sections[1].values():
-            if isinstance(table.get("parameters"), list):
-                table["parameters"] = [name for name in table["parameters"] if name in known]
+        for key, table in list(groups.items()):
+            members = table.get("parameters")
+            if isinstance(members, list):
+                table["parameters"] = [name for name in members if name in needed]
+                if not table["parameters"]:
+                    del groups[key]
     return PriorFile(
         path=path,
         title=str(content.get("title", path.stem)),
         parameters=parameters,
-        scatter={key: _scatter(path, key, table, known) for key, table in sections[1].items()},
+        scatter={key: _scatter(path, key, table, known) for key, table in groups.items()},
     )
 
 

@@ -61,6 +61,18 @@ force = { name = "f_kip" }
 [laws]
 c = "affine"
 """
+LUGRE = {
+    "sigma0": '"50 kip/in"',
+    "sigma1": '"0.1 kip*s/in"',
+    "sigma2": '"0.1 kip*s/in"',
+    "Fc_fwd": '"3 kip"',
+    "Fc_bwd": '"3 kip"',
+    "static_excess_fwd": "0.1",
+    "static_excess_bwd": "0.1",
+    "ell": '"0.1 in"',
+    "v_s": '"1 in/s"',
+}
+"""Typical values of another model's parameters."""
 TRUTH = {"c": 3.0, "alpha": 0.5, "lean": 0.05}
 AT = 750.0  # psi, of c
 TESTS = {"a": (500.0, 0.25), "b": (1000.0, 0.5), "c": (500.0, 0.5)}
@@ -172,14 +184,9 @@ def test_only_the_copy_that_the_run_has_written_is_run(finished, tmp_path):
 def test_it_is_compared_with_models_that_have_other_parameters(folder, tmp_path):
     text = "\n".join(
         f'{name} = {{ family = "lognormal", median = {median}, spread = 0.5 }}'
-        for name, median in {
-            **{"sigma0": '"50 kip/in"', "sigma1": '"0.1 kip*s/in"', "sigma2": '"0.1 kip*s/in"'},
-            **{"Fc_fwd": '"3 kip"', "Fc_bwd": '"3 kip"', "ell": '"0.1 in"', "v_s": '"1 in/s"'},
-            **{"static_excess_fwd": "0.1", "static_excess_bwd": "0.1"},
-        }.items()
+        for name, median in LUGRE.items()
     )
-    names = '"sigma0", "sigma1", "sigma2", "Fc_fwd", "Fc_bwd", "ell", "v_s"'
-    names += ', "static_excess_fwd", "static_excess_bwd"'
+    names = ", ".join(f'"{name}"' for name in LUGRE)
     gamma = 'gamma1 = { family = "fixed", value = 1 }\n'
     both = PRIORS.replace("[parameters]", f"[parameters]\n{gamma}{text}")
     both += f"friction = {{ parameters = [{names}], sd = 0.1 }}\n"
