@@ -235,12 +235,13 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
     explorer = explore(view) if view.tests else None
     parameters, laws = paper_sheets(view, US)
     shown = tuple(row for row in parameters.rows if row.name not in ELSEWHERE)
+    columns, units = [test for test in view.tests if test.rows], Units(view.systems, view.metric)
     missed = [judged for judged in view.judgements if judged.use != Use.USABLE]
     terms = (term for subject in read_glossary().values() for term in subject.items())
     system, unit, advice = system_of(view), view.actuation_unit, view.next_test
     return render_page(
         "report.html.j2",
-        Units(view.systems, view.metric),
+        units,
         *([explorer.library] if explorer else []),
         view=view,
         calibrated=calibrated,
@@ -253,7 +254,8 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
             if not key.startswith("tests/")
         },
         explorer=explorer,
-        parameters=replace(parameters, rows=shown),
+        parameters=replace(parameters, heads=tuple(test.id for test in columns), rows=shown),
+        levels={test.id: units.level(test, view.actuation_unit) for test in columns},
         laws=laws,
         scores=score_sheet([row for row in view.scores if row.subject in names]),
         left_out=score_sheet([*view.left_out.rows, view.left_out.mean]) if view.left_out else None,

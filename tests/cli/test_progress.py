@@ -219,7 +219,7 @@ def test_a_terminal_shows_bars_and_keeps_a_line_of_each_test(terminal, tests):
         assert any("sampling, R-hat 1.050, ESS 50, needs" in line for line in lines)
     assert any(re.match(rf"all .* {tests} of {tests} done", line) for line in lines)
     assert "USABLE: It is so." in lines[-3:]
-    assert "mfd-bayes check out" in lines[-1]
+    assert lines[-1] == "look next at out/report.html"
     assert all(len(line) <= 80 for line in lines if "━" in line)
     assert written.rindex("\x1b[?25h") > written.rindex("\x1b[?25l")  # the cursor is back
 

@@ -151,7 +151,7 @@ BOMBS = {
     "record:unpacking_v5.mat": (unpacking_v5, "not a MATLAB file"),
     "record:nested_v5.mat": (nested_v5, "not a MATLAB file"),
     "record:cells_v5.mat": (cells_v5, "needs more than 2 GB"),
-    "run:declared.nc": (netcdf, "declares 10,000 MB"),
+    "run:declared.nc": (netcdf, "larger than the file"),
     "record:line.csv": (long_line, "line 2 of"),
     "record:columns.csv": (many_columns, "line 1 of"),
     "record:wide.csv": (text(",".join("abcdefg"[:5] for _ in range(9000)) + "\n"), "9,000 columns"),

@@ -46,6 +46,6 @@ def test_a_full_disk_for_temporary_files_is_said_in_a_sentence(building, tmp_pat
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("pathlib.Path.write_bytes", fail)
+    monkeypatch.setattr("os.fsync", fail)
     with pytest.raises(StoreError, match=r"cannot write .*: No space left on device"):
         block.run(tmp_path, lambda _: None)
