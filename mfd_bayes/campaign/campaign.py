@@ -203,7 +203,8 @@ def load_campaign(
         )
     _check_tests(path, settings)
     _check_order(path, tests)
-    goal = goal_settings(settings.goal, settings.actuation_unit, path).goal
+    own = [*force_model.laws, *([settings.goal.of] if settings.goal and replaced else [])]
+    goal = goal_settings(settings.goal, settings.actuation_unit, path, own).goal
     learned = [test.session for test in tests if test.role == "calibrate"]
     check_session(goal.session, learned, of=f"goal.session in {path}")
     return Campaign(path, folder, settings, tuple(tests), force_model, replaced)
@@ -367,8 +368,12 @@ class GoalSettings:
     limits: Limits = field(default_factory=Limits)
 
 
-def goal_settings(table: GoalTable | None, unit: ActuationUnit, path: Path) -> GoalSettings:
+def goal_settings(
+    table: GoalTable | None, unit: ActuationUnit, path: Path, laws: Sequence[str] = ()
+) -> GoalSettings:
     """What the table `[goal]` of a campaign file says; the default without one.
+
+    What follows the actuation in a user's own model is in `laws`.
 
     Raises
     ------
@@ -383,7 +388,7 @@ def goal_settings(table: GoalTable | None, unit: ActuationUnit, path: Path) -> G
 
     at = tests("at", table.at)
     goal = Goal(table.quantity, table.of, table.kind, at, table.probability, table.session)
-    check_goal(goal, of=f"goal.quantity in {path}")
+    check_goal(goal, of=f"goal.quantity in {path}", laws=laws)
     limits = parse_limits(table.limits, of=f"goal.limits in {path}") if table.limits else Limits()
     return GoalSettings(goal, tests("candidates", table.candidates), limits)
 

@@ -164,6 +164,10 @@ def test_every_command_takes_its_run(finished, tmp_path):
     words = ("--sine", "1 in, 0.5 Hz, 3 cycles", "--actuation", "800 psi", "--no-figures")
     assert "mean property" in said("predict", out, *words, "--design", "-o", tmp_path / "b.csv")
     assert "narrow" in said("next", out, "-o", tmp_path / "next")
+    slope = said("next", out, "--goal", "slope of c", "-o", tmp_path / "slope")
+    assert "narrow the 95 % interval of the slope of c" in slope
+    assert "no slip force" in said("next", out, "--goal", "slip at 800 psi", code=2)
+    assert "they are c, " in said("next", out, "--goal", "slope of alpha", code=2)
     said("export", out, "--to", "csv", "-o", tmp_path / "samples")
     said("init", "--building", tmp_path / "building.toml")
     building = ("--building", tmp_path / "building.toml", "--ground", tmp_path / "ground.AT2")
