@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from string import Formatter
-from typing import Any
 
-from mfd_bayes.errors import StoreError
 from mfd_bayes.units import in_digits
 
 Writer = Callable[[Sequence[float], str, int], str]
@@ -56,32 +54,6 @@ class Message:
     def __str__(self) -> str:
         """The sentence in internal units."""
         return self.to_text(_internal)
-
-    def to_json(self) -> dict[str, Any]:
-        """As it is stored: plain values, of which `from_json` makes the message again."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, content: Any) -> Message:
-        """Message that `to_json` has stored.
-
-        Raises
-        ------
-        StoreError
-            When it is not one: a key is missing or unknown, or the template does not fit.
-        """
-        try:
-            values: dict[str, Quantity | str] = {}
-            for name, value in content["values"].items():
-                if not isinstance(value, str):
-                    numbers, digits = value["values"], int(value["digits"])
-                    value = Quantity.of(*numbers, unit=str(value["unit"]), digits=digits)
-                values[name] = value
-            message = cls(str(content["template"]), values)
-            str(message)
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-            raise StoreError(f"{str(content)[:200]!r} is no message: {error}") from error
-        return message
 
 
 def _internal(values: Sequence[float], unit: str, digits: int) -> str:

@@ -58,7 +58,7 @@ BASIS = {
 
 def own_values(run: Run, name: str) -> dict[str, float]:
     """Measured properties of a test, by name."""
-    measured = measured_properties(measured_of(run.manifest, name, run.tests[name].trace))
+    measured = measured_properties(measured_of(run.manifest, name))
     return {key: value for key, value in measured.items() if key in BASIS}
 
 

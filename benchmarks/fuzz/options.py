@@ -180,6 +180,7 @@ def read_command(path: Path) -> object:
         patch.object(Predictor, "predict", _few(Predictor.predict)),
         patch.object(Predictor, "repeat", _few(Predictor.repeat)),
         *(patch(f"mfd_bayes.pipeline.{m}.calibrate_locked", _stop) for m in _CALIBRATE),
+        *(patch(f"mfd_bayes.{m}.get_ready", _nothing) for m in _STARTS_A_SERVER),
         patch("mfd_bayes.pipeline.report.write_report", _stop),
         patch("mfd_bayes.pipeline.report.assess", _stop),
         patch("mfd_bayes.pipeline.calibrate.check_workers", _no_cluster),
@@ -196,12 +197,18 @@ def read_command(path: Path) -> object:
     return _judged(done)
 
 
+def _nothing(*_: str) -> None:
+    """In the place of what no input needs."""
+
+
 def _no_cluster(options: Workplace) -> None:
     if options.scheduler:
         raise FitError("no cluster is asked here")
     check_workers(options)
 
 
+_STARTS_A_SERVER = ("jobs.local", "pipeline.calibrate", "pipeline.report")
+"""Modules that start a server of processes, which would outlive the folder."""
 _CALIBRATE = ("calibrate", "crossvalidate", "compare")
 _FIGURES = ("to_png", "draw_loops", "draw_history", "draw_inspection")
 

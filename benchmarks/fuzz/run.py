@@ -39,7 +39,7 @@ from mfd_bayes.errors import MfdError
 
 __all__ = ["commands", "controls", "few", "make_input", "run", "shares", "targets"]
 
-MEMORY = 1536 * 2**20
+MEMORY = 1024 * 2**20  # beyond what the libraries take when they are imported
 """Bytes of addresses that a process may use."""
 
 SECONDS = 10.0
@@ -172,7 +172,9 @@ def work(pipe: Connection, home: Path, seed: int, made_by: Callable[[], Sequence
         if target.share:
             target.read(home / target.changed)
         shutil.rmtree(home)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     pipe.send("ready")
     while (asked := pipe.recv()) is not None:

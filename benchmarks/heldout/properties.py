@@ -53,7 +53,7 @@ def held_out(run: Run, fold: Fold, inside: dict[str, np.ndarray]) -> None:
         )
         smooth = alone.draws + np.asarray(alone.values["offset"])[:, None]
         drawn = cycles_of(test.trace, seen.draws, peaks, smooth=smooth)
-        measured = measured_of(run.manifest, name, test.trace)
+        measured = measured_of(run.manifest, name)
         for what, counts in inside.items():
             values, value = mean_of(drawn[what]), getattr(measured, what)[measured.full_stroke]
             for k, probability in enumerate(PROBABILITIES):

@@ -106,7 +106,7 @@ def calibrate(campaign: Path, out: Path, jobs: int, *options: str) -> subprocess
         )
 
 
-def end(process: subprocess.Popen[str], out: Path, began: float, grace: float = 5.0) -> Ended:
+def end(process: subprocess.Popen[str], out: Path, began: float, grace: float = 15.0) -> Ended:
     """Wait for a command's end, and a while for the processes that it has started."""
     try:
         code = process.wait(timeout=LIMIT)

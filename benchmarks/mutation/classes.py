@@ -47,19 +47,14 @@ GUARDS = {
     ),
     "readers": Guards(
         (
-            *("records/numbers.py", "records/regular.py", "records/columns.py"),
-            *(
-                "records/file_name_check.py",
-                "records/data_quality.py",
-                "assessment/shown.py",
-                "units.py",
-            ),
+            *("records/numbers.py", "records/regular.py", "records/columns.py", "units.py"),
+            *("records/file_name_check.py", "records/data_quality.py", "runs/unit_system.py"),
         ),
         (
             *("tests/test_units.py", "tests/test_small_print.py", "tests/records/test_roles.py"),
             *("tests/records/test_declared.py", "tests/records/test_faults.py"),
-            *("tests/records/test_numbers.py", "tests/records/test_regular.py"),
-            *("tests/records/test_record.py", "tests/pipeline/test_extremes.py"),
+            *("tests/records/test_regular.py", "tests/records/test_record.py"),
+            "tests/pipeline/test_extremes.py",
         ),
     ),
 }

@@ -166,7 +166,7 @@ def study_campaign(case: tuple[int, Path], line) -> None:
     stored = sum(file.stat().st_size for file in (home / "out").rglob("*.nc"))
     pages = sum(file.stat().st_size for file in (home / "out").rglob("*.html"))
     written = stored / tests / 2**20, pages / 2**20
-    line.send((watched, sum(own), written, [c.verdict for c in view.checks].count("fail")))
+    line.send((watched, sum(own), written, [c.status for c in view.checks].count("fail")))
 
 
 def campaign(tests: int) -> None:

@@ -26,51 +26,6 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-UNITS: Mapping[str, str] = {
-    "energy_per_cycle": "kip*in",
-    "energy_of_ramps": "kip*in",
-    "energy_in_all": "kip*in",
-    "c_eq": "kip*s/in",
-    "peak_fwd": "kip",
-    "peak_bwd": "kip",
-    "gap": "in",
-    "crossing": "in",
-    "C_fwd": "1",
-    "C_bwd": "1",
-}
-"""Internal unit of every derived quantity, in the order of tables."""
-
-
-def derive_from_force(force: ArrayLike, trace: Trace, *, first: int = 0) -> dict[str, Array]:
-    """Energy, equivalent damping and peaks by name, (n,) each, in the units of `UNITS`.
-
-    Parameters
-    ----------
-    force : (n, T), kip
-        Draws of the damper's force, or the measured force minus its offset.
-    trace : Trace
-        The motion.
-    first : int
-        Samples before this one are left out.
-
-    Raises
-    ------
-    FitError
-        When the force does not have the length of the motion.
-    """
-    forward, backward = peak_forces(force, trace, first=first)
-    energies = cycle_energies(force, trace, first=first)
-    strong = full_strokes(trace, first=first)
-    none = np.full(len(energies), np.nan)
-    return {
-        "energy_per_cycle": energies[:, strong].mean(axis=1) if strong.any() else none,
-        "energy_of_ramps": none if strong.all() else energies[:, ~strong].mean(axis=1),
-        "energy_in_all": total_energy(force, trace, first=first),
-        "c_eq": equivalent_damping(force, trace, first=first),
-        "peak_fwd": forward,
-        "peak_bwd": backward,
-    }
-
 
 def derive_from_parameters(
     model: Model,
@@ -92,19 +47,17 @@ def derive_from_parameters(
     Returns
     -------
     dict
-        `gap`, in, the drum's travel from one side of the gap to the other, or, where that is a
-        parameter, `crossing`, the travel from slip to slip; `C_fwd` and `C_bwd`,
+        `gap_width`, in, the travel from slip to slip; `C_fwd` and `C_bwd`,
         C = F_c/(p A), the friction force in slip over the actuator's thrust: the self-energizing
         of the shoes in each direction (model.md section 7).
     """
-    crossing = model.crossing(values)
-    name = "crossing" if "gap" in model.parameters else "gap"
-    found = {} if crossing is None else {name: crossing}
+    width = model.gap_width(values)
+    derived = {} if width is None else {"gap_width": width}
     if area is not None and pressure > 0.0:
         thrust = pressure * area
         sides = zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False)
-        found |= {name: values[force] / thrust for name, force in sides}
-    return found
+        derived |= {name: values[force] / thrust for name, force in sides}
+    return derived
 
 
 def cycle_energies(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
@@ -135,31 +88,6 @@ def full_strokes(trace: Trace, *, first: int = 0) -> NDArray[np.bool_]:
     x, begins = trace.displacement[bounds[0] : bounds[-1] + 1], bounds[:-1] - bounds[0]
     stroke = np.maximum.reduceat(x, begins) - np.minimum.reduceat(x, begins)
     return np.asarray(stroke >= STRONG * stroke.max())
-
-
-def equivalent_damping(force: ArrayLike, trace: Trace, *, first: int = 0) -> Array:
-    """Equivalent viscous damping coefficient over the full cycles, (n,), kip·s/in.
-
-    The dashpot that dissipates the same energy in the same motion, c_eq = ∫ F dx / ∫ v² dt. In
-    harmonic motion of amplitude X and circular frequency ω the lower integral is π ω X² per
-    cycle, which makes it the usual c_eq = E/(π ω X²) (Chopra, Dynamics of Structures,
-    "Energy dissipated in viscous damping" and "Equivalent viscous damping", chapter 3).
-
-    Parameters are as in `cycle_energies`; NaN without a full cycle.
-    """
-    energies = cycle_energies(force, trace, first=first)
-    if not energies.shape[1]:
-        return np.full(len(energies), np.nan)
-    bounds = _bounds(trace, first)
-    kept = slice(bounds[0], bounds[-1] + 1)
-    viscous = np.trapezoid(trace.velocity[kept] ** 2, trace.time[kept])
-    return np.asarray(energies.sum(axis=1) / viscous)
-
-
-def peak_forces(force: ArrayLike, trace: Trace, *, first: int = 0) -> tuple[Array, Array]:
-    """Largest force forward, max F, and backward, −min F, (n,) each, kip."""
-    draws = _of_motion(force, trace)[:, first:]
-    return draws.max(axis=1), -draws.min(axis=1)
 
 
 def count_cycles(trace: Trace, *, first: int = 0) -> int:

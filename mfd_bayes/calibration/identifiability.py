@@ -59,12 +59,6 @@ class Directions:
         """Number of directions about which the data say more than the prior."""
         return int(np.sum(self.curvature > self.limit))
 
-    @property
-    def narrowing(self) -> Array:
-        """Ratio of prior to posterior width along each direction, (dim,)."""
-        times: Array = np.sqrt(1.0 + self.curvature)
-        return times
-
     def carriers(self, direction: int) -> tuple[str, ...]:
         """Parameters that contribute most to a direction, strongest first, at most three."""
         share = self.axes[:, direction] ** 2

@@ -60,8 +60,8 @@ for _panel, _commands in _PANELS.items():
         app.command(_name, cls=Command, rich_help_panel=_panel, epilog=f"Next: {_next}")(_command)
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(show: bool) -> None:
+    if show:
         from mfd_bayes import __version__
 
         typer.echo(f"mfd-bayes {__version__}")

@@ -122,14 +122,14 @@ def predictive_checks(
     replicated records by the same rules; `properties` are theirs, by name, (n,) each.
     """
     allowed = complete_tolerances(tolerances)
-    width = posterior.model.crossing(replicas.values)
+    width = posterior.model.gap_width(replicas.values)
     gap = None if width is None else float(np.median(width))
-    found = []
+    checks = []
     for check in check_predictive(posterior, replicas, gap):
         if check.kind in ("residual", "correlation", "mid_gap"):
             feature, _, unit = check.name.partition(", ")
             sizes = check.observed, check.expected, check.size, check.p_value
-            found.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
+            checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
     seen = measured_properties(measured)
     for name, (feature, kind, unit, check_name) in _FEATURES.items():
         values = properties[name][np.isfinite(properties[name])]
@@ -141,8 +141,8 @@ def predictive_checks(
         difference = (expected - own) / max(abs(own), 1e-12)
         p_value = float(np.mean(values > own) + 0.5 * np.mean(values == own))
         figures = unit, own, expected, difference, p_value, allowed[kind], check_name
-        found.append(feature_check(test, feature, *figures))
-    return found
+        checks.append(feature_check(test, feature, *figures))
+    return checks
 
 
 def feature_check(
@@ -175,11 +175,11 @@ def feature_check(
 def is_missed(values: Array, measured: float, name: str) -> bool:
     """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
     kind = _FEATURES[name][1] if name in _FEATURES else "energy"
-    known, tolerance = values[np.isfinite(values)], complete_tolerances(None)[kind]
-    if not known.size or not np.isfinite(measured):
+    finite, tolerance = values[np.isfinite(values)], complete_tolerances(None)[kind]
+    if not finite.size or not np.isfinite(measured):
         return False
-    share = float(np.mean(known > measured) + 0.5 * np.mean(known == measured))
-    beyond = abs(float(np.median(known)) - measured) > tolerance * abs(measured)
+    share = float(np.mean(finite > measured) + 0.5 * np.mean(finite == measured))
+    beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
     return beyond and not EXTREME <= share <= 1.0 - EXTREME
 
 
@@ -234,15 +234,15 @@ def loop_estimates(
 ) -> tuple[LoopEstimate, ...]:
     """What is read off the loop of a test, beside the figures of replicated records."""
     names = {feature: name for name, (feature, *_) in _FEATURES.items()}
-    found = []
+    estimates = []
     for check in checks:
         if check.check == LOOP_ESTIMATE and check.feature in names:
             values = properties[names[check.feature]]
             low, middle, high = np.nanquantile(values, [0.025, 0.5, 0.975]).tolist()
             figures = check.unit, check.observed, low, middle, high, check.tolerance
             missed = check.status != Verdict.PASS
-            found.append(LoopEstimate(check.test, check.feature, *figures, missed))
-    return tuple(found)
+            estimates.append(LoopEstimate(check.test, check.feature, *figures, missed))
+    return tuple(estimates)
 
 
 def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Check]:
@@ -250,10 +250,10 @@ def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Chec
 
     A second mode with `SECOND_MODE` of the draws is to be used with care.
     """
-    found = [
+    checks = [
         Check(
             *(test, CONTRACTION, row.name, row.contraction, INFORMED),
-            Verdict.noted(row.contraction >= INFORMED),
+            Verdict.pass_or_note(row.contraction >= INFORMED),
         )
         for row in rows
         if np.isfinite(row.contraction)
@@ -264,25 +264,25 @@ def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Chec
         status = Verdict.WARNING if second >= SECOND_MODE else Verdict.NOTE
         held = ", ".join(f"{100 * share:.0f} %" for share in shares if share >= SMALLEST_MODE)
         feature = f"posterior ({held} of the draws)" if held else "posterior"
-        found.append(Check(test, MODES, feature, facts["modes"], 1.0, status))
-    return found
+        checks.append(Check(test, MODES, feature, facts["modes"], 1.0, status))
+    return checks
 
 
-def identifiability_checks(test: str, found: Identifiability) -> list[Check]:
+def identifiability_checks(test: str, identifiability: Identifiability) -> list[Check]:
     """Checks that cannot fail: directions informed, trade-offs and sensitivities of a test."""
-    directions = found.directions
+    directions = identifiability.directions
     total, informed = len(directions.names), directions.informed
     best, least = (" and ".join(directions.carriers(at)) for at in (0, total - 1))
     feature = f"of {total} (best: {best}; least: {least})"
-    status = Verdict.noted(informed >= total)
+    status = Verdict.pass_or_note(informed >= total)
     checks = [Check(test, DIRECTIONS, feature, informed, total, status)]
-    for pair in found.pairs:
+    for pair in identifiability.pairs:
         feature = f"{pair.first} and {pair.second}"
         checks.append(Check(test, TRADE_OFFS, feature, pair.correlation, TRADE_OFF, Verdict.NOTE))
-    for s in found.sensitivities:
+    for s in identifiability.sensitivities:
         feature = f"{s.name} ({s.diagnosis})" if s.diagnosis else s.name
-        to_prior = Verdict.noted(not s.prior > s.prior_limit)
-        to_data = Verdict.noted(s.likelihood > s.likelihood_limit)
+        to_prior = Verdict.pass_or_note(not s.prior > s.prior_limit)
+        to_data = Verdict.pass_or_note(s.likelihood > s.likelihood_limit)
         checks += [
             Check(test, PRIOR_SENSITIVITY, feature, s.prior, s.prior_limit, to_prior),
             Check(test, LIKELIHOOD_SENSITIVITY, s.name, s.likelihood, s.likelihood_limit, to_data),
@@ -303,7 +303,7 @@ def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     checks = []
     for name, (low, middle, high) in exponents.items():
         holds = low <= 1.0 <= high
-        status = Verdict.noted(high - low <= TELLING) if holds else Verdict.WARNING
+        status = Verdict.pass_or_note(high - low <= TELLING) if holds else Verdict.WARNING
         note = f"95 % interval {low:.2f} to {high:.2f}"
         checks.append(Check("population", FREE_EXPONENT, name, middle, 1.0, status, note=note))
     return checks

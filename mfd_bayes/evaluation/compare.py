@@ -112,15 +112,17 @@ def folder_of(model: str) -> str:
     return model.rpartition(":")[2] if models.file_of(model) else model
 
 
-def _chosen(option: str, names: Sequence[str], known: Sequence[str], least: int) -> tuple[str, ...]:
+def _chosen(
+    option: str, names: Sequence[str], allowed: Sequence[str], least: int
+) -> tuple[str, ...]:
     """Names of an option, each once, in the order of those that are known."""
-    if not set(names) <= set(known) or len(set(names)) < max(len(names), least):
+    if not set(names) <= set(allowed) or len(set(names)) < max(len(names), least):
         got = ", ".join(map(repr, names)) or "nothing"
         many = "two or more" if least > 1 else option.lstrip("-")
         raise CampaignError(
-            f"{option} must name {many} of {', '.join(known)}, each once, got {got}"
+            f"{option} must name {many} of {', '.join(allowed)}, each once, got {got}"
         )
-    return tuple(name for name in known if name in names)
+    return tuple(name for name in allowed if name in names)
 
 
 def check_cycles(task: Task) -> None:
@@ -168,9 +170,9 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
     rows = [
         row
         for name in shared
-        for row in _rows(name, {model: found[name] for model, found in scores.items()})
+        for row in _rows(name, {model: per_test[name] for model, per_test in scores.items()})
     ]
-    total = {model: _together(list(found.values())) for model, found in scores.items()}
+    total = {model: _together(list(per_test.values())) for model, per_test in scores.items()}
     overall = _rows(ALL, total)
     best, second = overall[0].model, overall[1].model
     sentences = [
@@ -221,19 +223,19 @@ def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
     order = sorted(scores, key=lambda model: -scores[model].validation.total)
     best, rows = scores[order[0]].validation, []
     for model in order:
-        score, found = scores[model], scores[model].validation
-        less, error = difference(found, best)
+        score, validation = scores[model], scores[model].validation
+        less, error = difference(validation, best)
         rows.append(
             ComparisonRow(
                 subject=subject,
                 model=model,
-                cycles=found.cycles,
-                elpd=found.total,
-                elpd_se=found.error,
-                p_loo=found.p_loo,
-                worst_k=float(found.psis_k.max()),
-                bad=float(found.redone.mean()),
-                unsettled=float(found.bad.mean()),
+                cycles=validation.cycles,
+                elpd=validation.total,
+                elpd_se=validation.error,
+                p_loo=validation.p_loo,
+                worst_k=float(validation.psis_k.max()),
+                bad=float(validation.redone.mean()),
+                unsettled=float(validation.bad.mean()),
                 difference=less,
                 difference_se=error,
                 rrse=float(np.sqrt(score.squares / score.spread)),
@@ -260,16 +262,18 @@ def _favour(
 
 def _trust(scores: Mapping[str, _Score]) -> str:
     """Sentence on whether the diagnostics of the best two models support their difference."""
-    redone, doubts = [], []
+    redone, caveats = [], []
     for model, score in scores.items():
-        found = score.validation
-        if found.redone.any():
-            cycles = f"{found.redone.sum()} of {found.cycles} cycles"
-            redone.append(f"{cycles} of {model} (worst {found.psis_k.max():.2f})")
-        if found.bad.any():
-            doubts.append(f"k stays above {LARGEST_K:g} in {found.bad.sum()} cycles of {model}")
+        validation = score.validation
+        if validation.redone.any():
+            cycles = f"{validation.redone.sum()} of {validation.cycles} cycles"
+            redone.append(f"{cycles} of {model} (worst {validation.psis_k.max():.2f})")
+        if validation.bad.any():
+            caveats.append(
+                f"k stays above {LARGEST_K:g} in {validation.bad.sum()} cycles of {model}"
+            )
         if score.short:
-            doubts.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
+            caveats.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
     text = ""
     if redone:
         text = (
@@ -277,9 +281,9 @@ def _trust(scores: Mapping[str, _Score]) -> str:
             "the score was computed in a second way too, from the evidence with and without the "
             "cycle, and the one with the smaller k counts. "
         )
-    if not doubts:
+    if not caveats:
         return f"{text}The diagnostics of this comparison are good."
-    text += f"Do not rely on this result as it is: {'; '.join(doubts)}"
+    text += f"Do not rely on this result as it is: {'; '.join(caveats)}"
     best, second = (score.validation for score in scores.values())
     good = ~(best.bad | second.bad)
     if 1 < good.sum() < good.size:
@@ -380,11 +384,11 @@ def cross_validate(
     """
     cycles = find_cycles(posterior.trace, posterior.first)
     given = cycle_log_likelihood(posterior, values, cycles)[0]
-    found = []
+    scores = []
     for column in given.T:
         ess = measure_draws(column.reshape(chains, -1), walkers).ess_bulk[0]
-        found.append(leave_out(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
-    elpd, lppd, psis_k = np.transpose(found)
+        scores.append(leave_out(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
+    elpd, lppd, psis_k = np.transpose(scores)
     plain = CrossValidation(elpd, lppd, psis_k, psis_k)
     if not np.any(plain.redone):
         return plain
@@ -405,12 +409,12 @@ def without_cycle(
     """Log posterior density of q without one cycle, p(θ) p(y_-c | θ), (n, dim) -> (n,)."""
 
     def density(q: Array) -> Array:
-        found = posterior.log_prior(q)
-        inside = np.isfinite(found)
+        log_density = posterior.log_prior(q)
+        inside = np.isfinite(log_density)
         with np.errstate(over="ignore", invalid="ignore"):
             given, whole = cycle_log_likelihood(posterior, posterior.values(q[inside]), cycles)
-            found[inside] += whole - given[:, cycle]
-        return np.where(np.isnan(found), -np.inf, found)
+            log_density[inside] += whole - given[:, cycle]
+        return np.where(np.isnan(log_density), -np.inf, log_density)
 
     return density
 
@@ -456,14 +460,14 @@ def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> floa
     if tests.size < 2:
         return float(alone)
     away = figures - figures.mean()
-    sums = np.array([away[test == one].sum() for one in tests])
+    sums = np.array([away[test == name].sum() for name in tests])
     return float(max(alone, np.sqrt(tests.size / (tests.size - 1) * np.sum(sums**2))))
 
 
-def difference(one: CrossValidation, other: CrossValidation) -> tuple[float, float]:
+def difference(first: CrossValidation, other: CrossValidation) -> tuple[float, float]:
     """Elpd of one minus that of the other, and its standard error, paired over cycles."""
-    apart = one.elpd - other.elpd
-    return float(apart.sum()), standard_error(apart, one.test)
+    apart = first.elpd - other.elpd
+    return float(apart.sum()), standard_error(apart, first.test)
 
 
 # --- the density of a cycle given all others

@@ -68,8 +68,6 @@ class Fold:
     kept: tuple[str, ...]
     effort: str
     seed: int
-    scores: int = 4
-    """Number of the kind of scores, so that those of earlier versions are computed anew."""
     rests_on: str = ""
     """Digest of what the run's population rests on, so that those under other laws are too."""
 
@@ -100,13 +98,13 @@ class Fold:
         began = time.perf_counter()
         observe(Step(self.id, "gathering the others"))
         try:
-            found = leave_out(open_run(out), self, observe)
+            result = leave_out(open_run(out), self, observe)
         except StoreError:
             raise
         except MfdError as error:
             observe(Step(self.id, State.FAILED, message=str(error)))
             return Outcome(self.id, State.FAILED, time.perf_counter() - began, str(error))
-        predictions = [asdict(prediction) for prediction in found]
+        predictions = [asdict(prediction) for prediction in result]
         write_json(out / FOLDER / self.file, {"key": asdict(self), "predictions": predictions})
         observe(Step(self.id, State.DONE))
         return Outcome(self.id, State.DONE, time.perf_counter() - began)
@@ -231,7 +229,7 @@ def leave_out(
         run.manifest.settings.inference(fold.effort, (fold.seed, 2)),
         lambda progress: observe(Step(fold.id, "sampling", progress)),
     )
-    found = []
+    predictions = []
     motions = {**run.held_out, **{name: run.tests[name].trace for name in fold.left_out}}
     for name in fold.left_out:
         test = run.tests[name]
@@ -246,8 +244,8 @@ def leave_out(
         force = np.asarray(test.trace.force)
         scores = score(band.draws, force), _fitted(test)
         whole = holds_whole(band.draws, force)
-        found.append(Prediction(fold.part, name, *scores, whole))
-    return tuple(found)
+        predictions.append(Prediction(fold.part, name, *scores, whole))
+    return tuple(predictions)
 
 
 def _pooled(inference: Inference, others: Mapping[str, Any], name: str) -> dict[str, Array]:
@@ -300,13 +298,13 @@ def run_folds(
 # --- the scores in a report
 
 
-def left_out_view(found: CampaignCrossValidation | None) -> LeftOutView | None:
+def left_out_view(scores: CampaignCrossValidation | None) -> LeftOutView | None:
     """Scores of a cross-validation that the manifest holds; None without one."""
-    if found is None:
+    if scores is None:
         return None
-    rows = tuple(map(_row, found.predictions))
+    rows = tuple(map(_row, scores.predictions))
     mean = _mean(rows)
-    by = found.by
+    by = scores.by
     others = "the others" if by == "test" else f"those of the other {by}s"
     sentence = (
         f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
@@ -318,22 +316,22 @@ def left_out_view(found: CampaignCrossValidation | None) -> LeftOutView | None:
 
 
 def _row(prediction: Prediction) -> LeftOutRow:
-    found, fitted = prediction.score, prediction.fitted
-    half, most, nearly = found.coverage
+    score, fitted = prediction.score, prediction.fitted
+    half, most, nearly = score.coverage
     return LeftOutRow(
         part=prediction.part,
         subject=prediction.test,
         coverage_50=half,
         coverage_90=most,
         coverage_95=nearly,
-        width_95=found.width,
-        interval_score=found.interval_score,
-        crps=found.crps,
-        rrse=found.rrse,
+        width_95=score.width,
+        interval_score=score.interval_score,
+        crps=score.crps,
+        rrse=score.rrse,
         fitted_width=fitted.width,
         fitted_crps=fitted.crps,
-        width_ratio=_ratio(found.width, fitted.width),
-        crps_ratio=_ratio(found.crps, fitted.crps),
+        width_ratio=_ratio(score.width, fitted.width),
+        crps_ratio=_ratio(score.crps, fitted.crps),
         whole_95=float("nan") if prediction.whole is None else float(prediction.whole),
     )
 

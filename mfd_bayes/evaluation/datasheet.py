@@ -156,19 +156,19 @@ def condition_words(run: Run, condition: Condition) -> str:
 def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycles]]:
     """Condition and measured cycles of every harmonic test, also of those held out."""
     traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
-    found = []
+    tests = []
     for name in run.manifest.tests:
         if name not in traces:
             continue
-        cycles = measured_of(run.manifest, name, traces[name])
+        cycles = measured_of(run.manifest, name)
         full = cycles.full_stroke
         if full.size and full.mean() >= HARMONIC:
             amplitude = 0.5 * float(np.median(cycles.stroke[full]))
             frequency = float(np.median(cycles.frequency[full]))
             level, by = traces[name].reference_actuation, run.system.factor("in")
             condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
-            found.append((condition, name, traces[name], cycles))
-    return found
+            tests.append((condition, name, traces[name], cycles))
+    return tests
 
 
 def _rounded(value: float) -> float:
@@ -238,8 +238,8 @@ def _rows(
 
 
 def _mean(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else float("nan")
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else float("nan")
 
 
 def _predicted(

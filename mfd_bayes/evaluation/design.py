@@ -149,10 +149,10 @@ def bounds_of(
     tail = 0.5 * (1.0 - probability)
     rows = []
     for name, mean in drawn["device"].items():
-        known = mean[np.isfinite(mean)]
-        if not known.size:  # the motion has no full cycle
+        finite = mean[np.isfinite(mean)]
+        if not finite.size:  # the motion has no full cycle
             continue
-        head = name, UNITS[name], float(np.mean(known))
+        head = name, UNITS[name], float(np.mean(finite))
         for basis in BASES:
             if basis not in drawn:
                 rows.append(DesignRow(basis, *head, np.nan, np.nan, probability, NOT_KNOWN))

@@ -37,12 +37,12 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     # the prior's standard deviation, of a half-normal
     prior_sds = np.sqrt(1.0 - 2.0 / np.pi) * population.scatter_scales
     prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
-    found = dict(population.slopes) | _shapes(population) | spreads
-    found |= {f"dependence_{name}": b for name, b in population.dependences.items()}
+    draws_by_name = dict(population.slopes) | _shapes(population) | spreads
+    draws_by_name |= {f"dependence_{name}": b for name, b in population.dependences.items()}
     # the scatter of what may be negative is not of a logarithm
     negative = {f"scatter_{q.name}": q.unit for q in run.model.quantities if q.least < 0.0}
     rows = [*_mixed_rows(run), *_level_rows(run)]
-    for name, draws in found.items():
+    for name, draws in draws_by_name.items():
         converged = measure_draws(draws, population.walkers)
         shrunk = _contraction(draws, prior_sd[name]) if name in prior_sd else float("nan")
         rows.append(
@@ -151,16 +151,16 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
             population.level_effects(chosen, session, grid, numbers.level)
             for chosen in (inside, index)
         )
-        found: dict[str, list[dict[str, Array]]] = {"device": [], "new_test": []}
+        by_kind: dict[str, list[dict[str, Array]]] = {"device": [], "new_test": []}
         for at, p in enumerate(grid.tolist()):
             setting = Setting(p, session, dict(population.design.covariates))
-            known = population.within_levels(p)
-            chosen, effects = (inside, within) if known else (index, beyond)
+            within_tested = population.within_levels(p)
+            chosen, effects = (inside, within) if within_tested else (index, beyond)
             here = {name: effect[:, at] for name, effect in effects.items()}
             made = population.parts(setting, chosen, numbers, here)
-            found["device"].append(population.values(made.mean))
-            found["new_test"].append(population.values(made.mean + made.scatter))
-        parts.append(found)
+            by_kind["device"].append(population.values(made.mean))
+            by_kind["new_test"].append(population.values(made.mean + made.scatter))
+        parts.append(by_kind)
     return {
         kind: {
             name: np.concatenate(
@@ -188,12 +188,12 @@ def _tested(
     run: Run, names: Sequence[str]
 ) -> dict[str, list[tuple[str, float, float, float, float]]]:
     """Id, actuation, and three quantiles of each test's posterior, by quantity."""
-    found: dict[str, list[tuple[str, float, float, float, float]]] = {name: [] for name in names}
+    tested: dict[str, list[tuple[str, float, float, float, float]]] = {name: [] for name in names}
     for test in run.tests.values():
         for name in names:
             middle, low, high = test.intervals[name]
-            found[name].append((test.id, test.trace.reference_actuation, low, middle, high))
-    return found
+            tested[name].append((test.id, test.trace.reference_actuation, low, middle, high))
+    return tested
 
 
 # --- the constants of compared laws
@@ -241,27 +241,27 @@ def _chosen(population: Population) -> Iterator[tuple[str, str, NDArray[np.bool_
     for column, (name, law) in enumerate(population.design.laws.items()):
         if law != COMPARE:
             continue
-        for number, one in enumerate(LAW_NAMES):
+        for number, law_name in enumerate(LAW_NAMES):
             picked = population.choice[..., column] == number
             if np.count_nonzero(picked) >= FEWEST:
-                yield name, one, picked
+                yield name, law_name, picked
 
 
 def _constants(population: Population, name: str, law: str) -> dict[str, Array]:
     """Constants of a quantity's law by name, (chain, draw): slope, intercept, level, exponent."""
-    design, known = population.design, LAWS[law]
+    design, form = population.design, LAWS[law]
     level = population.median(name, np.array([design.reference]))[..., 0]
     share, exponent = population.shapes(name)
-    found: dict[str, Array] = {}
-    if known.exponent == 1.0 and known.share != 0.0 and name in _SLOPES:
-        found[_SLOPES[name]] = level * share / design.reference
+    constants: dict[str, Array] = {}
+    if form.exponent == 1.0 and form.share != 0.0 and name in _SLOPES:
+        constants[_SLOPES[name]] = level * share / design.reference
     else:
-        found[name] = level
-    if f"{name}_0" in INTERCEPTS and "share" in known.shapes:
-        found[f"{name}_0"] = level * (1.0 - share)
-    if "exponent" in known.shapes:
-        found[f"exponent_{name}"] = exponent
-    return found
+        constants[name] = level
+    if f"{name}_0" in INTERCEPTS and "share" in form.shapes:
+        constants[f"{name}_0"] = level * (1.0 - share)
+    if "exponent" in form.shapes:
+        constants[f"exponent_{name}"] = exponent
+    return constants
 
 
 # --- which law predicts best
@@ -269,12 +269,12 @@ def _constants(population: Population, name: str, law: str) -> dict[str, Array]:
 
 def law_choices(scores: Sequence[LawScore], laws: Mapping[str, str]) -> tuple[LawChoice, ...]:
     """The laws of each quantity, best first, with a sentence; `laws` are the campaign's."""
-    found = []
+    choices = []
     for name in dict.fromkeys(score.quantity for score in scores):
         own = [score for score in scores if score.quantity == name]
         rows = _rows(own, laws.get(name, ""))
-        found.append(LawChoice(name, rows, _sentence(rows, len(own[0].levels), laws.get(name))))
-    return tuple(found)
+        choices.append(LawChoice(name, rows, _sentence(rows, len(own[0].levels), laws.get(name))))
+    return tuple(choices)
 
 
 def _rows(scores: Sequence[LawScore], chosen: str) -> tuple[LawScoreRow, ...]:
@@ -301,14 +301,14 @@ def _rows(scores: Sequence[LawScore], chosen: str) -> tuple[LawScoreRow, ...]:
 
 def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> str:
     """Which law predicts best, and which others are within the standard error."""
-    doubtful = [row for row in rows if row.pareto_k > LARGEST_K]
-    rows = [row for row in rows if row not in doubtful]
-    doubt = ""
-    if doubtful:
-        named = " and ".join(f"{row.law} (Pareto k {row.pareto_k:.2f})" for row in doubtful)
-        doubt = f"; the score of {named} cannot be trusted, so it gets no weight"
+    unreliable = [row for row in rows if row.pareto_k > LARGEST_K]
+    rows = [row for row in rows if row not in unreliable]
+    caveat = ""
+    if unreliable:
+        names = " and ".join(f"{row.law} (Pareto k {row.pareto_k:.2f})" for row in unreliable)
+        caveat = f"; the score of {names} cannot be trusted, so it gets no weight"
     if not rows:
-        return f"the laws have no weights{doubt}."
+        return f"the laws have no weights{caveat}."
     best, *others = rows
     text = f"the {best.law} law predicts levels that were left out best"
     near = [row.law for row in others if -row.difference <= row.difference_se]
@@ -326,7 +326,7 @@ def _sentence(rows: Sequence[LawScoreRow], levels: int, chosen: str | None) -> s
     elif chosen == COMPARE:
         held = law_label(COMPARE, {row.law: row.weight for row in rows})
         text += f"; predictions mix them ({held})"
-    return f"{text}{doubt}."
+    return f"{text}{caveat}."
 
 
 def law_label(law: str, weights: Mapping[str, float]) -> str:

@@ -67,9 +67,9 @@ def advice_sentence(advice: Advice, system: System, unit: str) -> str:
     return f"{text}. {_enough(advice)}{_scatter(advice)}"
 
 
-def in_percent(found: Row | Together) -> str:
+def in_percent(row: Row | Together) -> str:
     """Expected reduction with its 95 % interval: "18 % (14 to 22)"."""
-    gain = found
+    gain = row
     low = max(0.0, gain.reduction - _SURE * gain.error)
     high = min(1.0, gain.reduction + _SURE * gain.error)
     digits = 0 if gain.reduction >= 0.1 else 1
@@ -97,27 +97,27 @@ def _scatter(advice: Advice) -> str:
 
 def together_words(advice: Advice, system: System, unit: str) -> list[str]:
     """The best two and three tests together, a sentence each."""
-    found = []
+    sentences = []
     for together in advice.together[1:TOGETHER]:
         tests = "; ".join(candidate_words(c, system, unit) for c in together.candidates)
         count = _COUNT[len(together.candidates)]
-        found.append(f"The best {count} together, {in_percent(together)}: {tests}.")
-    return found
+        sentences.append(f"The best {count} together, {in_percent(together)}: {tests}.")
+    return sentences
 
 
 def advice_rows(advice: Advice, system: System, unit: str) -> list[dict[str, str | float]]:
     """Rows of the table, the best first, and then what the limits rule out; by column."""
     by, name = system.of_actuation(unit)
 
-    def row(candidate: Candidate, found: Row | None, why: str) -> dict[str, str | float]:
+    def row(candidate: Candidate, score: Row | None, why: str) -> dict[str, str | float]:
         nan = float("nan")
         figures = {
-            "expected_reduction": nan if found is None else found.reduction,
-            "error": nan if found is None else found.error,
+            "expected_reduction": nan if score is None else score.reduction,
+            "error": nan if score is None else score.error,
             "cost_h": candidate.cost,
-            "reduction_per_h": nan if found is None else found.per_hour,
-            "information_nat": nan if found is None else found.information,
-            "information_error": nan if found is None else found.information_error,
+            "reduction_per_h": nan if score is None else score.per_hour,
+            "information_nat": nan if score is None else score.information,
+            "information_error": nan if score is None else score.information_error,
         }
         return {
             "candidate": candidate_words(candidate, system, unit),
@@ -127,11 +127,11 @@ def advice_rows(advice: Advice, system: System, unit: str) -> list[dict[str, str
             f"amplitude_{system.length}": candidate.amplitude * system.factor("in"),
             "cycles": candidate.cycles,
             "waveform": candidate.waveform,
-            "repeats_a_test": "" if found is None else "yes" if found.repeat else "no",
+            "repeats_a_test": "" if score is None else "yes" if score.repeat else "no",
             "ruled_out_by": why,
         }
 
-    rows = [row(found.candidate, found, "") for found in advice]
+    rows = [row(scored.candidate, scored, "") for scored in advice]
     return rows + [row(candidate, None, why) for candidate, why in advice.ruled_out]
 
 

@@ -148,7 +148,7 @@ def uncommon_device_values(run: Run) -> list[Finding]:
     """
     if len(run.tests) < FEWEST:
         return []
-    found: dict[str, list[tuple[float, float, float, bool]]] = {}
+    by_quantity: dict[str, list[tuple[float, float, float, bool]]] = {}
     rng = np.random.default_rng(0)
     for test, setting in zip(run.tests.values(), run.population.design.settings, strict=True):
         index = run.population.draw_index(DRAWS, setting.actuation, rng) % run.population.size
@@ -162,10 +162,10 @@ def uncommon_device_values(run: Run) -> list[Finding]:
             if name in drawn:
                 low, high = np.quantile(drawn[name], [0.025, 0.975]).tolist()
                 middle, lower, upper = own[name]
-                rows = found.setdefault(name, [])
+                rows = by_quantity.setdefault(name, [])
                 rows.append((low, high, middle, lower > high or upper < low))
     findings = []
-    for name, rows in found.items():
+    for name, rows in by_quantity.items():
         count = sum(row[3] for row in rows)
         if count <= MOST_OUTSIDE * len(rows):
             continue

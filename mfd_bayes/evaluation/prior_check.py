@@ -32,8 +32,8 @@ class Misfit:
     ----------
     quantity : str
     unit : str
-        Internal unit of `expected` and `found`.
-    expected, found : float
+        Internal unit of `expected` and `observed`.
+    expected, observed : float
         Median of the prior, and the figure that the record shows.
     away : float
         Distance of both in standard deviations of the prior.
@@ -44,17 +44,17 @@ class Misfit:
     quantity: str
     unit: str
     expected: float
-    found: float
+    observed: float
     away: float
     source: str
 
     def sentence(self, system: System) -> str:
         """What is wrong with the prior, and what would mend it."""
-        found = system.words([self.found], self.unit, 3)
+        value = system.words([self.observed], self.unit, 3)
         return (
             f"the prior most wrong is that of {self.quantity}: its median is "
-            f"{system.words([self.expected], self.unit, 3)}, and {self.source} is {found}, "
-            f"{self.away:.2g} of its standard deviations away; give it a median of about {found}, "
+            f"{system.words([self.expected], self.unit, 3)}, and {self.source} is {value}, "
+            f"{self.away:.2g} of its standard deviations away; give it a median of about {value}, "
             "or let mfd-bayes init write priors.toml from the records"
         )
 
@@ -79,15 +79,15 @@ def most_wrong(priors: PriorFile, model: Model, traces: Sequence[Trace]) -> Misf
 
     None where the records show no scales, or no prior can be compared with one.
     """
-    known = {quantity.name for quantity in model.quantities}
-    found = [
+    names = {quantity.name for quantity in model.quantities}
+    misfits = [
         misfit
         for trace in traces
         if (scales := scales_of(trace)) is not None
         for misfit in _misfits(priors, scales)
-        if misfit.quantity in known
+        if misfit.quantity in names
     ]
-    return max(found, key=lambda misfit: misfit.away, default=None)
+    return max(misfits, key=lambda misfit: misfit.away, default=None)
 
 
 def _misfits(priors: PriorFile, scales: Scales) -> Iterator[Misfit]:
@@ -115,5 +115,5 @@ def _away(prior: Prior, value: float) -> float | None:
         drawn, middle = np.log(drawn), float(np.log(middle))
         value = float(np.log(value)) if value > 0.0 else np.nan
     spread = float(np.std(drawn))
-    known = spread > 0.0 and np.isfinite(value)
-    return abs(value - middle) / spread if known else None
+    comparable = spread > 0.0 and np.isfinite(value)
+    return abs(value - middle) / spread if comparable else None

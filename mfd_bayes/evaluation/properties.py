@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.measured import (
-    MeasuredCycles,
-    cycle_values,
-    mean_of,
-    measured_cycles,
-)
+from mfd_bayes.records.measured import MeasuredCycles, cycle_values, mean_of
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
@@ -50,14 +45,9 @@ _OF_CYCLES = (
 )
 
 
-def measured_of(manifest: Manifest, name: str, trace: Trace) -> MeasuredCycles:
-    """Measured cycles of a test, as recorded; of its trace where an earlier version kept none."""
-    stored = manifest.tests[name].measured
-    if stored:
-        return MeasuredCycles.from_content(stored)
-    found = measured_cycles(trace)
-    assert found is not None  # every test of a run has a force
-    return found
+def measured_of(manifest: Manifest, name: str) -> MeasuredCycles:
+    """Measured cycles of a test, as recorded."""
+    return MeasuredCycles.from_content(manifest.tests[name].measured)
 
 
 def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
@@ -134,15 +124,15 @@ def peak_factors(manifest: Manifest, tests: Mapping[str, TestResult]) -> Peaks:
     """
     ratios: dict[str, list[Array]] = {"fwd": [], "bwd": []}
     for name, test in tests.items():
-        cycles = measured_of(manifest, name, test.trace)
+        cycles = measured_of(manifest, name)
         values = cycle_values(test.trace, _median_force(test.posterior, test)[None])
         loops = find_loops(test.trace)
         if loops.strong.size != cycles.full_stroke.size:
             continue  # noise that the filter took away made other cycles
-        for side, found in ratios.items():
+        for side, side_ratios in ratios.items():
             measured, model = getattr(cycles, f"peak_{side}"), values[f"peak_{side}"][0]
-            known = cycles.full_stroke & (measured > 0.0) & (model > 0.0)
-            found.append(measured[known] / model[known])
+            kept = cycles.full_stroke & (measured > 0.0) & (model > 0.0)
+            side_ratios.append(measured[kept] / model[kept])
     return {"fwd": PeakFactor.of(ratios["fwd"]), "bwd": PeakFactor.of(ratios["bwd"])}
 
 
@@ -183,18 +173,18 @@ def properties_of(
     """
     loops = find_loops(trace)
     values, full = cycle_values(trace, force), loops.strong
-    found = {name: mean_of(values[name], full) for name in _OF_CYCLES}
-    found["energy_per_cycle"] = mean_of(values["energy"], full)
-    found["energy_of_ramps"] = mean_of(values["energy"], ~full)
-    found["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
+    properties = {name: mean_of(values[name], full) for name in _OF_CYCLES}
+    properties["energy_per_cycle"] = mean_of(values["energy"], full)
+    properties["energy_of_ramps"] = mean_of(values["energy"], ~full)
+    properties["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
     parts = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
     rng = np.random.default_rng(seed)
     smooth = force if smooth is None else smooth
     for side, sign in _SIGNS.items():
         largest = [np.max(sign * smooth[:, a:b], axis=1) for a, b in pairwise(parts) if b > a]
         factor = peaks[side].draw(rng, len(force), len(largest))
-        found[f"peak_{side}"] = np.max(np.transpose(largest) * factor, axis=1)
-    return found
+        properties[f"peak_{side}"] = np.max(np.transpose(largest) * factor, axis=1)
+    return properties
 
 
 def cycles_of(
@@ -207,7 +197,7 @@ def cycles_of(
 ) -> dict[str, Array]:
     """Values of each full cycle at full stroke, (n, L) each, by name, as `properties_of`."""
     loops, rng = find_loops(trace), np.random.default_rng(seed)
-    values = {name: found[:, loops.strong] for name, found in cycle_values(trace, force).items()}
+    values = {name: cycles[:, loops.strong] for name, cycles in cycle_values(trace, force).items()}
     smooth = force if smooth is None else smooth
     spans = [
         s for s, full in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True) if full

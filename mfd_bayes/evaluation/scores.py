@@ -94,8 +94,8 @@ class Compared:
         """Whether most measured values are outside, or far more samples than the band allows."""
         worst = np.nanmin([self.coverage, self.full])
         missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
-        known = len(_held(rows))
-        return (missed and self.kind == "observation") or 2 * len(outside(rows)) > known
+        held = len(_held(rows))
+        return (missed and self.kind == "observation") or 2 * len(outside(rows)) > held
 
     def judged(self, rows: Sequence[DerivedRow]) -> str:
         """What measured values outside their intervals, and a low coverage, say; "" for nothing.
@@ -105,10 +105,10 @@ class Compared:
         out, promised = outside(rows), f"{percent(self.probability)} %"
         parts = []
         if out:
-            known = len(_held(rows))
+            held = len(_held(rows))
             counted = ", offset and noise included" if self.kind == "observation" else ""
             parts = [
-                f"{len(out)} of {known} measured values lie outside their {promised} "
+                f"{len(out)} of {held} measured values lie outside their {promised} "
                 f"intervals{counted} ({', '.join(out)})"
             ]
         if not self.disagrees(rows):
@@ -207,10 +207,10 @@ def spread_of(draws: Array, tail: float = 0.025) -> Spread:
 
 def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
     """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
-    found = score(draws[:, first:], np.asarray(trace.force)[first:])
-    scales = found.width, found.interval_score, found.crps
-    half, most, nearly = found.coverage
-    return ScoreRow(name, role, half, most, nearly, *scales, found.rrse)
+    scores = score(draws[:, first:], np.asarray(trace.force)[first:])
+    scales = scores.width, scores.interval_score, scores.crps
+    half, most, nearly = scores.coverage
+    return ScoreRow(name, role, half, most, nearly, *scales, scores.rrse)
 
 
 def score(draws: Array, observed: Array) -> Score:

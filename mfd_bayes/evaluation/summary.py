@@ -39,14 +39,14 @@ Given = TypeVar("Given")
 
 def assess(run: Run, jobs: int = 1) -> CampaignView:
     """Everything that the report of a run shows, by one process or several."""
-    with meanwhile(jobs) as beside:
-        rows, laws = beside(partial(law_rows, run)), beside(partial(law_views, run))
-        tests, lost = views_of_tests(run, jobs, beside)
+    with meanwhile(jobs) as background:
+        rows, laws = background(partial(law_rows, run)), background(partial(law_views, run))
+        tests, lost = views_of_tests(run, jobs, background)
         return build_summary(run, tests, rows(), laws(), lost)
 
 
 def views_of_tests(
-    run: Run, jobs: int = 1, beside: Meanwhile = when_wanted
+    run: Run, jobs: int = 1, background: Meanwhile = when_wanted
 ) -> tuple[list[TestView], dict[str, str]]:
     """Views of all tests, in the order of the campaign; and why others cannot be shown.
 
@@ -55,7 +55,7 @@ def views_of_tests(
     run : Run
     jobs : int
         Processes that make those of calibrated tests.
-    beside : Meanwhile
+    background : Meanwhile
         Makes those of the other tests.
 
     Raises
@@ -64,7 +64,7 @@ def views_of_tests(
         When a stored file cannot be used: that is no fault of one test.
     """
     others = {
-        name: beside(partial(_attempt, partial(held_out_view, run, name), trace))
+        name: background(partial(_attempt, partial(held_out_view, run, name), trace))
         for name, trace in run.held_out.items()
     }
     make = partial(_attempt, partial(calibrated_view, run.manifest, peaks_of(run)))
@@ -174,22 +174,22 @@ def fails(view: CampaignView) -> bool:
 
 def verdicts(view: CampaignView) -> dict[str, str]:
     """Verdict of the campaign with its sentence in the campaign's units, and of every test."""
-    found: dict[str, str] = {}
+    uses: dict[str, str] = {}
     for check in view.checks:
         worse = {Verdict.WARNING: Use.WITH_CARE, Verdict.FAIL: Use.NOT_USABLE}.get(check.status)
-        if worse != Use.WITH_CARE or found.get(check.test) != Use.NOT_USABLE:
-            found[check.test] = worse or found.get(check.test, Use.USABLE)
-    found |= {judged.subject: judged.use for judged in view.judgements}
+        if worse != Use.WITH_CARE or uses.get(check.test) != Use.NOT_USABLE:
+            uses[check.test] = worse or uses.get(check.test, Use.USABLE)
+    uses |= {judged.subject: judged.use for judged in view.judgements}
     sentence = join(view.sentences, " ").to_text(view.systems[view.metric].words)
     whole = {"campaign": view.verdict, "sentence": sentence}
-    return whole | found | whole  # tests may have these names too
+    return whole | uses | whole  # tests may have these names too
 
 
 def _truth_rows(
     manifest: Manifest, tests: list[TestView], table: tuple[Row, ...]
 ) -> tuple[TruthRow, ...]:
     """The true values of a synthetic campaign, each beside its posterior."""
-    known = _truths(manifest)
+    truths = _truths(manifest)
     rows = [*(row for view in tests for row in view.rows), *table]
     return tuple(
         TruthRow(
@@ -204,7 +204,7 @@ def _truth_rows(
             informed=not row.note,
         )
         for row in rows
-        if (value := known.get(row.subject, {}).get(row.name)) is not None
+        if (value := truths.get(row.subject, {}).get(row.name)) is not None
     )
 
 
@@ -216,14 +216,14 @@ def _truths(manifest: Manifest) -> dict[str, dict[str, float | None]]:
     truth = manifest.truth
     if not truth:
         return {}
-    known = {"population": dict(truth.population)}
+    truths = {"population": dict(truth.population)}
     for name, values in truth.tests.items():
         filtered = manifest.tests[name].filtered
-        known[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
+        truths[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
         if filtered:
             for noise in ("scatter_noise_sd", "scatter_noise_time"):
-                known["population"].pop(noise, None)
-    return known
+                truths["population"].pop(noise, None)
+    return truths
 
 
 def _provenance(manifest: Manifest) -> dict[str, str]:

@@ -74,14 +74,14 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     rows = _parameters(test, stored, prior, noises)
     densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
-    known = identify(posterior, draws, prior, *densities)
-    measured = measured_of(manifest, test.id, trace)
+    identifiability = identify(posterior, draws, prior, *densities)
+    measured = measured_of(manifest, test.id)
     properties = properties_of(trace, replicas.observed, peaks, smooth=replicas.force)
     score = score_of(test.id, "calibrate", trace, replicas.observed, posterior.first)
     arguments = test.id, posterior, replicas, measured, properties, tolerances
     predictive = checks.predictive_checks(*arguments)
     level, area = trace.reference_actuation, _area(manifest)
-    drawn = properties | _of_parameters(posterior, replicas.values, level, area)
+    drawn = properties | derive_from_parameters(posterior.model, replicas.values, level, area)
     stage, travel = _stages(posterior, values)
     return TestView(
         id=test.id,
@@ -106,10 +106,10 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
             *checks.coverage_checks(score, tolerances),
             *checks.slip_checks(test.id, posterior, values, measured),
             *checks.notes(test.id, rows, facts),
-            *checks.identifiability_checks(test.id, known),
+            *checks.identifiability_checks(test.id, identifiability),
         ),
         score=score,
-        identifiability=known,
+        identifiability=identifiability,
         derived=_rows(test.id, "calibrate", trace, drawn, measured_properties(measured)),
         loop_estimates=checks.loop_estimates(predictive, properties),
         noises=noises,
@@ -127,7 +127,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     seen = run.predict(trace, "observation", explain=True, **how)
     test = run.predict(trace, "new_test", **how)
     drawn = _drawn(run, trace, seen, test)
-    measured = measured_properties(measured_of(run.manifest, name, trace))
+    measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
         id=name,
         role="validate",
@@ -191,19 +191,8 @@ def _drawn(run: Run, trace: Trace, band: Band, test: Band) -> dict[str, Array]:
         smooth = smooth + np.asarray(test.values["offset"])[:, None]
     posterior = next(iter(run.tests.values())).posterior
     level, area = trace.reference_actuation, _area(run.manifest)
-    of_parameters = _of_parameters(posterior, band.values, level, area)
+    of_parameters = derive_from_parameters(posterior.model, band.values, level, area)
     return properties_of(trace, band.draws, peaks_of(run), smooth=smooth) | of_parameters
-
-
-def _of_parameters(
-    posterior: Posterior, values: Mapping[str, Array], level: float, area: float | None
-) -> dict[str, Array]:
-    """Width of the gap and self-energizing factors, from the parameters."""
-    found = derive_from_parameters(posterior.model, values, level, area)
-    for name in ("gap", "crossing"):
-        if name in found:
-            found["gap_width"] = found.pop(name)
-    return found
 
 
 def _area(manifest: Manifest) -> float | None:
@@ -328,7 +317,7 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
     shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
     kept = [k for k in np.argsort(-shares).tolist() if shares[k] >= checks.SMALLEST_MODE]
     values = facts.get("mode_values", [])
-    if len(kept) < 2 or len(values) != len(shares):  # as earlier versions wrote it
+    if len(kept) < 2 or len(values) != len(shares):
         return ()
     return tuple({**values[k], "share": float(shares[k])} for k in kept)
 

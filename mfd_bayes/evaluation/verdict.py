@@ -176,7 +176,7 @@ def verdict_sentences(
         if some:
             lead = lead[0].upper() + lead[1:]
             sentences.append(Message(f"{lead} {len(some)} of {_tests(len(judged))}."))
-            sentences += [_named(j) for j in some[:MOST_NAMED]]
+            sentences += [_sentence_of(j) for j in some[:MOST_NAMED]]
             if some[MOST_NAMED:]:
                 sentences.append(Message(f"And {len(some) - MOST_NAMED} more."))
     if all(j.use == Use.USABLE for j in judged):
@@ -208,7 +208,7 @@ def _tests(count: int) -> str:
     return f"{count} test{'' if count == 1 else 's'}"
 
 
-def _named(judged: Judgement) -> Message:
+def _sentence_of(judged: Judgement) -> Message:
     """A test with its reasons."""
     head = Message("{test}: ", {"test": judged.subject})
     return join([head, join(judged.reasons, "; "), Message(".")], "")
@@ -306,16 +306,16 @@ def _of_dependence(run: Run) -> list[str]:
 
 def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
     """How many directions the data inform, and which parameters trade off most often."""
-    known = [view.identifiability for view in tests if view.identifiability is not None]
-    if not known:
+    identified = [view.identifiability for view in tests if view.identifiability is not None]
+    if not identified:
         return []
-    informed = sorted({f.directions.informed for f in known})
+    informed = sorted({f.directions.informed for f in identified})
     span = f"{informed[0]} to {informed[-1]}" if len(informed) > 1 else f"{informed[0]}"
     texts = [
-        f"The model has {len(known[0].directions.names)} parameters for each test, but a test "
+        f"The model has {len(identified[0].directions.names)} parameters for each test, but a test "
         f"determines only {span} combinations of them better than the prior does."
     ]
-    pairs = [f"{pair.first} and {pair.second}" for f in known for pair in f.pairs]
+    pairs = [f"{pair.first} and {pair.second}" for f in identified for pair in f.pairs]
     if pairs:
         texts.append(
             "Parameters that trade off, so that their combination is known better than each of "
@@ -332,7 +332,9 @@ def zero_pressure_sentences(design: Design, tests: Iterable[str]) -> list[str]:
     """
     settings = zip(tests, design.settings, strict=False)
     zeros = ", ".join(name for name, setting in settings if setting.actuation == 0)
-    out = [n for n, known in zip(design.names, design.informs.T, strict=True) if not known.all()]
+    out = [
+        n for n, informs in zip(design.names, design.informs.T, strict=True) if not informs.all()
+    ]
     if not zeros or not out:
         return []
     laws = ", ".join(f"{name} ({design.laws[name]})" for name in out)

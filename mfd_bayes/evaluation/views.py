@@ -29,7 +29,6 @@ DIRECTIONS = "directions informed"
 TRADE_OFFS = "rank correlation of two parameters"
 PREDICTIVE = "posterior predictive"
 LOOP_ESTIMATE = "estimate from the loop"
-NOISE = "noise model"
 COVERAGE = "share of samples inside a band"
 LENGTH = "autocorrelation times kept"
 MODES = "modes found"
@@ -92,8 +91,8 @@ class Check:
             )
         values: dict[str, Quantity | str] = {"feature": self.feature, "note": self.note}
         for name, value in (("observed", self.observed), ("expected", self.expected)):
-            known = self.unit not in ("1", "dimensionless")
-            values[name] = Quantity.of(value, unit=self.unit) if known else f"{value:.3g}"
+            has_unit = self.unit not in ("1", "dimensionless")
+            values[name] = Quantity.of(value, unit=self.unit) if has_unit else f"{value:.3g}"
         if self.check == PREDICTIVE:
             return Message("{feature} {observed} where {expected} is expected", values)
         values |= {"check": self.check, "limit": self.limit}

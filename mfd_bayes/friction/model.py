@@ -298,7 +298,7 @@ class Model:
         """Width of the gap, (n,), in, of values by name; None without a gap."""
         return None
 
-    def crossing(self, values: Mapping[str, Array]) -> Array | None:
+    def gap_width(self, values: Mapping[str, Array]) -> Array | None:
         """Travel from slip to slip, (n,), in: what is read off a loop as its gap."""
         return self.gap(values)
 

@@ -138,7 +138,7 @@ def laws_without(model: Model, laws: Mapping[str, str]) -> list[str]:
 
 def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:
     """Gap and slip force that no device of the priors has: a unit, or another priors file."""
-    read = test.readings
+    read = test.features
     if read is None:
         return
     hint = "check its unit, or give priors that fit the device"

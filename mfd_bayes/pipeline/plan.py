@@ -214,6 +214,8 @@ def _read(campaign: Campaign, test: Test) -> Record:
 
 def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entry:
     before, after = record.around(trace, campaign.since(test))
+    measured = measured_cycles(record)
+    assert measured is not None  # a test has a force
     entry = Entry(
         role=test.role,
         status=State.WAITING,
@@ -224,7 +226,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         conditions=conditions_of(trace),
         peak_force=float(np.max(np.abs(np.asarray(trace.force)))),
         derived=record.derived,
-        measured=measured.to_content() if (measured := measured_cycles(record)) else {},
+        measured=measured.to_content(),
     )
     return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
 

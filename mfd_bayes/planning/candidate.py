@@ -160,10 +160,6 @@ class Limits:
         limits = {name: getattr(self, name) for name in sizes}
         return next((n for n, m in limits.items() if m and sizes[n] > m * (1 + 1e-9)), "")
 
-    def allow(self, candidate: Candidate) -> bool:
-        """Whether its motion is within the limits."""
-        return not self.forbids(candidate)
-
 
 @dataclass(frozen=True)
 class Parts:

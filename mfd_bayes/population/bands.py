@@ -26,7 +26,6 @@ from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 DRAWS = 500  # draws of a band where no other number is asked for
 FEWEST = 10  # fewest draws of a band
@@ -470,7 +469,7 @@ class Predictor:
 _REPEATS = (
     "If few tests were calibrated, more tests make it smaller. If many were, it is the true "
     "difference between tests of this device: find out what differed (temperature, wear, "
-    "bedding-in), or declare sessions. The kind this_test does not contain it."
+    "bedding-in), or declare sessions. A prediction of one calibrated test by itself leaves it out."
 )
 
 _SCATTER = {

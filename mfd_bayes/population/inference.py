@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from mfd_bayes.calibration.diagnostics import Convergence, find_effort, intervals_of
+from mfd_bayes.calibration.diagnostics import Convergence, Effort, find_effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
@@ -61,7 +61,7 @@ class InferenceSettings:
     laws : mapping of str to str
         Law of each quantity that follows the actuation, or "compare".
     actuation_unit : str
-    effort : str
+    effort : str or Effort
     seed : sequence of int
     dependence : mapping of str to sequence of str
         Covariates that quantities follow.
@@ -73,7 +73,7 @@ class InferenceSettings:
 
     laws: Mapping[str, str]
     actuation_unit: str
-    effort: str
+    effort: str | Effort
     seed: Sequence[int]
     dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)
     sessions: Mapping[str, str] = field(default_factory=dict)

@@ -23,7 +23,6 @@ from mfd_bayes.population.settings import levels_of, varies
 from mfd_bayes.store.schema import Figure
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 POINTS = 1024  # points at which scatter and shapes are integrated
 FOLDS = 10  # most parts of the tests that are left out in turn to score a covariate

@@ -11,7 +11,7 @@ import numpy as np
 
 from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.duplicates import Signature, find_twin
-from mfd_bayes.records.loop_features import Readings, asymmetry, read_off
+from mfd_bayes.records.loop_features import LoopFeatures, asymmetry, loop_estimate
 from mfd_bayes.records.loops import channels_swapped, find_loops
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.outliers import QUANTITIES, SAME_LEVEL, Cause, find_odd, likely_cause
@@ -45,7 +45,7 @@ class Tested:
     Attributes
     ----------
     signature : Signature
-    readings : Readings or None
+    features : LoopFeatures or None
         None where the record has too few loops at full stroke.
     asymmetry : (P,), kip
         Difference of the two directions along a stroke.
@@ -71,7 +71,7 @@ class Tested:
 
     id: str
     signature: Signature
-    readings: Readings | None
+    features: LoopFeatures | None
     asymmetry: Array
     direction: int
     work: float
@@ -93,7 +93,7 @@ class Tested:
         return cls(
             id=name,
             signature=Signature.of(trace),
-            readings=read_off(trace) if steady else None,
+            features=loop_estimate(trace) if steady else None,
             asymmetry=asymmetry(trace) if steady else np.full(1, np.nan),
             direction=trace.direction,
             work=float(energy.sum()),
@@ -109,7 +109,7 @@ class Tested:
     @property
     def plateau(self) -> float:
         """Slip force, kip; NaN where it cannot be read."""
-        return self.readings.plateau if self.readings else float("nan")
+        return self.features.plateau if self.features else float("nan")
 
     def same_level(self, other: Tested) -> bool:
         """Whether both have the same actuation, about."""
@@ -145,9 +145,9 @@ def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     for other, test in combinations(tests, 2):
         if test.id in twins:
             continue
-        if test.readings is not None and other.readings is not None:
+        if test.features is not None and other.features is not None:
             # Energies are about the same, but for the sign where one sign is swapped.
-            energies = abs(test.readings.energy), abs(other.readings.energy)
+            energies = abs(test.features.energy), abs(other.features.energy)
             if not min(energies) > (1.0 - ENERGY) * max(energies):
                 continue
         twin = find_twin(test.signature, other.signature)
@@ -163,7 +163,7 @@ def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
 
 def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose signs are not those of the others: which of two, or both."""
-    steady = [t for t in tests if t.readings is not None and not t.swapped]
+    steady = [t for t in tests if t.features is not None and not t.swapped]
     for test in steady:
         others = [t for t in steady if t is not test]
         directions = {t.direction for t in others}
@@ -190,10 +190,10 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
 
 def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose gap, build-up or slip force is not that of the others."""
-    steady = [t for t in tests if t.readings is not None and t.work > 0.0]
-    readings = [[getattr(t.readings, name) for name in QUANTITIES] for t in steady]
+    steady = [t for t in tests if t.features is not None and t.work > 0.0]
+    values = [[getattr(t.features, name) for name in QUANTITIES] for t in steady]
     with np.errstate(invalid="ignore", divide="ignore"):
-        logs = np.log(np.array(readings, dtype=np.float64).reshape(-1, len(QUANTITIES)))
+        logs = np.log(np.array(values, dtype=np.float64).reshape(-1, len(QUANTITIES)))
     logs[~np.isfinite(logs)] = np.nan
     odd = find_odd(logs, np.array([t.level for t in steady]))
     rest = [t for i, t in enumerate(steady) if i not in odd]
@@ -217,7 +217,7 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
             )
         k = int(np.nanargmax(np.abs(deviation.values) / deviation.sds))
         has, unit = _LOOP_HAS[QUANTITIES[k]]
-        value = float(getattr(test.readings, QUANTITIES[k]))
+        value = float(getattr(test.features, QUANTITIES[k]))
         yield (
             test.id,
             Fault.of(

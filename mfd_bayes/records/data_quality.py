@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.lag import estimate_lag
-from mfd_bayes.records.loop_features import read_off
+from mfd_bayes.records.loop_features import loop_estimate
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops
 from mfd_bayes.records.motion import Array, sensor_noise
 from mfd_bayes.records.resampling import crossing_times
@@ -446,7 +446,7 @@ def noise(trace: Trace) -> Iterator[Fault]:
     """
     if any(resolution(trace, None)):  # which says it better
         return
-    size, loop = sensor_noise(trace.displacement), read_off(trace)
+    size, loop = sensor_noise(trace.displacement), loop_estimate(trace)
     rise = loop.plateau / loop.slope  # NaN where it cannot be read
     if size > NOISE * rise > 0.0:
         yield Fault.of(
@@ -485,7 +485,7 @@ def _steady_drift(trace: Trace) -> tuple[float, float]:
     """
     from scipy.stats import linregress  # which takes long to import
 
-    loops, slip = find_loops(trace), read_off(trace).plateau
+    loops, slip = find_loops(trace), loop_estimate(trace).plateau
     strong = loops.strong
     many = np.count_nonzero(strong) >= max(STEADY, 0.5 * strong.size)
     if loops.offset is None or not many or not slip > 0.0 or trace.varying:

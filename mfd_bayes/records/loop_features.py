@@ -22,7 +22,7 @@ RISE = (0.2, 0.8)
 
 
 @dataclass(frozen=True)
-class Readings:
+class LoopFeatures:
     """What a person reads off the full strokes of a loop; NaN where it cannot be read.
 
     A stroke is the way from one of `Trace.cycle_turns` to the next; full strokes are those of at
@@ -104,20 +104,20 @@ def stroke_estimates(trace: Trace, force: Array) -> Strokes:
     return found
 
 
-def read_off(trace: Trace, offset: float = 0.0) -> Readings:
-    """Readings of a record less the offset of its load cell, kip.
+def loop_estimate(trace: Trace, offset: float = 0.0) -> LoopFeatures:
+    """What a record shows less the offset of its load cell, kip.
 
     A motion without a full stroke, or without a force, has none: all are NaN.
     """
     nan = float("nan")
     if trace.force is None or trace.cycle_turns.size < 2:
-        return Readings(nan, nan, nan, nan, nan)
+        return LoopFeatures(nan, nan, nan, nan, nan)
     found = stroke_estimates(trace, trace.force[None] - offset)
     slope, gap = (float(_median(v[:, found.full])[0]) for v in (found.slope, found.gap))
     loops = find_loops(trace)
     energy = np.asarray(loops.energy)[loops.strong]
     mean = float(energy.mean()) if energy.size else nan
-    return Readings(float(found.slip(1.0)[0]), float(found.slip(-1.0)[0]), slope, gap, mean)
+    return LoopFeatures(float(found.slip(1.0)[0]), float(found.slip(-1.0)[0]), slope, gap, mean)
 
 
 def asymmetry(trace: Trace) -> Array:
@@ -233,7 +233,7 @@ def scales_of(trace: Trace) -> Scales | None:
     loops = find_loops(trace)
     known = loops.offset is not None and loops.offset.size
     offset = float(np.median(np.asarray(loops.offset))) if known else float(np.mean(force))
-    read = read_off(trace, offset)
+    read = loop_estimate(trace, offset)
     slip = _positive(read.plateau, 0.5 * float(np.ptp(force)))
     # White noise whose second differences have the size of these.
     noise = float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))

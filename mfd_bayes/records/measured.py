@@ -127,10 +127,22 @@ class MeasuredCycles:
 
     @classmethod
     def from_content(cls, content: Mapping[str, Sequence[float]]) -> MeasuredCycles:
-        """The values from `to_content`."""
+        """The values from `to_content`.
+
+        Raises
+        ------
+        ValueError
+            When one is missing, or they are not of the same cycles.
+        """
+        if missing := [f.name for f in fields(cls) if f.name not in content]:
+            raise ValueError(f"{missing[0]} is missing")
         values: dict[str, Any] = {f.name: np.array(content[f.name]) for f in fields(cls)}
+        whole = ("largest_fwd", "largest_bwd", "total_energy")
+        cycles = values["time"].size
+        if wrong := [n for n, v in values.items() if v.size != (1 if n in whole else cycles)]:
+            raise ValueError(f"{wrong[0]} has {values[wrong[0]].size} values")
         values["full_stroke"] = values["full_stroke"] > 0.0
-        for name in ("largest_fwd", "largest_bwd", "total_energy"):
+        for name in whole:
             values[name] = float(values[name][0])
         return cls(**values)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _OF_UNIT = frozenset(
     {
         *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
-        *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "read_off"),
+        *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "loop_estimate"),
         *("smallest", "largest", "prior", "posterior", "measured_low", "measured_high"),
         *("observed", "expected", "joint_q2.5", "joint_q50", "joint_q97.5"),
     }

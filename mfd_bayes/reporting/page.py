@@ -174,11 +174,11 @@ class Units:
     def sentence(self, sentence: Message | str) -> Markup:
         """A sentence with its quantities."""
         if isinstance(sentence, str):
-            return Markup(escape(symbols.printable(sentence)))
+            return symbols.sentence_in_html(sentence)
         shown = {
             name: self.values(value.values, value.unit, value.digits)
             if isinstance(value, Quantity)
-            else symbols.printable(value)
+            else symbols.sentence_in_html(value)
             for name, value in sentence.values.items()
         }
         return Markup(escape(sentence.template)).format(**shown)
@@ -280,10 +280,10 @@ def _datasheet(sheet: Datasheet | None, view: CampaignView) -> dict[str, Any]:
         return {"datasheet": None}
     properties = datasheet_sheet(sheet.rows, US, view.title)
     heads = dict(zip(sheet.rows["condition"].unique(), properties.heads, strict=True))
-    noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
+    with_note = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
     notes = [
         f"{heads[condition]}: {note}"
-        for condition, note in zip(noted["condition"], noted["note"], strict=True)
+        for condition, note in zip(with_note["condition"], with_note["note"], strict=True)
     ]
     return {
         "datasheet": sheet,

@@ -202,9 +202,9 @@ def response_json(
             }
         )
     passing = []
-    for one in limits:
-        unit, by = shown_unit(one.unit, system)
-        passing.append({**vars(one), "limit": by * one.limit, "unit": unit})
+    for limit in limits:
+        unit, by = shown_unit(limit.unit, system)
+        passing.append({**vars(limit), "limit": by * limit.limit, "unit": unit})
     return json_text({**about, "peaks": peaks, "limits": passing}, indent=2) + "\n"
 
 

@@ -139,6 +139,19 @@ def in_html(name: str) -> Markup:
     return escape(word + " ") + in_html(of) + more if word else escape(shown.replace("_", " "))
 
 
+_CODE_NAME = re.compile(r"(?<![\w.\-/])[A-Za-z]+(?:\d\w*|_\w+)(?![\w\-/=]|\.\w| =)")
+
+
+def sentence_in_html(text: str) -> Markup:
+    """A sentence as HTML, with symbols for the code names of quantities in it."""
+    parts, end = [], 0
+    for match in _CODE_NAME.finditer(text := printable(text)):
+        if symbol := _written(match[0])[1]:
+            parts += [escape(text[end : match.start()]), Markup(symbol)]
+            end = match.end()
+    return Markup("").join([*parts, escape(text[end:])])
+
+
 _PART = re.compile(r"<sub>(.*?)</sub>|<[^>]+>|([^<]+)")
 
 

@@ -60,7 +60,9 @@ _COLUMNS = {
     "parameters": f"subject:test name:parameter {_POSTERIOR} {_JOINT}",
     "laws": f"subject:group name:constant {_POSTERIOR}",
     "derived": f"subject:test role name:quantity unit mean sd {_INTERVAL} measured note",
-    "readings": f"subject:test name:quantity unit value:read_off {_INTERVAL} tolerance missed",
+    "loop_estimates": (
+        f"subject:test name:quantity unit value:loop_estimate {_INTERVAL} tolerance missed"
+    ),
     "noises": (
         f"subject:test name:quantity unit noise {_INTERVAL} other:other_noise "
         "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 decides"
@@ -104,7 +106,7 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
     rows: dict[str, Iterable[Any]] = {
         "parameters": (row for test in tests for row in test.rows),
         "derived": (row for test in tests for row in test.derived),
-        "readings": (row for test in tests for row in test.loop_estimates),
+        "loop_estimates": (row for test in tests for row in test.loop_estimates),
         "noises": (row for test in tests for row in test.noises),
         "laws": view.law_rows,
         "law_scores": (row for choice in view.law_choices for row in choice.rows),
@@ -132,9 +134,9 @@ def report_tables(view: CampaignView) -> dict[str, str]:
     texts["parameters.csv"] = to_csv(parameters)
     for name in ("parameters", "laws"):
         texts[f"{name}.json"] = _to_json(view.title, name, frames[name], noises)
-    one, two = paper_sheets(view, system)
-    texts["parameters.tex"] = to_latex("parameters", one)
-    texts["laws.tex"] = to_latex("laws", two)
+    parameters_sheet, laws_sheet = paper_sheets(view, system)
+    texts["parameters.tex"] = to_latex("parameters", parameters_sheet)
+    texts["laws.tex"] = to_latex("laws", laws_sheet)
     return texts
 
 
@@ -347,15 +349,15 @@ def paper_sheets(view: CampaignView, system: System) -> tuple[Sheet, Sheet]:
         for test in tests
     }
     parameters = to_units(frames["parameters"], system)
-    one = _sheet("Table I: parameters of the tests", parameters, heads, noises)
+    parameters_sheet = _sheet("Table I: parameters of the tests", parameters, heads, noises)
     laws = to_units(frames["laws"], system).assign(test="all tests")
-    two = _sheet(
+    laws_sheet = _sheet(
         "Table II: constants of the laws",
         laws.rename(columns={"constant": "parameter"}),
         {"all tests": "all tests"},
         {},
     )
-    return one, two
+    return parameters_sheet, laws_sheet
 
 
 def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: Noises) -> Sheet:

@@ -6,11 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.response.result import Response
-
-Array = NDArray[np.float64]
 
 ORDERS = 24  # orders in which sources are added; the share of each is its mean gain
 FEWEST = 30  # fewest draws, of those that did not run away, of which there are shares

@@ -174,16 +174,16 @@ def _with_results(
     files = [name for name in map(posterior_of, kept) if (out / name).is_file()]
     for name in (*files, *([POPULATION] if (out / POPULATION).is_file() else [])):
         check_stored(out, name, before.files)
-    found = manifest.changed(files={n: before.files[n] for n in files if n in before.files})
+    resumed = manifest.changed(files={n: before.files[n] for n in files if n in before.files})
     if before.truth is not None:
         tests = {name: values for name, values in before.truth.tests.items() if name in kept}
-        found = found.changed(truth=before.truth.model_copy(update={"tests": tests}))
+        resumed = resumed.changed(truth=before.truth.model_copy(update={"tests": tests}))
     for name in kept:
         if before.tests[name].status == State.DONE:
             seconds = before.tests[name].seconds
-            found = found.with_test(name, status=State.DONE, seconds=seconds)
+            resumed = resumed.with_test(name, status=State.DONE, seconds=seconds)
     machines = dict.fromkeys(tuple(m.items()) for m in (*before.machines, *manifest.machines))
-    return found.changed(
+    return resumed.changed(
         started=before.started, seconds=before.seconds, machines=tuple(map(dict, machines))
     )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.prior_files import PriorFile
@@ -24,6 +24,7 @@ from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.records.measured import MeasuredCycles
 from mfd_bayes.runs.lock import other_owner
 from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST, POPULATION, folder_of
 from mfd_bayes.runs.scores import CampaignCrossValidation, Comparison
@@ -67,10 +68,16 @@ class Entry(Part):
     before: tuple[Figure, ...] = ()
     after: tuple[Figure, ...] = ()
     """Displacements, in, at the ends and turns of the record before and after its fit window."""
-    measured: Mapping[str, tuple[Figure, ...]] = Field(default_factory=dict)
-    """Values of each cycle as recorded, `MeasuredCycles.to_content`; of earlier versions, none."""
+    measured: Mapping[str, tuple[Figure, ...]]
+    """Values of each cycle as recorded: `MeasuredCycles.to_content`."""
     seconds: Figure = 0.0
     error: str = ""
+
+    @field_validator("measured")
+    @classmethod
+    def _check_measured(cls, measured: Mapping[str, Any]) -> Mapping[str, Any]:
+        MeasuredCycles.from_content(measured)
+        return measured
 
     @property
     def filtered(self) -> bool:

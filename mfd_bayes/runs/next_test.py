@@ -70,7 +70,7 @@ def next_test(
         values = [getattr(row.candidate, span.name) for row in advice]
         reached.append(Span(span.name, span.unit, min(values), max(values)))
     outside = departures(run.tested, reached)
-    return replace(advice, remarks=tuple(one.sentence(run.system) for one in outside))
+    return replace(advice, remarks=tuple(departure.sentence(run.system) for departure in outside))
 
 
 def _chosen(

@@ -26,7 +26,7 @@ _ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
 ON_REQUEST = (*_ON_REQUEST, *ADVICE, "figures/next.png", "figures/next.csv")
 """What is written only where it is asked for; all of it rests on the population."""
 
-_TABLES = "parameters derived readings noises laws law_scores checks scores crossvalidation"
+_TABLES = "parameters derived loop_estimates noises laws law_scores checks scores crossvalidation"
 OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),

@@ -109,16 +109,16 @@ def conditions_of(trace: Trace) -> dict[str, float]:
     speeds = (trace.displacement[step:] - trace.displacement[:-step]) / (
         trace.time[step:] - trace.time[:-step]
     )
-    found = {
+    conditions = {
         "stroke": float(np.ptp(trace.displacement)),
         "speed": float(np.quantile(np.abs(speeds), FASTEST)),
     }
     loops = find_loops(trace)
     if loops.period.size:
-        found["frequency"] = float(1.0 / np.median(loops.period[loops.strong]))
+        conditions["frequency"] = float(1.0 / np.median(loops.period[loops.strong]))
     if np.isfinite(trace.reference_actuation):
-        found["actuation"] = float(trace.reference_actuation)
-    return found
+        conditions["actuation"] = float(trace.reference_actuation)
+    return conditions
 
 
 def conditions(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:

@@ -35,7 +35,7 @@ class Verdict(StrEnum):
         return cls.PASS if good else cls.FAIL
 
     @classmethod
-    def noted(cls, good: bool) -> Verdict:
+    def pass_or_note(cls, good: bool) -> Verdict:
         """PASS or NOTE, of a check that cannot fail."""
         return cls.PASS if good else cls.NOTE
 

@@ -4,14 +4,15 @@ import pytest
 from mfd_bayes.calibration.cycles import (
     count_cycles,
     cycle_energies,
-    derive_from_force,
     derive_from_parameters,
-    equivalent_damping,
+    full_strokes,
+    total_energy,
 )
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.measured import cycle_values
 from mfd_bayes.records.trace import Trace
 
 X = 1.3  # in
@@ -37,27 +38,26 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
     energies = cycle_energies(force, trace)
     assert energies.shape == (2, 3)
     np.testing.assert_allclose(energies, np.tile(4.0 * friction[:, None] * X, 3), rtol=1e-3)
-    derived = derive_from_force(force, trace)
-    np.testing.assert_allclose(derived["energy_per_cycle"], 4.0 * friction * X, rtol=1e-3)
+    values = cycle_values(trace, force)
     equivalent = 4.0 * friction / (np.pi * OMEGA * X)  # Chopra, Coulomb damping
-    np.testing.assert_allclose(derived["c_eq"], equivalent, rtol=1e-3)
-    np.testing.assert_array_equal(derived["peak_fwd"], friction)
-    np.testing.assert_array_equal(derived["peak_bwd"], friction)
+    np.testing.assert_allclose(values["c_eq"], np.tile(equivalent[:, None], 3), rtol=1e-3)
+    for name in ("peak_fwd", "peak_bwd"):
+        np.testing.assert_array_equal(values[name], np.tile(friction[:, None], 3))
 
 
-def test_peaks_of_both_directions_are_told_apart():
+def test_each_direction_has_its_peak():
     trace = harmonic()
     force = np.where(trace.velocity > 0, 1.0, -3.0)[None, :]
-    derived = derive_from_force(force, trace)
-    assert (derived["peak_fwd"].item(), derived["peak_bwd"].item()) == (1.0, 3.0)
-    np.testing.assert_allclose(derived["energy_per_cycle"], 2.0 * (1.0 + 3.0) * X, rtol=1e-3)
+    values = cycle_values(trace, force)
+    assert (set(values["peak_fwd"][0]), set(values["peak_bwd"][0])) == ({1.0}, {3.0})
+    np.testing.assert_allclose(values["energy"], 2.0 * (1.0 + 3.0) * X, rtol=1e-3)
 
 
 @pytest.mark.parametrize("motion", [harmonic, decaying])
 def test_a_dashpot_is_equivalent_to_itself_in_any_motion(motion):
     trace, c = motion(), np.array([0.2, 0.7, 1.5])
-    found = equivalent_damping(c[:, None] * trace.velocity, trace)
-    np.testing.assert_allclose(found, c, rtol=2e-4)
+    found = cycle_values(trace, c[:, None] * trace.velocity)["c_eq"]
+    np.testing.assert_allclose(found, np.tile(c[:, None], found.shape[1]), rtol=1e-3)
 
 
 @pytest.mark.parametrize("omega", [0.5 * OMEGA, OMEGA, 3.0 * OMEGA])
@@ -67,10 +67,8 @@ def test_in_harmonic_motion_equivalent_damping_is_energy_over_pi_omega_x_squared
     theta = np.array(THETA) * np.exp(0.05 * rng.standard_normal((5, 14)))
     theta[:, [3, 5]] = 1.2 * theta[:, [4, 6]]
     force = ThreeStage().force(theta, trace)
-    energy = derive_from_force(force, trace)["energy_per_cycle"]
-    np.testing.assert_allclose(
-        equivalent_damping(force, trace), energy / (np.pi * omega * X**2), rtol=1e-3
-    )
+    values = cycle_values(trace, force)
+    np.testing.assert_allclose(values["c_eq"], values["energy"] / (np.pi * omega * X**2), rtol=1e-3)
 
 
 def test_a_spring_dissipates_nothing_and_an_offset_adds_nothing():
@@ -92,8 +90,8 @@ def test_the_motion_before_the_first_turn_and_after_the_last_full_cycle_is_left_
     spoiled[begin + 3 * period + 2 :] = 50.0
     energies = cycle_energies(np.stack([force, spoiled]), trace)
     np.testing.assert_array_equal(energies[0], energies[1])
-    kept = derive_from_force(spoiled[None, :], trace, first=int(begin) + 1)
-    assert kept["energy_per_cycle"].item() == pytest.approx(4.0 * X, rel=1e-3)
+    kept = cycle_energies(spoiled[None, :], trace, first=int(begin) + 1)
+    np.testing.assert_allclose(kept, 4.0 * X, rtol=1e-3)
     assert count_cycles(trace) == 3
     assert count_cycles(trace, first=int(begin) + 1) == 2
 
@@ -107,29 +105,24 @@ def test_cycles_of_changing_amplitude_are_told_apart():
     np.testing.assert_allclose(
         energies, [way[0] + way[1], way[2] + way[3], way[4] + way[5]], rtol=1e-2
     )
-    derived = derive_from_force(force, trace)
-    assert derived["energy_per_cycle"].item() == pytest.approx(energies[0])  # at full stroke
-    assert derived["energy_of_ramps"].item() == pytest.approx(energies[1:].mean())
+    assert full_strokes(trace).tolist() == [True, False, False]
     whole = np.abs(np.diff(trace.displacement)).sum()
-    assert derived["energy_in_all"].item() == pytest.approx(whole, rel=1e-2)
+    assert total_energy(force, trace).item() == pytest.approx(whole, rel=1e-2)
 
 
-def test_without_a_full_cycle_there_are_only_peaks():
-    time = TIME[TIME < 3.9]  # two turning points
-    trace = harmonic(time)
-    derived = derive_from_force(np.sign(trace.velocity)[None, :], trace)
-    assert count_cycles(trace) == 0
-    assert np.isnan(derived["energy_per_cycle"]).all()
-    assert np.isnan(derived["c_eq"]).all()
-    assert (derived["peak_fwd"].item(), derived["peak_bwd"].item()) == (1.0, 1.0)
+def test_two_turning_points_are_no_cycle():
+    trace = harmonic(TIME[TIME < 3.9])
+    force = np.sign(trace.velocity)[None, :]
+    assert count_cycles(trace) == full_strokes(trace).size == 0
+    assert cycle_energies(force, trace).shape == (1, 0)
 
 
 def test_batch_equals_loop():
     trace = harmonic()
     force = np.random.default_rng(2).standard_normal((4, trace.samples))
-    batch = derive_from_force(force, trace)
+    batch = cycle_values(trace, force)
     for i, row in enumerate(force):
-        for name, value in derive_from_force(row[None, :], trace).items():
+        for name, value in cycle_values(trace, row[None, :]).items():
             np.testing.assert_allclose(value[0], batch[name][i])
 
 
@@ -141,11 +134,13 @@ def test_gap_and_self_energizing_factors_follow_from_the_parameters():
         "Fc_bwd": np.array([3.0, 4.0]),
     }
     derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=2.0)
-    np.testing.assert_allclose(derived["gap"], [0.15, 0.3])
+    np.testing.assert_allclose(derived["gap_width"], [0.15, 0.3])
     np.testing.assert_allclose(derived["C_fwd"], [1.0, 2.0])
     np.testing.assert_allclose(derived["C_bwd"], [3.0, 4.0])
-    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap"}
-    assert set(derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)) == {"gap"}
+    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap_width"}
+    assert set(derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)) == {
+        "gap_width"
+    }
     assert derive_from_parameters(LuGre(), values) == {}
 
 
@@ -157,4 +152,4 @@ def test_a_yield_force_stands_for_kinetic_friction_where_there_is_none():
 
 def test_a_force_of_another_motion_is_refused():
     with pytest.raises(FitError, match=r"\(n, 2800\), got \(1, 5\)"):
-        derive_from_force(np.zeros((1, 5)), harmonic())
+        cycle_energies(np.zeros((1, 5)), harmonic())

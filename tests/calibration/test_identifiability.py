@@ -52,7 +52,6 @@ def test_directions_of_a_linear_model_are_those_of_its_curvature():
     np.testing.assert_allclose(alignment, 1.0, atol=1e-9)
     assert found.informed == 2
     assert found.carriers(2) == ("c",)  # which the data do not see
-    np.testing.assert_allclose(found.narrowing, np.sqrt(1 + values[::-1]), rtol=1e-6)
 
 
 def test_curvature_and_contraction_sum_to_the_same():

@@ -187,7 +187,7 @@ def test_a_table_is_read_by_its_names(model):
 
 
 def test_values_are_vectors_given_by_name(model):
-    calls = [model.theta, *([model.gap, model.crossing] if model.has_gap else [])]
+    calls = [model.theta, *([model.gap, model.gap_width] if model.has_gap else [])]
     for call in calls:
         for values in (None, [1.0], "a", 5, dict):
             refused("values must be a mapping from names", call, values)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mfd_bayes.records.loop_features import read_off
+from mfd_bayes.records.loop_features import loop_estimate
 from mfd_bayes.records.trace import Trace
 from tests.friction.backlash_cases import (
     MODEL,
@@ -134,10 +134,10 @@ def test_stages_follow_each_other_after_a_turn():
 def test_the_travel_from_slip_to_slip_is_what_a_loop_shows():
     values = {name: np.array([value]) for name, value in VALUES.items()}
     expected = 0.2 + 2.2 / 50.0 + 1.8 / 42.0
-    np.testing.assert_allclose(MODEL.crossing(values), expected)
+    np.testing.assert_allclose(MODEL.gap_width(values), expected)
     trace = sine(1.0, seconds=8.0)
     force = MODEL.force(theta(n=12.0, ell=0.005), trace)[0]
-    read = read_off(replace(trace, force=force))
+    read = loop_estimate(replace(trace, force=force))
     assert read.gap == pytest.approx(expected, rel=0.1)
 
 

@@ -27,7 +27,6 @@ VALUES = {
     "gamma2": 0.005,
     "v_s": 0.5,
 }
-SYMMETRIC = {"Fs_bwd": 2.4, "Fc_bwd": 2.0}
 D = VALUES["d2"] + VALUES["d3"]
 SECONDS = 8.0
 

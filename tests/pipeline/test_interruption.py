@@ -309,7 +309,7 @@ def unfinished(ended_at_its_start, tmp_path):
     ("options", "words"),
     [
         (("--seed", 2), ("seed changed",)),
-        (("--effort", "standard"), ("effort (", "changed")),
+        (("--effort", "standard"), ("effort", "changed")),
     ],
 )
 def test_what_has_changed_is_named_and_not_resumed(unfinished, options, words):

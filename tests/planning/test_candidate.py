@@ -92,11 +92,11 @@ def test_bad_limits_end_in_one_sentence(text):
 
 def test_limits_are_kept():
     limits = Limits(velocity=3.0, stroke=1.9)
-    assert not limits.allow(Candidate(1.0, 0.5, 0.96))  # a sine's speed is 3.016 in/s
-    assert limits.allow(Candidate(1.0, 0.5, 0.95))
-    assert limits.allow(Candidate(1.0, 1.5, 0.5, waveform="triangle"))  # 3 in/s
-    assert not Limits(stroke=1.9).allow(Candidate(1.0, 0.1, 0.96))
-    assert Limits().allow(Candidate(1.0, 100.0, 100.0))
+    assert limits.forbids(Candidate(1.0, 0.5, 0.96)) == "velocity"  # a sine's speed is 3.016 in/s
+    assert not limits.forbids(Candidate(1.0, 0.5, 0.95))
+    assert not limits.forbids(Candidate(1.0, 1.5, 0.5, waveform="triangle"))  # 3 in/s
+    assert Limits(stroke=1.9).forbids(Candidate(1.0, 0.1, 0.96)) == "stroke"
+    assert not Limits().forbids(Candidate(1.0, 100.0, 100.0))
 
 
 # --- the campaign's own grid
@@ -204,7 +204,7 @@ def test_what_is_no_limit_is_refused():
 def test_limits_allow_candidates_alone():
     for wrong in (None, "500 psi, 0.5 Hz, 1 in"):
         with pytest.raises(CampaignError, match="candidate must be a Candidate"):
-            Limits(velocity=1.0).allow(wrong)
+            Limits(velocity=1.0).forbids(wrong)
 
 
 def test_numbers_of_any_kind_make_the_same_test():

@@ -7,7 +7,7 @@ from mfd_bayes.calibration.cycles import cycle_energies
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.simulation import Loop
-from mfd_bayes.records.loop_features import read_off
+from mfd_bayes.records.loop_features import loop_estimate
 from mfd_bayes.records.sine import Harmonic
 from mfd_bayes.records.trace import Trace
 
@@ -67,7 +67,7 @@ def test_where_the_test_began_does_not_matter():
 def test_summaries_are_what_is_read_off_a_record():
     fine = Harmonic(1.0, 0.5, 4).trace(1.0)
     force = ThreeStage().force(theta(), fine)[0]
-    read = read_off(Trace.from_arrays(fine.time, fine.displacement, 1.0, force))
+    read = loop_estimate(Trace.from_arrays(fine.time, fine.displacement, 1.0, force))
     loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
     found = loop.summaries(ThreeStage().force(theta(), loop.trace), GAP)
     assert found["slip_fast_fwd"][0] == pytest.approx(read.plateau_fwd, rel=0.03)

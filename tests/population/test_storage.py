@@ -21,7 +21,6 @@ from mfd_bayes.store.netcdf import load_arrays
 from tests.population.made import make_population, no_residual
 
 TIME = np.arange(120) / 40.0
-TESTED = ((0.5, "a", 1.0), (0.8, "b", 1.5), (1.5, "b", 1.0))
 LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
 
 

@@ -42,7 +42,7 @@ def test_a_report_holds_every_figure_and_every_table(campaign, datasheet, tmp_pa
     names = (
         "parameters",
         "derived",
-        "readings",
+        "loop_estimates",
         "noises",
         "laws",
         "law_scores",

@@ -68,3 +68,15 @@ def test_labels_carry_units():
 def test_quantities_of_the_population_are_written_in_words(name, text, meaning):
     assert symbols.in_html(name) == text
     assert meaning in symbols.meaning(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "html"),
+    [
+        ("not determined: sigma1 (7), k3", "not determined: σ<sub>1</sub> (7), k<sub>3</sub>"),
+        ("the gap of a<b is Fc_fwd.", "the gap of a&lt;b is F<sub>c,fwd</sub>."),
+        ("test run-d2 of d2.csv, noise_check = true", "test run-d2 of d2.csv, noise_check = true"),
+    ],
+)
+def test_a_sentence_has_symbols_and_no_code_names(text, html):
+    assert symbols.sentence_in_html(text) == html

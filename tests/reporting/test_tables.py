@@ -68,7 +68,7 @@ def of_two(view, **changes):
         ("law_scores", "quantity law chosen elpd elpd_se elpd_difference"),
         ("scores", "test role coverage_50 coverage_90 coverage_95 width_95_kip"),
         ("tested_range", "condition unit smallest largest"),
-        ("readings", "test quantity unit read_off q2.5 q50 q97.5 tolerance missed"),
+        ("loop_estimates", "test quantity unit loop_estimate q2.5 q50 q97.5 tolerance missed"),
         ("noises", "test quantity unit noise q2.5 q50 q97.5 other_noise other_q2.5 other_q50"),
         ("derived", "test role quantity unit mean sd q2.5 q50 q97.5 measured note"),
         ("crossvalidation", "part test coverage_50 coverage_90 coverage_95 width_95_kip"),
@@ -134,7 +134,7 @@ def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign):
     row = next(r for r in read(texts["parameters.csv"]) if r["parameter"] == "k3")
     assert row["unit"] == "kN/mm"
     assert float(row["q50"]) == pytest.approx(STIFFNESS, rel=1e-5)
-    assert float(read(texts["readings.csv"])[0]["read_off"]) == pytest.approx(
+    assert float(read(texts["loop_estimates.csv"])[0]["loop_estimate"]) == pytest.approx(
         14.25 * STIFFNESS, rel=1e-5
     )
     assert float(read(texts["scores.csv"])[0]["crps_kN"]) == pytest.approx(0.13344665, rel=1e-5)

@@ -233,7 +233,7 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert json.loads((out / "response.json").read_text())["peaks"][0]["quantity"] == "drift ratio"
     head, *levels = (out / "sweep.csv").read_text().splitlines()
-    assert head.startswith("actuation_ksi,drift_mean_in,drift_median_in,drift_mean_in,")
+    assert head.startswith("actuation_ksi,drift_mean_in,drift_median_in,drift_lower_95_in,")
     assert len(levels) == 3
     assert all(row.split(",")[1] == row.split(",")[3] for row in levels)
     assert r"\toprule" in (out / "peaks.tex").read_text()

@@ -85,6 +85,8 @@ def test_a_listed_file_outside_the_folder_is_not_looked_at(out, change):
         (("tests", "a", "role"), "both"),
         (("tests", "a", "status"), 3),
         (("tests", "a", "conditions"), {"stroke": "long"}),
+        (("tests", "a", "measured"), {}),
+        (("tests", "a", "measured", "energy"), [1.0] * 99),
         (("settings",), {}),
         (("settings", "test", 0, "actuation"), "5 m"),
         (("settings", "test", 0, "rol"), "validate"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.records.loop_features import asymmetry, read_off
+from mfd_bayes.records.loop_features import asymmetry, loop_estimate
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 
@@ -29,7 +29,7 @@ def drawn_loop(cycles=5, ramp=0):
 
 
 def test_a_loop_of_straight_lines_is_read_as_it_was_drawn():
-    read = read_off(drawn_loop())
+    read = loop_estimate(drawn_loop())
     assert read.plateau_fwd == pytest.approx(FORWARD)
     assert read.plateau_bwd == pytest.approx(BACKWARD)
     assert read.plateau == pytest.approx(0.5 * (FORWARD + BACKWARD))
@@ -40,16 +40,16 @@ def test_a_loop_of_straight_lines_is_read_as_it_was_drawn():
 def test_the_offset_of_the_load_cell_is_taken_off():
     trace = drawn_loop()
     shifted = Trace.from_arrays(trace.time, trace.displacement, 0.03, trace.force + 0.4)
-    assert read_off(shifted).plateau_fwd == pytest.approx(FORWARD + 0.4)
-    assert read_off(shifted, 0.4).plateau_fwd == pytest.approx(FORWARD)
-    assert read_off(shifted, 0.4).gap == pytest.approx(GAP, rel=0.02)
+    assert loop_estimate(shifted).plateau_fwd == pytest.approx(FORWARD + 0.4)
+    assert loop_estimate(shifted, 0.4).plateau_fwd == pytest.approx(FORWARD)
+    assert loop_estimate(shifted, 0.4).gap == pytest.approx(GAP, rel=0.02)
 
 
 def test_ramps_are_not_read():
-    read, loops = read_off(trace := drawn_loop(8, ramp=3)), find_loops(drawn_loop(8, ramp=3))
+    read, loops = loop_estimate(trace := drawn_loop(8, ramp=3)), find_loops(drawn_loop(8, ramp=3))
     assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
     assert loops.energy.mean() < 0.95 * read.energy
-    assert read.plateau_fwd == pytest.approx(read_off(drawn_loop()).plateau_fwd)
+    assert read.plateau_fwd == pytest.approx(loop_estimate(drawn_loop()).plateau_fwd)
     assert np.count_nonzero(find_loops(trace).strong) < loops.energy.size
 
 
@@ -57,7 +57,7 @@ def test_the_model_reads_as_its_parameters():
     trace = drawn_loop()
     theta = np.array([[200, 0, 0, 2.0, 2.0, 2.4, 2.4, 0.1, 20, 0.15, 0.1, 1, 0.001, 0.5]])
     force = ThreeStage().force(theta, trace)[0]
-    read = read_off(Trace.from_arrays(trace.time, trace.displacement, 0.03, force))
+    read = loop_estimate(Trace.from_arrays(trace.time, trace.displacement, 0.03, force))
     assert read.plateau_fwd == pytest.approx(2.0, rel=0.02)
     assert read.plateau_bwd == pytest.approx(2.4, rel=0.02)
     assert read.gap == pytest.approx(0.25, rel=0.1)
@@ -66,7 +66,7 @@ def test_the_model_reads_as_its_parameters():
 def test_without_a_stroke_or_a_force_nothing_is_read():
     time = np.arange(100) / 50
     for force in (None, np.ones(100)):
-        read = read_off(Trace.from_arrays(time, time, 0.03, force))
+        read = loop_estimate(Trace.from_arrays(time, time, 0.03, force))
         assert np.isnan([read.plateau_fwd, read.slope, read.gap, read.energy]).all()
 
 
