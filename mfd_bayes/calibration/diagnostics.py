@@ -13,6 +13,7 @@ from scipy import special
 
 from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.records.numbers import real_number, whole_number
 from mfd_bayes.store.arviz import import_arviz
 
@@ -290,9 +291,9 @@ def intervals_of(values: Mapping[str, Array]) -> dict[str, Interval]:
 
 
 def interval_rows(
-    intervals: Mapping[str, Interval],
+    intervals: Mapping[str, Interval], model: Model | None = None
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows of a table: name, unit, median and 95 % interval of quantities, as text."""
-    known = units()
+    known = units(model)
     rows = [(n, known.get(n, ""), *(f"{x:.4g}" for x in three)) for n, three in intervals.items()]
     return ("quantity", "unit", "median", "2.5 %", "97.5 %"), rows

@@ -154,9 +154,9 @@ class Posterior:
 
     @cached_property
     def _defaults(self) -> dict[str, float]:
-        """Values of what is not part of q. Every stored test has γ1 and start."""
+        """Values of what is not part of q; γ1 and start of every model, but γ1 of a user's own."""
         fixed = {name: p.figures["value"] for name, p in self.priors.items() if p.fixed}
-        return {"gamma1": 1.0, "start": 0.5} | fixed
+        return ({} if self.model.own else {"gamma1": 1.0}) | {"start": 0.5} | fixed
 
     def log_prob(self, q: ArrayLike, least: float = -np.inf) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,).

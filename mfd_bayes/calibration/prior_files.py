@@ -65,9 +65,13 @@ OF_RECORDS = (
 
 
 def known_quantities(model: Model | None = None) -> dict[str, Quantity]:
-    """Quantities of all models, or of one, of records and of all noises, by name."""
-    parts = [m.quantities for m in ([model] if model else models.MODELS.values())]
+    """Quantities of the package's models, of records and of all noises, by name.
+
+    Those of a given `model` stand in place of others of the same name.
+    """
+    parts = [m.quantities for m in models.MODELS.values()]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
+    parts += [model.quantities] if model else []
     return {quantity.name: quantity for part in parts for quantity in part}
 
 
@@ -79,14 +83,13 @@ def quantities_of_fit(model: Model, noise: Noise, *, sampled_start: bool) -> lis
 
 
 def sampled_quantities(model: Model | None = None) -> dict[str, Quantity]:
-    """Those that may have a prior, by name; of a user's own model, its own come first."""
-    own = known_quantities(model) if model and model.own else {}
-    return {name: q for name, q in (known_quantities() | own).items() if q.sampled}
+    """Those that may have a prior, by name."""
+    return {name: q for name, q in known_quantities(model).items() if q.sampled}
 
 
-def units() -> dict[str, str]:
-    """Internal unit of every quantity, by name."""
-    return {name: quantity.unit for name, quantity in known_quantities().items()}
+def units(model: Model | None = None) -> dict[str, str]:
+    """Internal unit of every quantity, by name; those of `model` first."""
+    return {name: quantity.unit for name, quantity in known_quantities(model).items()}
 
 
 @dataclass(frozen=True)
@@ -157,8 +160,17 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     )
 
 
-def load_priors(name: str, folder: Path | None = None, model: Model | None = None) -> PriorFile:
+def load_priors(
+    name: str,
+    folder: Path | None = None,
+    model: Model | None = None,
+    *,
+    of_others: bool = False,
+) -> PriorFile:
     """Priors of a file, checked; a user's own model makes its parameters known.
+
+    With `of_others`, what `model` does not have may be of another model, whose parameters are not
+    known here: what cannot be read of it is left out.
 
     Raises
     ------
@@ -174,14 +186,18 @@ def load_priors(name: str, folder: Path | None = None, model: Model | None = Non
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
     try:
-        return _read(path, content, sampled_quantities(model))
+        known = sampled_quantities(model)
+        return _read(path, content, known, model if of_others else None)
     except PriorError as error:
         if len(str(error)) <= _LONGEST:
             raise
         raise PriorError(f"{str(error)[:_LONGEST]}…") from None
 
 
-def _read(path: Path, content: dict[str, Any], known: Mapping[str, Quantity]) -> PriorFile:
+def _read(
+    path: Path, content: dict[str, Any], known: Mapping[str, Quantity], only: Model | None
+) -> PriorFile:
+    """Priors of a file; with `only`, without those of other models that cannot be read."""
     scales = _scales(path.name, content["scales"]) if "scales" in content else None
     unknown = set(content) - {"title", "scales", "parameters", "scatter"}
     if unknown:
@@ -200,12 +216,33 @@ def _read(path: Path, content: dict[str, Any], known: Mapping[str, Quantity]) ->
                 for name, table in tables.items()
             }
         )
+    needed = {*(q.name for q in only.quantities), *known.keys() - _of_models()} if only else None
+    parameters = {}
+    for key, table in sections[0].items():
+        try:
+            parameters[key] = _prior(path, key, table, known)
+        except PriorError:
+            if needed is None or key in needed:
+                raise
+    groups = sections[1]
+    if needed is not None:
+        for key, table in list(groups.items()):
+            members = table.get("parameters")
+            if isinstance(members, list):
+                table["parameters"] = [name for name in members if name in needed]
+                if not table["parameters"]:
+                    del groups[key]
     return PriorFile(
         path=path,
         title=str(content.get("title", path.stem)),
-        parameters={key: _prior(path, key, table, known) for key, table in sections[0].items()},
-        scatter={key: _scatter(path, key, table, known) for key, table in sections[1].items()},
+        parameters=parameters,
+        scatter={key: _scatter(path, key, table, known) for key, table in groups.items()},
     )
+
+
+def _of_models() -> set[str]:
+    """Names of the quantities of the package's models."""
+    return {quantity.name for model in models.MODELS.values() for quantity in model.quantities}
 
 
 def _scales(name: str, given: Any) -> dict[str, float]:
@@ -278,8 +315,10 @@ def _scatter(
     if unknown := [member for member in members if member not in known]:
         raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
     key = "sd" if "sd" in keys else "above"
+    kinds = {known[member].kind for member in members}
+    negative = bool(members) and all(known[member].least < 0.0 for member in members)
     size = _figure(
-        f"{where}, {key}", table[key], known["offset"].kind if members == ["offset"] else None
+        f"{where}, {key}", table[key], kinds.pop() if negative and len(kinds) == 1 else None
     )
     if not size > 0:
         raise PriorError(f"{where}: {key} must be positive, got {size:g}")

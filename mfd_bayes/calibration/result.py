@@ -22,6 +22,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.prior_files import PriorFile, units
 from mfd_bayes.errors import FitError, MfdError, StoreError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
@@ -55,7 +56,7 @@ class Task:
     file: str
     trace: Trace
     priors: PriorFile
-    model: str
+    model: Model | str
     noise: str
     start: str
     effort: str
@@ -147,7 +148,7 @@ def _stored_of(
             convergence[name] = [float(figure[0]) for figure in figures]
     facts = {
         "test": task.id,
-        "model": task.model,
+        "model": posterior.model.name,
         "noise": task.noise,
         "start": task.start,
         "seed": task.seed,
@@ -168,7 +169,7 @@ def _stored_of(
     }
     return CalibratedTest(
         values=values,
-        units=units(),
+        units=units(posterior.model),
         stats={
             "lp": draws.log_prob,
             "log_prior": draws.log_prior,
@@ -262,7 +263,7 @@ class TestResult:
 
     def _repr_html_(self) -> str:
         title = f"Test {self.id}, {self.posterior.model.name}"
-        return grid(title, *interval_rows(self.intervals))
+        return grid(title, *interval_rows(self.intervals, self.posterior.model))
 
     @property
     def stored(self) -> StoredTest:
@@ -288,8 +289,10 @@ class TestResult:
         return self.posterior.trace
 
 
-def load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
-    """Calibrated test of its stored posterior.
+def load_result(
+    test_id: str, path: Path, priors: PriorFile, model: Model | None = None
+) -> TestResult:
+    """Calibrated test of its stored posterior; `model` is that of its run.
 
     Raises
     ------
@@ -300,9 +303,10 @@ def load_result(test_id: str, path: Path, priors: PriorFile) -> TestResult:
     facts = stored.facts
     check_facts(facts, path)
     try:
-        posterior = Posterior(
-            stored.trace, priors, facts["noise"], facts["model"], start=facts["start"]
-        )
+        if model is not None and facts["model"] != model.name:
+            raise FitError(f"it is of the model {facts['model'][:60]!r}, not {model.name!r}")
+        chosen = model or facts["model"]
+        posterior = Posterior(stored.trace, priors, facts["noise"], chosen, start=facts["start"])
     except MfdError as error:
         raise StoreError(f"{path} is damaged or not of this program: {error}") from error
     check_draws(stored, posterior, path)

@@ -24,8 +24,11 @@ from mfd_bayes.campaign.schema import (
     keys_of,
 )
 from mfd_bayes.errors import CampaignError, UnitError
+from mfd_bayes.friction import models
+from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, check_session
+from mfd_bayes.population.laws import complete_laws, default_laws
 from mfd_bayes.records.channels import Source
 from mfd_bayes.records.columns import header_unit
 from mfd_bayes.records.readers import read_table
@@ -85,12 +88,18 @@ class Campaign:
         The file, and its folder, links resolved; all test files are inside it.
     settings : CampaignFile
         What the file says, its defaults, and the unit of each measured actuation.
+    force_model : Model
+        The model that `settings` names.
+    replaced : bool
+        Whether that is not the file's own, so that its priors may have those of others.
     """
 
     path: Path
     folder: Path
     settings: CampaignFile
     tests: tuple[Test, ...]
+    force_model: Model
+    replaced: bool = False
 
     @property
     def title(self) -> str:
@@ -106,6 +115,12 @@ class Campaign:
     def model(self) -> str:
         """Name of the friction model."""
         return self.settings.model
+
+    @property
+    def model_file(self) -> Path | None:
+        """File of a model of the user's own, inside `folder`; None of any other model."""
+        file = models.file_of(self.model)
+        return self.folder / file if file else None
 
     @property
     def noise(self) -> str:
@@ -128,7 +143,8 @@ def load_campaign(
 ) -> Campaign:
     """Campaign of a TOML file; test files must exist but are not read yet.
 
-    A test file is read where only its row of units tells the unit of its actuation.
+    The file of a user's own model is run, if it is in the campaign's folder. A test file is read
+    where only its row of units tells the unit of its actuation.
 
     Parameters
     ----------
@@ -142,6 +158,8 @@ def load_campaign(
         When the file is not TOML, a key is unknown, missing or of the wrong kind, two tests
         share an id, a test's file is missing or outside the campaign's folder, actuations are of
         several kinds, no test is to be calibrated, or tests follow each other as they cannot.
+    FitError
+        When the model cannot be used.
     RecordError
         When a test file that must be read for its row of units cannot be read.
     """
@@ -149,11 +167,16 @@ def load_campaign(
     settings = _read_settings(path)
     chosen = {name: value for name, value in (("model", model), ("noise", noise)) if value}
     general = settings.campaign.model_copy(update=chosen)
-    settings = settings.model_copy(update={"campaign": general})
     try:
         folder = path.resolve().parent
     except (OSError, RuntimeError) as error:
         raise CampaignError(f"cannot read {path}: {error}") from error
+    force_model = models.find_model(general.model, folder)
+    replaced = general.model != settings.model
+    if not replaced:
+        _check_own_names(path, settings, force_model)
+    laws = _laws_of(settings, force_model)
+    settings = settings.model_copy(update={"campaign": general, "laws": laws})
     tests = []
     for entry in settings.test:
         if entry.rate is not None and "time" in entry.columns.given:
@@ -180,10 +203,36 @@ def load_campaign(
         )
     _check_tests(path, settings)
     _check_order(path, tests)
-    goal = goal_settings(settings.goal, settings.actuation_unit, path).goal
+    own = [*force_model.laws, *([settings.goal.of] if settings.goal and replaced else [])]
+    goal = goal_settings(settings.goal, settings.actuation_unit, path, own).goal
     learned = [test.session for test in tests if test.role == "calibrate"]
     check_session(goal.session, learned, of=f"goal.session in {path}")
-    return Campaign(path, folder, settings, tuple(tests))
+    return Campaign(path, folder, settings, tuple(tests), force_model, replaced)
+
+
+def _check_own_names(path: Path, settings: CampaignFile, model: Model) -> None:
+    """Refuse laws and dependences of what a model of the user's own does not have."""
+    if settings.model in models.MODELS:
+        return
+    for table, known in (("laws", tuple(model.laws)), ("dependence", model.parameters)):
+        for name in getattr(settings, table):
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+                expected = f"expected {', '.join(known)}" if known else "it has none"
+                hint = f"did you mean {near[0]!r}?" if near else expected
+                raise CampaignError(
+                    f"unknown key {name!r} in [{table}] of {path}, by {model.where}; {hint}"
+                )
+
+
+def _laws_of(settings: CampaignFile, model: Model) -> dict[str, str]:
+    """Law of each quantity that follows the actuation, as the model that is used has them."""
+    if model.name not in models.MODELS:
+        return {name: settings.laws.get(name, law) for name, law in model.laws.items()}
+    if settings.model in models.MODELS:
+        return dict(settings.laws)
+    laws = complete_laws({})  # the file's own model is another one, and so are its laws
+    return {name: laws[name] for name in default_laws()}
 
 
 def _find_file(path: Path, folder: Path, entry: TestTable) -> Path:
@@ -319,8 +368,12 @@ class GoalSettings:
     limits: Limits = field(default_factory=Limits)
 
 
-def goal_settings(table: GoalTable | None, unit: ActuationUnit, path: Path) -> GoalSettings:
+def goal_settings(
+    table: GoalTable | None, unit: ActuationUnit, path: Path, laws: Sequence[str] = ()
+) -> GoalSettings:
     """What the table `[goal]` of a campaign file says; the default without one.
+
+    What follows the actuation in a user's own model is in `laws`.
 
     Raises
     ------
@@ -335,7 +388,7 @@ def goal_settings(table: GoalTable | None, unit: ActuationUnit, path: Path) -> G
 
     at = tests("at", table.at)
     goal = Goal(table.quantity, table.of, table.kind, at, table.probability, table.session)
-    check_goal(goal, of=f"goal.quantity in {path}")
+    check_goal(goal, of=f"goal.quantity in {path}", laws=laws)
     limits = parse_limits(table.limits, of=f"goal.limits in {path}") if table.limits else Limits()
     return GoalSettings(goal, tests("candidates", table.candidates), limits)
 

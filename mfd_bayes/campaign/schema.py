@@ -18,6 +18,7 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    ValidationInfo,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -100,11 +101,28 @@ def _one_of(names: Callable[[], Iterable[str]]) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def _key_of(names: Callable[[], Iterable[str]]) -> AfterValidator:
+def _is_own(info: ValidationInfo) -> bool:
+    """Whether the campaign's model is none of the package: its names are checked once it is read.
+
+    That is when `load_campaign` has read it.
+    """
+    general = (info.data or {}).get("campaign")
+    return isinstance(general, General) and general.model not in models.MODELS
+
+
+def _check_model(value: object) -> object:
+    if isinstance(value, str) and (value in models.model_names() or models.file_of(value)):
+        return value
+    *others, last = map(repr, ("my_file.py:MyClass", *models.model_names()))
+    expected = f"Input should be {', '.join(others)} or {last}"
+    raise PydanticCustomError("literal_error", expected)
+
+
+def _key_of(names: Callable[[], Iterable[str]], *, models_own: bool = False) -> AfterValidator:
     """Validator of a key of a table, which is reported as that of any other table."""
 
-    def check(name: str) -> str:
-        if name not in names():
+    def check(name: str, info: ValidationInfo) -> str:
+        if name not in names() and not (models_own and _is_own(info)):
             raise PydanticCustomError("extra_forbidden", "Extra inputs are not permitted")
         return name
 
@@ -160,8 +178,10 @@ def _once(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _all_laws(given: dict[str, LawName]) -> dict[str, Any]:
+def _all_laws(given: dict[str, LawName], info: ValidationInfo) -> dict[str, Any]:
     """Law of every sampled quantity; a law that is tied to another may not differ from it."""
+    if _is_own(info):
+        return dict(given)
     laws = complete_laws(given)
     for model in models.MODELS.values():
         for name, other in model.tied_laws.items():
@@ -174,7 +194,7 @@ def _all_laws(given: dict[str, LawName]) -> dict[str, Any]:
 
 
 Id = Annotated[str, AfterValidator(check_id)]
-ModelName = Annotated[str, _one_of(lambda: models.MODELS)]
+ModelName = Annotated[str, Field(max_length=1000), BeforeValidator(_check_model)]
 NoiseName = Annotated[str, _one_of(lambda: noises.NOISES)]
 SampleRate = Annotated[str, _understood(lambda text: step_of(text, "rate"))]
 Text = Annotated[str, Field(max_length=100)]
@@ -324,7 +344,9 @@ class General(Table):
     """a family of the package (`"mfd"`, `"brfd"`), or the path of a prior file, relative to the
     campaign file and inside its folder"""
     model: ModelName = "three_stage"
-    """or `"lugre"`, `"bouc_wen"`, `"backlash"`"""
+    """or `"lugre"`, `"bouc_wen"`, `"backlash"`; or a model of your own, which is run:
+    `"my_damper.py:Viscous"`, a class in a file in the campaign's folder, or the entry point of an
+    installed package"""
     noise: NoiseName = "ou"
     """or `"iid"`, `"student_t"`, `"staged"`"""
     noise_check: Annotated[bool, Field(strict=True)] | None = None
@@ -411,12 +433,12 @@ class CampaignFile(Table):
     campaign: General = General()
     columns: Columns = Columns()
     laws: Annotated[
-        dict[Annotated[str, _key_of(lambda: complete_laws({}))], LawName],
+        dict[Annotated[str, _key_of(lambda: complete_laws({}), models_own=True)], LawName],
         Field(validate_default=True),
         AfterValidator(_all_laws),
     ] = {}
     dependence: Annotated[
-        dict[Annotated[str, _key_of(lambda: DEPENDENCE)], Covariates],
+        dict[Annotated[str, _key_of(lambda: DEPENDENCE, models_own=True)], Covariates],
         AfterValidator(lambda given: {name: which for name, which in given.items() if which}),
     ] = {}
     goal: GoalTable | None = None

@@ -72,17 +72,17 @@ def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candid
         When a name is unknown or there twice, or there are fewer than two to compare.
     """
     if not noises:
-        return tuple(Candidate(name, model=name) for name in check_models(names))
+        return tuple(Candidate(folder_of(name), model=name) for name in check_models(names))
     if len(noises) < 2 and len(names) < 2 and noises[0] in NOISES:
         raise CampaignError(
             f"there is nothing to compare: --noises must name two or more of {', '.join(NOISES)}, "
             f"got {noises[0]!r} alone, or --models two or more models"
         )
     chosen = _chosen("--noises", noises, tuple(NOISES), 1)
-    kinds = _chosen("--models", names, tuple(models.MODELS), 0)
+    kinds = _chosen("--models", names, _known_models(names), 0)
     if len(kinds) < 2:
         return tuple(Candidate(noise, next(iter(kinds), None), noise) for noise in chosen)
-    return tuple(Candidate(f"{m}_{noise}", m, noise) for m in kinds for noise in chosen)
+    return tuple(Candidate(f"{folder_of(m)}_{noise}", m, noise) for m in kinds for noise in chosen)
 
 
 def check_models(names: Sequence[str]) -> tuple[str, ...]:
@@ -93,7 +93,23 @@ def check_models(names: Sequence[str]) -> tuple[str, ...]:
     CampaignError
         When one is unknown or named twice, or there are fewer than two.
     """
-    return _chosen("--models", names, tuple(models.MODELS), 2)
+    return _chosen("--models", names, _known_models(names), 2)
+
+
+def _known_models(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the package's and of installed models, and of those in files among `names`."""
+    files = [name for name in dict.fromkeys(names) if models.file_of(name)]
+    folders = [folder_of(name) for name in (*models.model_names(), *files)]
+    if twice := [folder for folder in folders if folders.count(folder) > 1]:
+        raise CampaignError(
+            f"--models names two models {twice[0]!r}: each needs another class name"
+        )
+    return (*models.model_names(), *files)
+
+
+def folder_of(model: str) -> str:
+    """Name of a model's run folder: of a model in a file, that of its class."""
+    return model.rpartition(":")[2] if models.file_of(model) else model
 
 
 def _chosen(

@@ -19,7 +19,6 @@ from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 
@@ -40,7 +39,9 @@ def law_rows(run: Run) -> tuple[Row, ...]:
     prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
     draws_by_name = dict(population.slopes) | _shapes(population) | spreads
     draws_by_name |= {f"dependence_{name}": b for name, b in population.dependences.items()}
-    rows = _mixed_rows(population, run.actuation_unit, run.system)
+    # the scatter of what may be negative is not of a logarithm
+    negative = {f"scatter_{q.name}": q.unit for q in run.model.quantities if q.least < 0.0}
+    rows = [*_mixed_rows(run), *_level_rows(run)]
     for name, draws in draws_by_name.items():
         converged = measure_draws(draws, population.walkers)
         shrunk = _contraction(draws, prior_sd[name]) if name in prior_sd else float("nan")
@@ -48,7 +49,7 @@ def law_rows(run: Run) -> tuple[Row, ...]:
             Row(
                 subject="population",
                 name=name,
-                unit=law_unit(name, run.actuation_unit),
+                unit=negative.get(name) or law_unit(name, run.actuation_unit),
                 **spread_of(draws),
                 r_hat=converged.worst_r_hat,
                 ess_bulk=float(converged.ess_bulk[0]),
@@ -69,6 +70,32 @@ def _shapes(population: Population) -> dict[str, Array]:
         for shape, draws in zip(("share", "exponent"), population.shapes(name), strict=True)
         if shape in shapes_of(law)
     }
+
+
+def _level_rows(run: Run) -> list[Row]:
+    """What follows a law in a user's own model, at the reference actuation of the laws."""
+    population, rows = run.population, []
+    reference = population.design.reference
+    at = run.system.words([reference], run.actuation_unit, actuation=True)
+    for name, law in population.design.laws.items():
+        if not run.model.own or law == COMPARE:
+            continue
+        draws = population.median(name, [reference])[..., 0]
+        converged = measure_draws(draws, population.walkers)
+        rows.append(
+            Row(
+                subject="population",
+                name=name,
+                unit=units(run.model)[name],
+                **spread_of(draws),
+                r_hat=converged.worst_r_hat,
+                ess_bulk=float(converged.ess_bulk[0]),
+                ess_tail=float(converged.ess_tail[0]),
+                contraction=float("nan"),
+                note=f"{law} law; at {at}",
+            )
+        )
+    return rows
 
 
 def _contraction(draws: Array, prior_sd: float) -> float:
@@ -97,7 +124,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
         views.append(
             LawView(
                 name=name,
-                unit=units()[name],
+                unit=units(run.model)[name],
                 law=law_label(law, population.law_weights[name]),
                 actuation=grid,
                 device=device,
@@ -177,15 +204,16 @@ FEWEST = 20
 _SLOPES = {"Fc_fwd": "K_c_fwd", "Fc_bwd": "K_c_bwd", "sigma0": "alpha_sigma0"}
 
 
-def _mixed_rows(population: Population, actuation_unit: str, system: System) -> list[Row]:
+def _mixed_rows(run: Run) -> list[Row]:
     """Constants of every law of each quantity whose laws are compared.
 
     Each draw of the population has one law. The rows of a law are of the draws that have it, so
     they hold given that law; a law of too few draws has none. R̂ and effective sample sizes of such
     a part of the chains are not known.
     """
-    unit, reference = actuation_unit, population.design.reference
-    at = system.words([reference], unit, actuation=True)
+    population, unit, kinds = run.population, run.actuation_unit, units(run.model)
+    reference = population.design.reference
+    at = run.system.words([reference], unit, actuation=True)
     rows = []
     for name, law, picked in _chosen(population):
         weight = population.law_weights[name].get(law, 0.0)
@@ -196,7 +224,7 @@ def _mixed_rows(population: Population, actuation_unit: str, system: System) -> 
                 Row(
                     subject="population",
                     name=constant,
-                    unit=units()[name] if of_level else law_unit(constant, unit),
+                    unit=kinds[name] if of_level else law_unit(constant, unit),
                     **spread_of(draws[picked]),
                     r_hat=np.nan,
                     ess_bulk=np.nan,

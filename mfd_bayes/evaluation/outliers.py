@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
@@ -54,7 +55,7 @@ def outlying_tests(run: Run) -> list[Finding]:
     names, deviations = list(run.tests), places - medians
     for j, k, away in _outlying(deviations, columns, design.informs):
         others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
-        subject, unit = _subject(design, k)
+        subject, unit = _subject(design, k, run.model)
         values = {
             key: Quantity.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
             for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(others)))
@@ -132,11 +133,11 @@ def _mean_property(
     return np.asarray(parts.mean + parts.scatter if scatter else parts.mean)
 
 
-def _subject(design: Design, k: int) -> tuple[str, str]:
+def _subject(design: Design, k: int, model: Model) -> tuple[str, str]:
     """What a shared coordinate is, in words, and its unit."""
     name = design.names[k]
     words = {"d2": "gap", "Fc_fwd": "forward slip force", "Fc_bwd": "backward slip force"}
-    return ("d3/d2", "1") if name == "d3" else (words.get(name, name), units()[name])
+    return ("d3/d2", "1") if name == "d3" else (words.get(name, name), units(model)[name])
 
 
 def uncommon_device_values(run: Run) -> list[Finding]:
@@ -168,7 +169,7 @@ def uncommon_device_values(run: Run) -> list[Finding]:
         count = sum(row[3] for row in rows)
         if count <= MOST_OUTSIDE * len(rows):
             continue
-        unit = "in" if name == "gap" else units()[name]
+        unit = "in" if name == "gap" else units(run.model)[name]
         low, high = min(row[0] for row in rows), max(row[1] for row in rows)
         own_values = [row[2] for row in rows]
         values = {

@@ -13,7 +13,7 @@ from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.campaign.campaign import Campaign
 from mfd_bayes.evaluation.scores import fan_of
 from mfd_bayes.evaluation.views import Fan
-from mfd_bayes.friction import models
+from mfd_bayes.friction.model import Model
 from mfd_bayes.records.loop_features import Scales, scales_of
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import System
@@ -61,7 +61,7 @@ class Misfit:
 
 def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
     """Bands of the force under the prior, without noise, for a test's motion."""
-    posterior = Posterior(trace, priors, campaign.noise, campaign.model)
+    posterior = Posterior(trace, priors, campaign.noise, campaign.force_model)
     drawn = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
     force = posterior.force(drawn) + drawn["offset"][:, None]
     return fan_of("prior", force)
@@ -74,12 +74,12 @@ def share_inside(fan: Fan, trace: Trace) -> float:
     return float(np.mean((force >= widest.lower) & (force <= widest.upper)))
 
 
-def most_wrong(priors: PriorFile, model: str, traces: Sequence[Trace]) -> Misfit | None:
+def most_wrong(priors: PriorFile, model: Model, traces: Sequence[Trace]) -> Misfit | None:
     """The prior of a model that is farthest from what records show, by its own spread.
 
     None where the records show no scales, or no prior can be compared with one.
     """
-    names = {quantity.name for quantity in models.find_model(model).quantities}
+    names = {quantity.name for quantity in model.quantities}
     misfits = [
         misfit
         for trace in traces

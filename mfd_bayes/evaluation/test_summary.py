@@ -67,7 +67,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     replicas = replicate(posterior, values, np.random.default_rng(0))
     prior = _prior_values(posterior)
     noises = noise_rows(test.id, posterior, values, facts)
-    rows = _parameters(test.id, stored, prior, noises)
+    rows = _parameters(test, stored, prior, noises)
     densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
     identifiability = identify(posterior, draws, prior, *densities)
@@ -142,10 +142,10 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
 
 
 def _parameters(
-    test: str, stored: StoredTest, prior: Mapping[str, Array], noises: Sequence[NoiseRow]
+    test: TestResult, stored: StoredTest, prior: Mapping[str, Array], noises: Sequence[NoiseRow]
 ) -> tuple[Row, ...]:
     """Table I of one test: every parameter with its uncertainty and convergence."""
-    rows = []
+    rows, kinds = [], units(test.posterior.model)
     for name, draws in stored.values().items():
         shrunk = float("nan")
         if name not in SCALE_ONLY and np.ptp(prior[name]) > 0:  # what is fixed has no spread
@@ -157,9 +157,9 @@ def _parameters(
         r_hat, bulk, tail = stored.facts["convergence"].get(name, (np.nan, np.nan, np.nan))
         rows.append(
             Row(
-                subject=test,
+                subject=test.id,
                 name=name,
-                unit=units()[name],
+                unit=kinds[name],
                 **spread_of(draws),
                 # None, for JSON has no infinity: walkers that never moved, or too few draws
                 r_hat=np.inf if r_hat is None else r_hat,
@@ -228,9 +228,10 @@ def _marginals(
     rows: Iterable[Row],
     many: bool,
 ) -> tuple[Marginal, ...]:
+    kinds = units(posterior.model)
     shrunk, most = {row.name: row.contraction for row in rows}, FEWER if many else MAX_PLOTTED_DRAWS
     return tuple(
-        Marginal(n, units()[n], _once(_some(prior[n], most)), _some(values[n], most), shrunk[n])
+        Marginal(n, kinds[n], _once(_some(prior[n], most)), _some(values[n], most), shrunk[n])
         for n in posterior.names
     )
 
@@ -276,7 +277,7 @@ def noise_rows(
     fits = [fit for fit in facts.get("other_noises", ()) if fit["quantities"]]
     if not fits:
         return ()
-    own, kinds = quantiles_of(posterior, values), units() | {"gap": "in"}
+    own, kinds = quantiles_of(posterior, values), {"gap": "in"} | units(posterior.model)
     first = (*posterior.model.slip_forces, *_FIRST)
     ordered = sorted(own, key=lambda name: first.index(name) if name in first else len(first))
     rows = []

@@ -27,6 +27,17 @@ MODELS: Mapping[str, Model] = MappingProxyType(
 GROUP = "mfd_bayes.models"  # entry points by which an installed package offers models
 
 
+def file_of(name: str) -> str:
+    """File of a model's name, "my_file.py" of "my_file.py:MyClass"; empty for any other name."""
+    match = re.fullmatch(r"(.*\.py)(:\w*)?", name, re.DOTALL)
+    return match[1] if match else ""
+
+
+def model_names() -> tuple[str, ...]:
+    """Names of the package's models and of installed packages'."""
+    return (*MODELS, *(point.name for point in entry_points(group=GROUP)))
+
+
 def find_model(name: str, folder: Path | None = None) -> Model:
     """Model of a name: one of ours, ``"file.py:Class"``, or an entry point of `GROUP`.
 
@@ -40,7 +51,7 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     """
     if isinstance(name, str) and name in MODELS:
         return MODELS[name]
-    if isinstance(name, str) and re.search(r"\.py(:|$)", name):
+    if isinstance(name, str) and file_of(name):
         return _of_file(name, folder)
     points = {point.name: point for point in entry_points(group=GROUP)}
     if isinstance(name, str) and name in points:

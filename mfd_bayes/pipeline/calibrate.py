@@ -15,6 +15,7 @@ from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.evaluation.views import CampaignView
+from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
@@ -37,6 +38,7 @@ from mfd_bayes.runs.manifest import Manifest, Status, Truth
 from mfd_bayes.runs.paths import (
     CAMPAIGN,
     MANIFEST,
+    MODEL,
     POPULATION,
     PRIORS,
     pooled_of,
@@ -158,7 +160,8 @@ def _check_place(plan: Plan, out: Path) -> None:
     options, campaign = plan.options, plan.campaign
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
-    inputs = (campaign.path, plan.priors.path, *(test.path for test in campaign.tests))
+    inputs = [campaign.path, plan.priors.path, *(test.path for test in campaign.tests)]
+    inputs += [campaign.model_file] if campaign.model_file else []
     check_apart(out, inputs, force=options.force, resume=options.resume)
 
 
@@ -171,6 +174,9 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, _existing(plan.options))
     for sentence in resumed.notes:
         observe(Step("resume", State.NOTE, message=sentence))
+    if plan.campaign.model_file:
+        message = f"runs {file_of(plan.campaign.model)}, the campaign's own model"
+        observe(Step("model", State.NOTE, message=message))
     manifest = resumed.manifest
     todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
     if resumed.before is not None and not todo:
@@ -179,8 +185,11 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
         if manifest.status != Status.FINISHED:
             remove_stale(out, draws=bool(todo) or not resumed.same_tests)
         manifest = _calibrate_tests(plan, manifest, todo, out, observe)
+        model = plan.campaign.force_model
         files = {task.id: out / posterior_of(task.id) for task in plan.tasks}
-        results = {n: load_result(n, f, plan.priors) for n, f in files.items() if f.is_file()}
+        results = {
+            n: load_result(n, f, plan.priors, model) for n, f in files.items() if f.is_file()
+        }
         if not results:
             errors = {entry.error for entry in manifest.tests.values() if entry.error}
             raise FitError(f"no test could be calibrated: {'; '.join(sorted(errors))}")
@@ -188,7 +197,7 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
             manifest = _infer_population(plan, manifest, results, out, observe)
         stored = [f(test) for test in manifest.tests for f in (posterior_of, pooled_of, record_of)]
         manifest = manifest.changed(
-            files=hash_stored(out, [PRIORS, POPULATION, *stored]),
+            files=hash_stored(out, [PRIORS, MODEL, POPULATION, *stored]),
             status=Status.FINISHED,
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )
@@ -225,6 +234,10 @@ def _calibrate_tests(
     manifest.write(out)  # first of all: a folder with a manifest is a run folder
     write_bytes(out / CAMPAIGN, plan.campaign.path.read_bytes())
     write_bytes(out / PRIORS, plan.priors.path.read_bytes())
+    if file := plan.campaign.model_file:
+        write_bytes(out / MODEL, file.read_bytes())
+    else:
+        remove_file(out / MODEL)  # of an earlier session, with another model
     for name, trace in plan.held_out.items():
         save_trace(out / record_of(name), trace, {})
     for name in kept:
@@ -244,7 +257,7 @@ def _infer_population(
     plan: Plan, manifest: Manifest, results: Mapping[str, TestResult], out: Path, observe: Observe
 ) -> Manifest:
     """Infer the population from the stored posteriors, and store it."""
-    began, options = time.perf_counter(), plan.options
+    began, options, model = time.perf_counter(), plan.options, plan.campaign.force_model
     observe(Step("population", "comparing laws"))
     inference = infer_population(
         results,
@@ -253,7 +266,7 @@ def _infer_population(
         lambda progress: observe(Step("population", "sampling", progress)),
     )
     for j, name in enumerate(results):
-        save_test_draws(out / pooled_of(name), inference.values(j), units(), name)
+        save_test_draws(out / pooled_of(name), inference.values(j), units(model), name)
     save_population(out / POPULATION, inference.population)
     seconds, worst = time.perf_counter() - began, inference.population.convergence
     sweeps = inference.sweeps

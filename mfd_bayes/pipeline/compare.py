@@ -33,8 +33,9 @@ def compare(
     out : Path
         OUT/MODEL, OUT/NOISE or OUT/MODEL_NOISE hold the runs; OUT/comparison.csv is written last.
     models : sequence of str
-        Two or more of "three_stage", "lugre", "bouc_wen" and "backlash"; with `noises` in the
-        options also one, or none for the campaign's own.
+        Two or more of "three_stage", "lugre", "bouc_wen", "backlash" and models of the user's own,
+        "my_file.py:MyClass", whose folder is that of the class; with `noises` in the options also
+        one, or none for the campaign's own.
     options : Options
         `model` and `noise` are ignored; with `by`, each run is also cross-validated, as by
         `crossvalidate`.

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.campaign.campaign import Test
-from mfd_bayes.campaign.schema import CampaignFile
+from mfd_bayes.campaign.campaign import Campaign, Test
 from mfd_bayes.evaluation.verdict import zero_pressure_sentences
-from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.population.design import Design
@@ -31,9 +29,26 @@ FAR = 3.5
 """A slip force is beyond the priors by this many of their standard deviations."""
 
 
-def faults_of(record: Record, trace: Trace, gap: float | None) -> tuple[Fault, ...]:
+def gap_of(model: Model, priors: PriorFile) -> float | None:
+    """Typical width of the gap, in; None of a user's own model that has no gap."""
+    return None if model.source and not model.has_gap else priors.gap
+
+
+def faults_of(
+    record: Record, trace: Trace, campaign: Campaign, gap: float | None
+) -> tuple[Fault, ...]:
     """Faults that a record shows by itself; the trace has every sample."""
-    return (*contradictions(record, without_spikes(trace)), *find_faults(trace, gap))
+    faults = faults_for(campaign.force_model, find_faults(trace, gap))
+    return (*contradictions(record, without_spikes(trace)), *faults)
+
+
+def faults_for(model: Model, faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Those of a record's faults that are faults by a model.
+
+    A force that leads or lags the turns of the motion is none by a user's own: that may be what it
+    describes.
+    """
+    return tuple(fault for fault in faults if not (model.source and fault.name == "lag"))
 
 
 def tested_of(test: Test, record: Record, trace: Trace) -> Tested | None:
@@ -44,10 +59,10 @@ def tested_of(test: Test, record: Record, trace: Trace) -> Tested | None:
 
 
 def findings_together(
-    tests: Sequence[Tested], priors: PriorFile, model: str
+    tests: Sequence[Tested], priors: PriorFile, model: Model
 ) -> list[tuple[str, Fault]]:
     """What the comparison of tests with each other, and with the priors of a model, shows."""
-    gap = priors.gap if models.find_model(model).has_gap else None
+    gap = priors.gap if model.has_gap else None
     found = compare_tests(tests)
     named = {name for name, fault in found if fault.name != "duplicate"}
     beyond = [
@@ -58,7 +73,7 @@ def findings_together(
 
 def findings_of(
     faults: Sequence[tuple[str, Fault]],
-    settings: CampaignFile,
+    campaign: Campaign,
     design: Design,
     calibrated: Mapping[str, Trace],
 ) -> tuple[Finding, ...]:
@@ -67,7 +82,7 @@ def findings_of(
     They are faults, what a campaign asks for and the calibration does not do, and what tests at
     zero actuation do not tell.
     """
-    every = [*faults, *_of_settings(settings, design, calibrated)]
+    every = [*faults, *_of_settings(campaign, design, calibrated)]
     found = [Finding(name, fault.name, fault.message) for name, fault in every]
     told = [
         Finding("laws", "zero actuation", Message("{text}", {"text": sentence}))
@@ -77,10 +92,10 @@ def findings_of(
 
 
 def _of_settings(
-    settings: CampaignFile, design: Design, tests: Mapping[str, Trace]
+    campaign: Campaign, design: Design, tests: Mapping[str, Trace]
 ) -> Iterator[tuple[str, Fault]]:
     """What a campaign asks for that the calibration of its tests does not do."""
-    model = models.find_model(settings.model)
+    model, settings = campaign.force_model, campaign.settings
     if lacking := laws_without(model, settings.laws):
         unused_laws = Fault.of(
             "laws",

@@ -9,7 +9,7 @@ from pathlib import Path
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.messages import Message
-from mfd_bayes.pipeline.findings import findings_together, tested_of
+from mfd_bayes.pipeline.findings import faults_for, findings_together, gap_of, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
@@ -61,17 +61,18 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     """Inspections of the tests of a campaign, with what their comparison shows; their records."""
     campaign = load_campaign(path)
     records = [test.read() for test in campaign.tests]
-    priors = load_priors(campaign.priors, campaign.folder)
+    priors = load_priors(campaign.priors, campaign.folder, campaign.force_model)
     inspections, tested = [], []
     for test, record in zip(campaign.tests, records, strict=True):
-        inspection = inspect_record(test.id, record, priors.gap)
+        inspection = inspect_record(test.id, record, gap_of(campaign.force_model, priors))
+        inspection = replace(inspection, faults=faults_for(campaign.force_model, inspection.faults))
         compared = tested_of(test, record, inspection.trace)
         tested += [compared] if compared else []
         if test.after:
             follows = Message("test {after}, without a reset", {"after": test.after})
             inspection = replace(inspection, facts={**inspection.facts, "follows": follows})
         inspections.append(inspection)
-    together = findings_together(tested, priors, campaign.model)
+    together = findings_together(tested, priors, campaign.force_model)
     return [
         replace(i, faults=(*i.faults, *(fault for name, fault in together if name == i.name)))
         for i in inspections

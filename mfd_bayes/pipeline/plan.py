@@ -18,15 +18,17 @@ from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
-from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, tested_of
+from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, gap_of, tested_of
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.measured import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.symbols import check_symbols
 from mfd_bayes.runs.manifest import (
     FORMAT,
     Entry,
@@ -125,24 +127,30 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         When the campaign, its priors or one of its records cannot be used.
     """
     campaign = load_campaign(path, options.model, options.noise)
-    priors = load_priors(campaign.priors, campaign.folder)
+    if campaign.force_model.source:
+        check_symbols(campaign.force_model)
+    under = campaign.folder, campaign.force_model
+    priors = load_priors(campaign.priors, *under, of_others=campaign.replaced)
+    gap = gap_of(campaign.force_model, priors)
     settings = campaign.settings
     inputs = {campaign.path.name: hash_file(campaign.path)}
     inputs[f"priors/{priors.path.name}"] = hash_file(priors.path)
+    if campaign.model_file is not None:
+        inputs[file_of(campaign.model)] = hash_file(campaign.model_file)
     tasks, held_out, entries, faults, tested = [], {}, {}, [], []
     for test in campaign.tests:
         record = _read(campaign, test)
-        trace, whole = record.trace(campaign.rate, gap=priors.gap), record.trace()
+        trace, whole = record.trace(campaign.rate, gap=gap), record.trace()
         entries[test.id] = _entry(campaign, test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
-        faults += [(test.id, fault) for fault in faults_of(record, whole, priors.gap)]
+        faults += [(test.id, fault) for fault in faults_of(record, whole, campaign, gap)]
         compared = tested_of(test, record, whole)
         tested += [compared] if compared else []
         if test.role == "validate":
             held_out[test.id] = trace
         else:
             tasks.append(_task(campaign, priors, test, trace, options))
-    faults += findings_together(tested, priors, campaign.model)
+    faults += findings_together(tested, priors, campaign.force_model)
     design = planned_design(tasks, settings)
     manifest = Manifest(
         title=campaign.title,
@@ -153,7 +161,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         settings=settings,
         inputs=inputs,
         tests=entries,
-        warnings=findings_of(faults, settings, design, {task.id: task.trace for task in tasks}),
+        warnings=findings_of(faults, campaign, design, {task.id: task.trace for task in tasks}),
         command=options.command.encode(errors="backslashreplace").decode(),  # any path's name
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         seed=options.seed,
@@ -181,14 +189,16 @@ def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
         When laws, priors or actuations do not allow any.
     """
     some = tasks[0]
-    names = some.posterior().names
+    posterior = some.posterior()
+    names = posterior.names
     if "noise_sd" not in names:
         raise CampaignError(
             f"noise_sd is fixed in {some.priors.path.name}: the population of tests needs a prior "
             "of it, such as a narrow lognormal"
         )
     under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
-    return design_of(some.priors, names, under, settings.laws, settings.dependence)
+    laws, dependence = settings.laws, settings.dependence
+    return design_of(some.priors, names, under, laws, dependence, posterior.model)
 
 
 def _read(campaign: Campaign, test: Test) -> Record:
@@ -235,7 +245,7 @@ def _task(
         file=posterior_of(test.id),
         trace=trace,
         priors=priors,
-        model=campaign.model,
+        model=campaign.force_model if campaign.force_model.source else campaign.model,
         noise=campaign.noise,
         start=campaign.settings.campaign.start,
         effort=options.effort,

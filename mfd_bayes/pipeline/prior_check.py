@@ -9,6 +9,7 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import RecordError
 from mfd_bayes.evaluation.prior_check import MOST, most_wrong, prior_fan, share_inside
+from mfd_bayes.pipeline.findings import gap_of
 from mfd_bayes.pipeline.inspect import system_of_records
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.reporting.conversion import convert_fan, convert_trace
@@ -50,7 +51,7 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
     from mfd_bayes.reporting.figures import draw_loops, to_png
 
     campaign = load_campaign(path)
-    priors = load_priors(campaign.priors, campaign.folder)
+    priors = load_priors(campaign.priors, campaign.folder, campaign.force_model)
     pictures = {test.id: folder / f"{path.stem}_{test.id}_prior.png" for test in campaign.tests}
     inputs = [path, *(test.path for test in campaign.tests)]
     check_outputs(pictures.values(), inputs, force=force)
@@ -58,7 +59,7 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
     system = system_of_records(records.values(), units)
     shares, traces = {}, {}
     for name, record in records.items():
-        traces[name] = trace = record.trace(campaign.rate, gap=priors.gap)
+        traces[name] = trace = record.trace(campaign.rate, gap=gap_of(campaign.force_model, priors))
         if trace.force is None:
             raise RecordError(f"test {name!r} of {path} has no force to compare with")
         fan = prior_fan(campaign, priors, trace)
@@ -70,7 +71,7 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
     noted = still if len(still) < len(traces) else []
     missed = [name for name, share in shares.items() if share < MOST]
     outside = tuple(name for name in missed if name not in noted)
-    misfit = most_wrong(priors, campaign.model, [traces[name] for name in outside])
+    misfit = most_wrong(priors, campaign.force_model, [traces[name] for name in outside])
     return PriorCheck(
         tuple((name, share, pictures[name]) for name, share in shares.items()),
         tuple(name for name in missed if name in noted),

@@ -91,7 +91,7 @@ def write_report(
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
-    publish(view, run.folder, processes, observe, forms, sheet)
+    publish(view, run.folder, processes, observe, forms, sheet, run.model)
     return view
 
 

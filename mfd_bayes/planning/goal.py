@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mfd_bayes.errors import CampaignError
@@ -103,14 +103,16 @@ class Goal:
         named = {**AT_MOTIONS, "band": "band", GAP: "width of the gap"}
         return named.get(self.quantity, self.quantity)
 
-    def unit(self, actuation_unit: str) -> str:
-        """Internal unit of the quantity."""
+    def unit(self, actuation_unit: str, units: Mapping[str, str]) -> str:
+        """Internal unit of the quantity; `units` are those of the model's parameters."""
         if self.quantity == "slope":
-            return f"{'kip/in' if self.of == 'sigma0' else 'kip'}/{actuation_unit}"
+            return f"{units[self.of]}/{actuation_unit}"
         return {"exponent": "1", "energy": "kip*in", GAP: "in"}.get(self.quantity, "kip")
 
 
-def parse_goal(text: str, unit: ActuationUnit, *, of: str = "--goal") -> Goal:
+def parse_goal(
+    text: str, unit: ActuationUnit, *, of: str = "--goal", laws: Iterable[str] = ()
+) -> Goal:
     """Goal of ``"energy at 1000 psi, 0.5 Hz, 1 in"``, ``"band"``, ``"exponent of Fc_fwd"``.
 
     Raises
@@ -128,14 +130,14 @@ def parse_goal(text: str, unit: ActuationUnit, *, of: str = "--goal") -> Goal:
     at = tuple(parse_tests(match["at"], unit, of=of)) if match["at"] else ()
     band, law = name == "band", name in OF_LAWS
     goal = Goal(name, about if law else "", about if band and about else "device", at)
-    check_goal(goal, of=of)
+    check_goal(goal, of=of, laws=laws)
     if about and not law and not band:
         raise CampaignError(f"{form}: 'of {about}' is for slope, exponent and band alone")
     return goal
 
 
-def check_goal(goal: Goal, *, of: str = "--goal") -> None:
-    """Refuse a goal that cannot be.
+def check_goal(goal: Goal, *, of: str = "--goal", laws: Iterable[str] = ()) -> None:
+    """Refuse a goal that cannot be; `laws` are what follows the actuation in a user's own model.
 
     Raises
     ------
@@ -157,7 +159,7 @@ def check_goal(goal: Goal, *, of: str = "--goal") -> None:
             f"{of}: {goal.quantity} is not of a law, so leave out of = {goal.of!r}, which is for "
             f"{' and '.join(OF_LAWS)} alone"
         )
-    laws = tuple(default_laws())
+    laws = tuple(name for name in dict.fromkeys([*laws, *default_laws()]) if name)
     if goal.quantity in OF_LAWS and goal.of not in laws:
         raise CampaignError(
             f"{of}: {goal.quantity} needs a quantity that follows the actuation, such as "

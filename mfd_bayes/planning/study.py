@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.noise import Noise
+from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of
@@ -249,6 +250,8 @@ class _Study:
         found = []
         for number, place in enumerate(places[:1] if goal.quantity == GAP else places):
             loop, seed = Loop.of(place, self.gap), (self.seed, GOALS, number, 0)
+            if goal.quantity == "slip" and not self.model.slip_forces:
+                raise CampaignError(f"the model {self.model.name} has no slip force to be known")
             if goal.quantity in ("slip", GAP):
                 rng = np.random.default_rng(seed)
                 drawn = devices.drawn(setting_of(loop.trace, session), rng)
@@ -364,7 +367,7 @@ def advise(
     ]
     return Advice(
         goal=goal,
-        unit=goal.unit(situation.population.actuation_unit),
+        unit=goal.unit(situation.population.actuation_unit, units(situation.model)),
         width=study.goals.width,
         rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
         together=tuple(

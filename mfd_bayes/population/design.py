@@ -22,6 +22,7 @@ from scipy.special import expit
 
 from mfd_bayes.calibration.prior_files import PriorFile, known_quantities
 from mfd_bayes.errors import FitError, PriorError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.laws import (
     COMPARE,
@@ -313,6 +314,7 @@ def design_of(
     settings: Sequence[Setting],
     laws: Mapping[str, str] | None = None,
     dependence: Mapping[str, Sequence[str]] | None = None,
+    model: Model | None = None,
 ) -> Design:
     """Design of the mixed model of tests under these settings.
 
@@ -328,6 +330,8 @@ def design_of(
         Laws by quantity, instead of the paper's.
     dependence : mapping of str to sequence of str, optional
         Covariates that quantities follow.
+    model : Model, optional
+        What the quantities are of; the package's models by default.
 
     Raises
     ------
@@ -336,11 +340,11 @@ def design_of(
     FitError
         When a law's quantity can be negative, an actuation is negative, or all are zero.
     """
-    quantities = known_quantities()
-    shapes = {f"{shape}_{law}": shape for law in default_laws() for shape in ("share", "exponent")}
+    quantities, usual = known_quantities(model), default_laws(model)
+    shapes = {f"{shape}_{law}": shape for law in usual for shape in ("share", "exponent")}
     pooled = (n for n in names if n not in shapes)
     shared = tuple(n for n in pooled if n not in quantities or quantities[n].pooled)
-    chosen = {n: law for n, law in (default_laws() | dict(laws or {})).items() if n in shared}
+    chosen = {n: law for n, law in (usual | dict(laws or {})).items() if n in shared}
     for name in chosen:
         if priors.parameters[name].lower != 0.0 or np.isfinite(priors.parameters[name].upper):
             raise FitError(f"a law for {name} needs a prior on the positive half line")

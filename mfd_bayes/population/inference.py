@@ -192,7 +192,9 @@ def _inferred(
     # the population
     shape, v = draws.h.shape[:2], mixed.f + mixed.e
     chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
-    drawn = mixed.shapes(draws.h.reshape(-1, mixed.dim), chosen.reshape(-1, len(design.laws)))
+    drawn = mixed.shapes(
+        draws.h.reshape(-1, mixed.dim), chosen.reshape(draws.h[..., 0].size, len(design.laws))
+    )
     share, exponent = (part.reshape(chosen.shape) for part in drawn)
     alternatives, alternative_weight = _alternatives(mixed, weights, gaussians, rng)
     posterior = likelihoods[0].posterior
@@ -236,12 +238,13 @@ def _likelihoods(
     stroke = len(under) >= TESTS and varies(under, "amplitude")
     dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
     dependence |= {name: those for name, those in settings.dependence.items() if those}
-    design = design_of(priors, names, under, settings.laws, dependence)
+    design = design_of(priors, names, under, settings.laws, dependence, model)
     changing = [swings(design, model, test.trace) for test in tests.values()]
     if any(changing):
         # a test need not follow the law that others tell: it has shapes to itself
         shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
-        design = design_of(priors, [*names, *shapes], under, settings.laws, dependence)
+        every = [*names, *shapes]
+        design = design_of(priors, every, under, settings.laws, dependence, model)
     followed = {n: n for n in design.laws if n in model.parameters}
     followed |= {n: o for n, o in model.tied_laws.items() if o in followed}
     laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}

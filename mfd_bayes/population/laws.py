@@ -16,6 +16,7 @@ from scipy.special import log_expit
 
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction import models
+from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 
@@ -69,9 +70,10 @@ INTERCEPTS = {"sigma0_0": "kip/in"} | {
 """Units of what is left without actuation."""
 
 
-def default_laws() -> dict[str, str]:
-    """Law of every sampled quantity that follows the actuation: the paper's, by its model."""
-    return {name: law for m in models.MODELS.values() for name, law in m.laws.items()}
+def default_laws(model: Model | None = None) -> dict[str, str]:
+    """Law of every sampled quantity that follows the actuation, of a model or of all ours."""
+    among = models.MODELS.values() if model is None else [model]
+    return {name: law for m in among for name, law in m.laws.items()}
 
 
 def complete_laws(given: Mapping[str, str]) -> dict[str, str]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.errors import MfdError, StoreError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import Residual, TravelBasis
 from mfd_bayes.population.population import LawDraws, Population
@@ -66,8 +67,8 @@ def save_population(path: Path, population: Population) -> None:
     save_arrays(path, arrays, json.loads(json_text(facts)))
 
 
-def load_population(path: Path, priors: PriorFile) -> Population:
-    """Population of a file written by `save_population`.
+def load_population(path: Path, priors: PriorFile, model: Model | None = None) -> Population:
+    """Population of a file written by `save_population`; `model` is that of its tests.
 
     Raises
     ------
@@ -81,41 +82,44 @@ def load_population(path: Path, priors: PriorFile) -> Population:
             "mfd-bayes calibrate again"
         )
     try:
-        values = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
-        settings = [Setting(**one) for one in facts["settings"]]
-        design = design_of(priors, facts["names"], settings, facts["laws"], facts["dependence"])
-        draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
-        other = LawDraws(
-            **{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()}
-        )
-        z = design.row(settings[0]).size  # which fails where a covariate is unknown
-        sizes = (draws.h.shape[-1], draws.z.shape[-1], other.z.shape[-1])
-        if sizes != (design.free.size + len(design.effects), z, z):
-            raise ValueError("its draws do not fit its design")
-        if not all(np.all(np.isfinite(value)) for value in values.values()):
-            raise ValueError("it holds numbers that are not finite")
-        starts = Starts.of(priors.parameters.get("start"))
-        if facts["start_weights"] is not None and starts.fixed is None:
-            starts = Starts(np.array(facts["start_weights"]), float(facts["unloaded"]))
-        discrepancy: dict[str, Any] = {k: np.array(v) for k, v in facts["discrepancy"].items()}
-        return Population(
-            design=design,
-            draws=draws,
-            choice=values["law"].astype(np.intp),
-            law_weights=facts["weights"],
-            alternatives=other,
-            alternative_weight=np.array(facts["alternative_weight"]),
-            residual=Residual(TravelBasis(**facts["basis"]), **discrepancy, **facts["residual"]),
-            starts=starts,
-            priors=priors.parameters,
-            actuation_unit=facts["actuation_unit"],
-            walkers=int(facts["walkers"]),
-            convergence=Convergence(
-                *(np.array(facts[k]) for k in ("r_hat", "ess_bulk", "ess_tail"))
-            ),
-        )
+        return _population(arrays, facts, priors, model)
     except (KeyError, ValueError, TypeError, IndexError, AttributeError, MfdError) as error:
         raise StoreError(f"{path} is damaged: {error}") from error
+
+
+def _population(
+    arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile, model: Model | None
+) -> Population:
+    values = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
+    settings = [Setting(**one) for one in facts["settings"]]
+    laws, dependence = facts["laws"], facts["dependence"]
+    design = design_of(priors, facts["names"], settings, laws, dependence, model)
+    draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
+    other = LawDraws(**{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()})
+    z = design.row(settings[0]).size  # which fails where a covariate is unknown
+    sizes = (draws.h.shape[-1], draws.z.shape[-1], other.z.shape[-1])
+    if sizes != (design.free.size + len(design.effects), z, z):
+        raise ValueError("its draws do not fit its design")
+    if not all(np.all(np.isfinite(value)) for value in values.values()):
+        raise ValueError("it holds numbers that are not finite")
+    starts = Starts.of(priors.parameters.get("start"))
+    if facts["start_weights"] is not None and starts.fixed is None:
+        starts = Starts(np.array(facts["start_weights"]), float(facts["unloaded"]))
+    discrepancy: dict[str, Any] = {k: np.array(v) for k, v in facts["discrepancy"].items()}
+    return Population(
+        design=design,
+        draws=draws,
+        choice=values["law"].astype(np.intp),
+        law_weights=facts["weights"],
+        alternatives=other,
+        alternative_weight=np.array(facts["alternative_weight"]),
+        residual=Residual(TravelBasis(**facts["basis"]), **discrepancy, **facts["residual"]),
+        starts=starts,
+        priors=priors.parameters,
+        actuation_unit=facts["actuation_unit"],
+        walkers=int(facts["walkers"]),
+        convergence=Convergence(*(np.array(facts[k]) for k in ("r_hat", "ess_bulk", "ess_tail"))),
+    )
 
 
 def save_test_draws(

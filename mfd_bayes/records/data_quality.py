@@ -263,7 +263,8 @@ def lag(trace: Trace) -> Iterator[Fault]:
             "lag",
             f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
             f"{way} the displacement at reversals: filters or channels are out of step, or this is "
-            "a fluid damper (viscous or magneto-rheological), which no friction model describes",
+            "a fluid damper (viscous or magneto-rheological), which no friction model describes: "
+            "that needs a model of your own",
             turns,
         )
 

@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import CampaignView, TestView
+from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.jobs.parallel import meanwhile
 from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.page import render
+from mfd_bayes.reporting.symbols import of_model
 from mfd_bayes.reporting.tables import (
     datasheet_frame,
     datasheet_sheet,
@@ -119,14 +121,28 @@ def publish(
     observe: Callable[[Step], None],
     forms: Forms = PLAIN,
     sheet: Datasheet | None = None,
+    model: Model | None = None,
 ) -> None:
-    """Write tables, figures and pages of a report into the run folder.
+    """Write tables, figures and pages of a report into the run folder, with a model's symbols.
 
     Raises
     ------
     MfdError
         When something cannot be written, or no browser prints the PDF.
     """
+    with of_model(model):
+        _publish(view, out, processes, observe, forms, sheet, model)
+
+
+def _publish(
+    view: CampaignView,
+    out: Path,
+    processes: int,
+    observe: Callable[[Step], None],
+    forms: Forms,
+    sheet: Datasheet | None,
+    model: Model | None,
+) -> None:
     system = system_of(view)
     texts, sheets = report_tables(view), {}
     if sheet is not None:
@@ -141,7 +157,7 @@ def publish(
     if forms.excel:
         write_bytes(out / "tables.xlsx", to_excel(sheets))
     observe(Step("report", "figures"))
-    images = _draw(view, out, processes, forms)
+    images = _draw(view, out, processes, forms, model)
     for name, text in shared_tables(view):
         write_text(out / name, text)
     observe(Step("report", "pages"))
@@ -161,6 +177,7 @@ class Drawing:
     test: TestView
     system: System
     actuation_unit: str
+    model: Model | None = None
 
     @property
     def id(self) -> str:
@@ -194,7 +211,8 @@ class Drawing:
         from mfd_bayes.reporting import figures
 
         began = time.perf_counter()
-        drawn = dict(figures.draw_test(self.test, self.system, self.actuation_unit))
+        with of_model(self.model):
+            drawn = dict(figures.draw_test(self.test, self.system, self.actuation_unit))
         for key in self.pictures:
             if key in drawn:
                 write_bytes(out / f"{key}.png", drawn[key])
@@ -204,10 +222,13 @@ class Drawing:
         return Outcome(self.id, State.DONE, time.perf_counter() - began)
 
 
-def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[str, bytes]:
+def _draw(
+    view: CampaignView, out: Path, processes: int, forms: Forms, model: Model | None
+) -> dict[str, bytes]:
     """Draw all figures; the bytes that the pages need, by the figures' keys."""
     names = forms.drawn([test.id for test in view.tests])
-    every = [Drawing(test, system_of(view), view.actuation_unit) for test in view.tests]
+    system, unit = system_of(view), view.actuation_unit
+    every = [Drawing(test, system, unit, model) for test in view.tests]
     drawings = [drawing for drawing in every if drawing.id in names]
     for drawing in every:
         if drawing.id not in names:

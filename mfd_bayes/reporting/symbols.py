@@ -5,11 +5,16 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from html import unescape
 
 from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.prior_files import known_quantities
+from mfd_bayes.errors import FitError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import html_of
 
 # Of what is no quantity of a test: name: (mathtext, HTML, what it is)
@@ -72,9 +77,42 @@ _POOLED = {
 }
 
 
+_model: ContextVar[Model | None] = ContextVar("model", default=None)
+
+
+@contextmanager
+def of_model(model: Model | None) -> Iterator[None]:
+    """Write a model's symbols in place of those of other models' quantities of the same name."""
+    token = _model.set(model)
+    try:
+        yield
+    finally:
+        _model.reset(token)
+
+
+def check_symbols(model: Model) -> None:
+    """Refuse a symbol of a user's own model that cannot be drawn in a figure.
+
+    Raises
+    ------
+    FitError
+        With the class, the parameter and the symbol.
+    """
+    from matplotlib.mathtext import MathTextParser
+
+    for quantity in model.quantities:
+        try:
+            MathTextParser("path").parse(f"${quantity.maths}$")
+        except ValueError:
+            raise FitError(
+                f"{model.where}, parameter {quantity.name!r}: the symbol {quantity.maths!r} is no "
+                r"mathematics in LaTeX, such as r'\alpha' or r'k_\mathrm{up}'"
+            ) from None
+
+
 def _written(name: str) -> tuple[str, str, str]:
     """Symbol of a quantity in mathtext and HTML, and what it is; "" each of an unknown name."""
-    quantity = known_quantities().get(name)
+    quantity = known_quantities(_model.get()).get(name)
     if quantity is not None:
         html = quantity.html or html_of(quantity.maths)
         return quantity.maths, html, quantity.meaning

@@ -24,6 +24,7 @@ from mfd_bayes.runs.paths import (
     DRAWS,
     FOLDERS,
     MANIFEST,
+    MODEL,
     ON_REQUEST,
     OUTPUTS,
     POPULATION,
@@ -287,7 +288,8 @@ def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool 
         if not place.is_relative_to(home):
             continue
         name = place.relative_to(home)
-        copied = name.as_posix() in (CAMPAIGN, PRIORS) and not force  # written as it was read
+        copies = (CAMPAIGN, PRIORS, MODEL)  # written as they were read
+        copied = name.as_posix() in copies and not force
         stays = name.parts[0] in FOLDERS and not (resume and name.parts[0] == "tests")
         if is_written_by_run(name) and not copied and (force or not stays):
             raise StoreError(

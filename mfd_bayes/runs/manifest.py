@@ -20,6 +20,7 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError
+from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.population.laws import LAW_NAMES
@@ -207,6 +208,7 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
     general = settings.campaign
     of_all = {
         "model": general.model,
+        **({"model_file": manifest.inputs[file]} if (file := file_of(general.model)) else {}),
         "noise": general.noise,
         "start": general.start,
         "rate": general.rate,

@@ -78,11 +78,13 @@ def _chosen(
 ) -> GoalSettings:
     """What is given, checked, and for the rest what the campaign file says."""
     unit = run.actuation_unit
-    own = goal_settings(run.manifest.settings.goal, unit, run.folder / CAMPAIGN)
+    table, laws = run.manifest.settings.goal, tuple(run.model.laws)
+    stored = (*laws, table.of) if table else laws
+    own = goal_settings(table, unit, run.folder / CAMPAIGN, stored)
     if isinstance(goal, str):
-        goal = replace(parse_goal(goal, unit, of="goal"), session=own.goal.session)
+        goal = replace(parse_goal(goal, unit, of="goal", laws=laws), session=own.goal.session)
     elif isinstance(goal, Goal):
-        check_goal(goal, of="goal")
+        check_goal(goal, of="goal", laws=laws)
     elif goal is not None:
         raise CampaignError(f"goal must be text such as 'band', or a Goal, got {goal!r}")
     if isinstance(limits, str):

@@ -7,6 +7,9 @@ from pathlib import Path
 MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"
 PRIORS = "priors.toml"
+MODEL = "model.py"
+"""A copy of the file of a model of the user's own."""
+
 POPULATION = "population.nc"
 CROSSVALIDATION = "crossvalidation"
 DISCARDED = f".{MANIFEST}.discarded"
@@ -28,7 +31,7 @@ OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
     *("datasheet.csv", "datasheet.tex"),
-    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html", POPULATION, CAMPAIGN, PRIORS),
+    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html", POPULATION, CAMPAIGN, PRIORS, MODEL),
 )
 """Files that a run and its report write, but for the manifest and what lies in folders."""
 

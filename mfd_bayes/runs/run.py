@@ -14,7 +14,8 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.prior_files import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.errors import FitError, NotThereError, StoreError
-from mfd_bayes.friction.models import find_model
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.planning.goal import Goal
@@ -29,7 +30,7 @@ from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import check_links, check_stored
 from mfd_bayes.runs.manifest import Manifest, read_manifest, unchanged
 from mfd_bayes.runs.next_test import Candidates, next_test
-from mfd_bayes.runs.paths import POPULATION, PRIORS, posterior_of, record_of
+from mfd_bayes.runs.paths import MODEL, POPULATION, PRIORS, posterior_of, record_of
 from mfd_bayes.runs.test_sequence import NO_GAP, StoredPooled, TestSequence
 from mfd_bayes.runs.tested_range import (
     Departure,
@@ -105,7 +106,9 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     check_links(folder)
     manifest = read_manifest(folder)
     with unchanged(folder, manifest):
-        priors = load_priors(check_stored(folder, PRIORS, manifest.files).name, folder)
+        model = model_of(folder, manifest)
+        stored = check_stored(folder, PRIORS, manifest.files).name
+        priors = load_priors(stored, folder, model, of_others=True)
     extras = None if make_extras is None else make_extras(manifest.system)
     done = [name for name in manifest.fitted if manifest.tests[name].status == State.DONE]
     held_out = [name for name in manifest.tests if name not in manifest.fitted]
@@ -117,18 +120,41 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
             raise StoreError(f"{path} {reason}")
         if not path.is_file():
             raise StoreError(f"{path} is missing from the run")
-    read_test = partial(_read_test, folder, manifest, priors, extras)
+    read_test = partial(_read_test, folder, manifest, (priors, model), extras)
     tests = ByName("calibrated test", done, read_test)
     traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
     return Run(folder, manifest, priors, tests, traces, extras)
 
 
+def model_of(folder: Path, manifest: Manifest) -> Model:
+    """Model of a run; of a user's own, the run folder's copy of its file is run.
+
+    Raises
+    ------
+    StoreError
+        When the copy is missing, lies elsewhere, or is not what the run wrote.
+    FitError
+        When it holds no model.
+    """
+    name = manifest.settings.model
+    if not file_of(name):
+        return find_model(name)
+    if MODEL not in manifest.files:
+        raise StoreError(f"the run in {folder} does not say which {MODEL} it has stored")
+    check_stored(folder, MODEL, manifest.files)
+    return find_model(f"{MODEL}:{name.rpartition(':')[2]}", folder)
+
+
 def _read_test(
-    folder: Path, manifest: Manifest, priors: PriorFile, extras: Extras | None, name: str
+    folder: Path,
+    manifest: Manifest,
+    under: tuple[PriorFile, Model],
+    extras: Extras | None,
+    name: str,
 ) -> TestResult:
     file = posterior_of(name)
     with unchanged(folder, manifest):
-        result = load_result(name, check_stored(folder, file, manifest.files), priors)
+        result = load_result(name, check_stored(folder, file, manifest.files), *under)
     return replace(result, sha256=manifest.files.get(file, ""), extras=extras)
 
 
@@ -167,13 +193,18 @@ class Run:
                 object.__setattr__(self, name, ByName(what, items, items.__getitem__))
 
     @cached_property
+    def model(self) -> Model:
+        """Force model of its tests."""
+        return model_of(self.folder, self.manifest)
+
+    @cached_property
     def population(self) -> Population:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
         with unchanged(self.folder, self.manifest):
             path = check_stored(self.folder, POPULATION, self.manifest.files)
-            return load_population(path, self.priors)
+            return load_population(path, self.priors, self.model)
 
     @cached_property
     def offset(self) -> float:
@@ -218,8 +249,8 @@ class Run:
     @cached_property
     def predictor(self) -> Predictor:
         """What predicts forces of the device."""
-        settings = self.manifest.settings.campaign
-        return Predictor(self.population, find_model(settings.model), find_noise(settings.noise))
+        noise = find_noise(self.manifest.settings.campaign.noise)
+        return Predictor(self.population, self.model, noise)
 
     @cached_property
     def sequence(self) -> TestSequence:

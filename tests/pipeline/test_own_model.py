@@ -1,0 +1,232 @@
+"""A campaign with a model of the user's own, from its file to what is predicted with it."""
+
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+
+VISCOUS = r"""
+import numpy as np
+import mfd_bayes as mb
+
+
+class Viscous(mb.Model):
+    name = "viscous"
+    parameters = (
+        mb.Parameter("c", "kip", follows_actuation=True, meaning="force at 1 in/s"),
+        mb.Parameter("alpha", symbol=r"\alpha"),
+        mb.Parameter("lean", "kip", prior="real"),
+    )
+
+    def force(self, theta, trace, scales):
+        c, alpha, lean = theta[:, :1] * scales["c"], theta[:, 1:2], theta[:, 2:]
+        return c * np.sign(trace.velocity) * np.abs(trace.velocity) ** alpha + lean
+
+    def start(self, theta):
+        return {"theta": theta.T}
+
+    def step(self, state, displacement, velocity, dt, scales):
+        c, alpha, lean = state["theta"]
+        return scales["c"] * c * np.sign(velocity) * np.abs(velocity) ** alpha + lean, state
+"""
+# c and alpha are names of Bouc-Wen hysteresis too, with other units and limits
+PRIORS = """
+[parameters]
+c = { family = "lognormal", median = "9 kN", spread = 0.6 }
+alpha = { family = "lognormal", median = 0.6, spread = 0.4 }
+lean = { family = "normal", mean = "0 kip", sd = "0.1 kip" }
+offset = { family = "normal", mean = "0 kip", sd = "0.001 kip" }
+noise_sd = { family = "half_normal", sd = "0.2 kip" }
+
+[scatter]
+damper = { parameters = ["c", "alpha", "noise_sd"], sd = 0.1 }
+lean = { parameters = ["lean"], sd = "10 lbf" }
+offset = { parameters = ["offset"], sd = "1 lbf" }
+"""
+CAMPAIGN = """
+[campaign]
+model = "my_damper.py:Viscous"
+noise = "iid"
+priors = "own.toml"
+
+[columns]
+time = { name = "time_s" }
+displacement = { name = "x_in" }
+force = { name = "f_kip" }
+
+[laws]
+c = "affine"
+"""
+LUGRE = {
+    "sigma0": '"50 kip/in"',
+    "sigma1": '"0.1 kip*s/in"',
+    "sigma2": '"0.1 kip*s/in"',
+    "Fc_fwd": '"3 kip"',
+    "Fc_bwd": '"3 kip"',
+    "static_excess_fwd": "0.1",
+    "static_excess_bwd": "0.1",
+    "ell": '"0.1 in"',
+    "v_s": '"1 in/s"',
+}
+"""Typical values of another model's parameters."""
+TRUTH = {"c": 3.0, "alpha": 0.5, "lean": 0.05}
+AT = 750.0  # psi, of c
+TESTS = {"a": (500.0, 0.25), "b": (1000.0, 0.5), "c": (500.0, 0.5)}
+
+
+def motion(frequency):
+    time = np.arange(0, 4 / frequency, 1 / (40 * frequency))
+    phase = 2 * np.pi * frequency * time
+    return time, np.sin(phase), 2 * np.pi * frequency * np.cos(phase)
+
+
+def force(psi, speed):
+    return TRUTH["c"] * psi / AT * np.sign(speed) * np.abs(speed) ** TRUTH["alpha"] + TRUTH["lean"]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return written(tmp_path / "campaign")
+
+
+def written(folder):
+    folder.mkdir()
+    rng, text = np.random.default_rng(3), CAMPAIGN
+    for name, (psi, frequency) in TESTS.items():
+        time, x, speed = motion(frequency)
+        noisy = force(psi, speed) * np.exp(0.03 * rng.normal()) + 0.05 * rng.normal(size=x.size)
+        table = np.column_stack([time, x, noisy])
+        path = folder / f"{name}.csv"
+        np.savetxt(path, table, delimiter=",", header="time_s,x_in,f_kip", comments="")
+        text += f'\n[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{psi:g} psi"\n'
+    for name, content in {"my_damper.py": VISCOUS, "own.toml": PRIORS, "all.toml": text}.items():
+        (folder / name).write_text(content, encoding="utf-8")
+    return folder
+
+
+def said(*words, code=0):
+    outcome = CliRunner().invoke(app, [str(word) for word in words])
+    assert outcome.exit_code == code, outcome.output
+    return " ".join(outcome.output.split())
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run whose campaign is gone, in another place than where it was computed; what was said."""
+    home = tmp_path_factory.mktemp("own")
+    campaign, out = written(home / "campaign"), home / "out"
+    words = said(
+        *("calibrate", campaign / "all.toml", "-o", out, "--effort", "quick", "--jobs", "2")
+    )
+    shutil.rmtree(campaign)
+    moved = tmp_path_factory.mktemp("moved") / "run"
+    shutil.move(out, moved)
+    return moved, words
+
+
+def test_its_file_is_said_to_be_run_and_the_truth_is_inside(finished):
+    out, words = finished
+    assert words.count("runs my_damper.py") == 1
+    assert "lag" not in words  # a force that follows the speed is what this model describes
+    run = mb.open_run(out)
+    for name, truth in {"alpha": TRUTH["alpha"], "lean": TRUTH["lean"]}.items():
+        for test in run.tests.values():
+            middle, low, high = test.intervals[name]
+            assert abs(truth - middle) < 2.0 * (high - low), name
+    drawn = run.population.median("c", [AT * 1e-3]).ravel()
+    assert np.quantile(drawn, 0.01) < TRUTH["c"] < np.quantile(drawn, 0.99)
+    time, x, speed = motion(0.4)
+    band = run.predict(mb.Trace.from_arrays(time, x, 0.75, velocity=speed), draws=200)
+    inside = (band.lower <= force(AT, speed)) & (force(AT, speed) <= band.upper)
+    assert inside.mean() > 0.9
+
+
+def test_its_units_and_words_are_in_the_tables_and_the_report(finished):
+    out, _ = finished
+    rows = [row.split(",") for row in (out / "parameters.csv").read_text().splitlines()]
+    assert {row[2] for row in rows if row[1] == "c"} == {"kip"}
+    assert not any(row[1] == "gamma1" for row in rows)
+    laws = [row.split(",") for row in (out / "laws.csv").read_text().splitlines()]
+    units = {row[1]: row[2] for row in laws}
+    assert (units["c"], units["scatter_c"], units["scatter_lean"]) == ("kip", "1", "kip")
+    page = (out / "report.html").read_text()
+    assert "force at 1 in/s" in page
+    assert "Bouc" not in page
+
+
+def test_every_command_takes_its_run(finished, tmp_path):
+    out, _ = finished
+    said("check", out)
+    words = ("--sine", "1 in, 0.5 Hz, 3 cycles", "--actuation", "800 psi", "--no-figures")
+    assert "mean property" in said("predict", out, *words, "--design", "-o", tmp_path / "b.csv")
+    assert "narrow" in said("next", out, "-o", tmp_path / "next")
+    slope = said("next", out, "--goal", "slope of c", "-o", tmp_path / "slope")
+    assert "narrow the 95 % interval of the slope of c" in slope
+    assert "no slip force" in said("next", out, "--goal", "slip at 800 psi", code=2)
+    assert "they are c, " in said("next", out, "--goal", "slope of alpha", code=2)
+    said("export", out, "--to", "csv", "-o", tmp_path / "samples")
+    said("init", "--building", tmp_path / "building.toml")
+    building = ("--building", tmp_path / "building.toml", "--ground", tmp_path / "ground.AT2")
+    assert "storey drift" in said("respond", out, *building, "--draws", 10, "-o", tmp_path / "r")
+
+
+def test_only_the_copy_that_the_run_has_written_is_run(finished, tmp_path):
+    out = shutil.copytree(finished[0], tmp_path / "run")
+    mb.open_run(out)  # the control
+    with (out / "model.py").open("a") as file:
+        file.write("\nraise SystemExit\n")
+    assert "model.py is not what this run wrote" in said("check", out, code=2)
+    (out / "model.py").unlink()
+    assert "model.py" in said("check", out, code=2)
+
+
+@pytest.mark.slow
+def test_it_is_compared_with_models_that_have_other_parameters(folder, tmp_path):
+    text = "\n".join(
+        f'{name} = {{ family = "lognormal", median = {median}, spread = 0.5 }}'
+        for name, median in LUGRE.items()
+    )
+    names = ", ".join(f'"{name}"' for name in LUGRE)
+    gamma = 'gamma1 = { family = "fixed", value = 1 }\n'
+    both = PRIORS.replace("[parameters]", f"[parameters]\n{gamma}{text}")
+    both += f"friction = {{ parameters = [{names}], sd = 0.1 }}\n"
+    (folder / "own.toml").write_text(both)
+    options = ("--models", "lugre,my_damper.py:Viscous", "--effort", "quick", "--jobs", "2")
+    words = said("compare", folder / "all.toml", "-o", tmp_path / "out", *options)
+    assert "The records favour Viscous over lugre" in words
+    assert mb.open_run(tmp_path / "out" / "lugre").model.name == "lugre"
+    assert mb.open_run(tmp_path / "out" / "Viscous").model.name == "viscous"
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("all.toml", ":Viscous", ":Nope", ("no class Nope in my_damper.py", "Viscous")),
+        ("all.toml", "my_damper.py", "none.py", ("there is no file", "none.py")),
+        ("all.toml", "my_damper.py", "../other.py", ("other.py", "outside the campaign's folder")),
+        ("all.toml", '"my_damper.py:Viscous"', "5", ("campaign.model", "my_file.py:MyClass")),
+        ("all.toml", 'c = "affine"', 'd = "affine"', ("'d' in [laws]", "my_damper.py", "c")),
+        ("all.toml", 'c = "affine"', 'alpha = "affine"', ("'alpha' in [laws]", "my_damper.py")),
+        ("my_damper.py", '"kip"', '"kipp"', ("my_damper.py", "'c'", "kipp")),
+        ("my_damper.py", r"\alpha", r"\alfa", ("my_damper.py", "'alpha'", "symbol")),
+        ("my_damper.py", "** alpha + lean\n\n    def start", "** np.nan\n\n    def start", ("no",)),
+        ("my_damper.py", "class", "raise ValueError('x')\nclass", ("line 6", "ValueError")),
+        ("own.toml", "alpha =", "alfa =", ("own.toml", "alfa")),
+        ("own.toml", '"9 kN"', '"9 kN/m"', ("own.toml", "c", "kN/m")),
+        ("own.toml", 'sd = "10 lbf"', "sd = 10", ("own.toml", "lean", "unit")),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(folder, tmp_path, file, old, new, words):
+    (tmp_path / "other.py").write_text(VISCOUS)
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+    sentence = said("calibrate", folder / "all.toml", "-o", tmp_path / "out", code=2)
+    assert "Traceback" not in sentence
+    for word in words:
+        assert word in sentence
+    assert not (tmp_path / "out").exists()
