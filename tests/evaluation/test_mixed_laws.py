@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.evaluation.laws import FEWEST, _mixed_rows
+from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.laws import LAW_NAMES
 from mfd_bayes.runs.unit_system import SI, US
 
@@ -35,8 +36,15 @@ class Mixed:
         return share, exponent
 
 
+def run_of(population, system=US):
+    """What the rows need of a run."""
+    return SimpleNamespace(
+        population=population, actuation_unit="ksi", system=system, model=ThreeStage()
+    )
+
+
 def table(population, system=US):
-    rows = _mixed_rows(population, "ksi", system)
+    rows = _mixed_rows(run_of(population, system))
     return {(row.note.split(" law")[0], row.name): row for row in rows}
 
 
@@ -71,12 +79,12 @@ def test_units_are_those_of_the_constants():
 
 
 def test_a_law_of_few_draws_has_no_interval():
-    assert _mixed_rows(Mixed(draws=FEWEST - 1), "ksi", US) == []
+    assert _mixed_rows(run_of(Mixed(draws=FEWEST - 1))) == []
 
 
 def test_parts_of_chains_have_no_convergence_of_their_own():
-    assert all(np.isnan(row.r_hat) for row in _mixed_rows(Mixed(), "ksi", US))
+    assert all(np.isnan(row.r_hat) for row in _mixed_rows(run_of(Mixed())))
 
 
 def test_a_quantity_with_one_law_is_left_to_the_table_of_slopes():
-    assert not any("sigma0" in row.name for row in _mixed_rows(Mixed(), "ksi", US))
+    assert not any("sigma0" in row.name for row in _mixed_rows(run_of(Mixed())))
