@@ -235,7 +235,6 @@ def test_the_command_writes_a_page_and_tables(finished_run, path, quake, tmp_pat
     head, *levels = (out / "sweep.csv").read_text().splitlines()
     assert head.startswith("actuation_ksi,drift_mean_in,drift_median_in,drift_lower_95_in,")
     assert len(levels) == 3
-    assert all(row.split(",")[1] == row.split(",")[3] for row in levels)
     assert r"\toprule" in (out / "peaks.tex").read_text()
     again = CliRunner().invoke(app, [*words, "--force"])
     assert again.exit_code == 0, again.output
