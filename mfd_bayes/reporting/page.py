@@ -258,7 +258,11 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
         levels={test.id: units.level(test, view.actuation_unit) for test in columns},
         laws=laws,
         scores=score_sheet([row for row in view.scores if row.subject in names]),
-        left_out=score_sheet([*view.left_out.rows, view.left_out.mean]) if view.left_out else None,
+        left_out=replace(
+            score_sheet([*view.left_out.rows, view.left_out.mean]), title="Scores, held out in turn"
+        )
+        if view.left_out
+        else None,
         width=width_sentence(shares),
         exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
         advice=None
