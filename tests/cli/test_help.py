@@ -114,9 +114,9 @@ def test_it_runs_as_a_module_too():
         ("calibrat", "No such command 'calibrat'. Did you mean 'calibrate'"),
         ("cross-validate", "No such command.*Did you mean 'crossvalidate'"),
         ("xyzzy", "No such command 'xyzzy'.$"),
-        ("calibrate c.toml -o out --efort quick", "No such option: --efort.*--effort"),
-        ("check out --quite", "No such option: --quite.*--quiet"),
-        ("--verson", "No such option: --verson.*--version"),
+        ("calibrate c.toml -o out --efort quick", "No such option.*--efort.*--effort"),
+        ("check out --quite", "No such option.*--quite.*--quiet"),
+        ("--verson", "No such option.*--verson.*--version"),
     ],
 )
 def test_a_typing_error_is_named_in_the_last_line_with_a_suggestion(words, error):
