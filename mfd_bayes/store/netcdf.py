@@ -137,7 +137,8 @@ def arviz_data(groups: Mapping[str, xr.Dataset]) -> Any:
     """Groups as ArviZ's functions take them: InferenceData, or a DataTree from version 1 on."""
     import xarray as xr
 
-    inference_data: Any = getattr(import_arviz(), "InferenceData", None)
+    # newer versions warn where the name is asked for as an attribute
+    inference_data: Any = vars(import_arviz()).get("InferenceData")
     return inference_data(**groups) if inference_data else xr.DataTree.from_dict(dict(groups))
 
 
