@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import reprlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from mfd_bayes.axes import DAMPER
 from mfd_bayes.calibration import noise as noises
 from mfd_bayes.calibration import priors
 from mfd_bayes.calibration.noise import Noise
@@ -186,12 +187,22 @@ def load_priors(
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
     try:
-        known = sampled_quantities(model)
+        known = {name: _in_model(q, model) for name, q in sampled_quantities(model).items()}
         return _read(path, content, known, model if of_others else None)
     except PriorError as error:
         if len(str(error)) <= _LONGEST:
             raise
         raise PriorError(f"{str(error)[:_LONGEST]}…") from None
+
+
+def _in_model(quantity: Quantity, model: Model | None) -> Quantity:
+    """A quantity as a prior file gives it: in units of what the model's force and motion are."""
+    if model is None or model.axes == DAMPER:
+        return quantity
+    if quantity.kind == "time" and model.rate_independent:
+        return replace(quantity, kind="dimensionless")  # in samples
+    unit = model.axes.unit(quantity.unit)
+    return quantity if unit == quantity.unit else replace(quantity, kind=unit)
 
 
 def _read(
@@ -341,7 +352,7 @@ def _figure(where: str, value: Any, kind: str | None) -> float:
             number = parse_quantity(value, kind or "dimensionless")
         except UnitError as error:
             raise PriorError(f"{where}: {error}") from error
-    elif kind in (None, "dimensionless"):
+    elif kind in (None, "dimensionless", "1"):
         try:
             number = float(value)
         except OverflowError:

@@ -84,6 +84,9 @@ DEPENDENCE: Mapping[str, str] = MappingProxyType(
 RESERVED = frozenset({"campaign", "sentence", "population"})
 """Names beside those of the tests in the verdicts and steps of a run, in small letters."""
 
+NO_ACTUATION = "100 %"
+"""That of tests which have none, of a model in which nothing follows it."""
+
 _ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
 _PERCENT = re.compile(r"(\d+(?:\.\d+)?)\s*%")
 
@@ -152,6 +155,17 @@ def _quantity(dimension: str) -> BeforeValidator:
             raise ValueError(str(error)) from error
 
     return BeforeValidator(read)
+
+
+def _window(text: str) -> object:
+    """Window in time or in samples; which of them is right is checked with the model."""
+    return parse_window(text, timed=not re.fullmatch(r"[\d\s]+to[\d\s]+", text))
+
+
+def _kind_of_actuation(value: object) -> str:
+    if value is None:
+        return ":none"
+    return ":quantity" if isinstance(value, str) else ":column"
 
 
 def _share(value: object) -> object:
@@ -375,16 +389,19 @@ class TestTable(Table):
     """relative to the campaign file, and inside its folder"""
     actuation: Annotated[
         Annotated[str, _understood(parse_actuation), Tag(":quantity")]
-        | Annotated[Column, Tag(":column")],
-        Discriminator(lambda value: ":quantity" if isinstance(value, str) else ":column"),
-    ]
+        | Annotated[Column, Tag(":column")]
+        | Annotated[None, Tag(":none")],
+        Discriminator(_kind_of_actuation),
+    ] = None
     """`"500 psi"`, `"30 lbf"`, `"0 psi"` (not for all tests), or `{ name = "pressure", unit =
     "MPa" }` for a measured history; also in A, V, W, N*m, T, K, %, turns, degrees, clicks,
-    notches or steps: laws, tables and figures are in that unit"""
+    notches or steps: laws, tables and figures are in that unit. Left out, in all tests, where
+    nothing in a model of your own follows it"""
     rate: SampleRate | None = None
     """in place of a column of times: `"100 Hz"`, or the step, `"10 ms"`"""
-    fit: Annotated[str, _understood(parse_window)] | None = None
-    """the part of the record that is used, `"0 s to 60 s"`, in its own time"""
+    fit: Annotated[str, _understood(_window)] | None = None
+    """the part of the record that is used, `"0 s to 60 s"`, in its own time; `"0 to 300"`, in
+    samples, where the model is rate-independent"""
     role: Role = "calibrate"
     """or `"validate"`: predicted from the others and scored, never fitted"""
     columns: Columns = Columns()
@@ -399,9 +416,9 @@ class TestTable(Table):
     @property
     def actuation_unit(self) -> str:
         """Unit of the actuation as it is given, such as "psi"; "" where the file has it."""
-        if isinstance(self.actuation, str):
-            return split_quantity(self.actuation)[1]
-        return self.actuation.unit or ""
+        if isinstance(self.actuation, Column):
+            return self.actuation.unit or ""
+        return split_quantity(self.actuation or NO_ACTUATION)[1]
 
 
 class GoalTable(Table):

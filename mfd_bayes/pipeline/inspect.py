@@ -91,6 +91,8 @@ def system_of_records(records: Iterable[Record], units: str = "") -> System:
             else record.columns.get("actuation", ("", ""))[1]
             for record in records
         ),
+        records[0].axes,
+        (record.columns["force"][1] for record in records if "force" in record.columns),
     )
     return named_system(units, own)
 

@@ -161,6 +161,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         settings=settings,
         inputs=inputs,
         tests=entries,
+        axes=campaign.force_model.axes,
         warnings=findings_of(faults, campaign, design, {task.id: task.trace for task in tasks}),
         command=options.command.encode(errors="backslashreplace").decode(),  # any path's name
         started=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -202,13 +203,13 @@ def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
 
 
 def _read(campaign: Campaign, test: Test) -> Record:
-    record = test.read()
+    record, force = test.read(), test.axes.response.name
     if record.force is None:
         raise CampaignError(
-            f"test {test.id!r} of {campaign.path} has no force: name its column in [columns]"
+            f"test {test.id!r} of {campaign.path} has no {force}: name its column in [columns]"
         )
     if not np.any(record.force):
-        raise CampaignError(f"the force of test {test.id!r} of {campaign.path} is zero throughout")
+        raise CampaignError(f"the {force} of test {test.id!r} of {campaign.path} is zero throughout")
     return record
 
 
@@ -223,6 +224,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
+        response_unit=record.columns["force"][1],
         conditions=conditions_of(trace),
         peak_force=float(np.max(np.abs(np.asarray(trace.force)))),
         derived=record.derived,
