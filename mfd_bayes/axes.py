@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from mfd_bayes.errors import UnitError
-from mfd_bayes.units import convert, factor, has_angle
+from mfd_bayes.units import convert, factor, has_angle, measures
 
 
 class Axis(NamedTuple):
@@ -37,17 +37,21 @@ UNITS: Mapping[str, tuple[str, str]] = MappingProxyType(
 then the model's."""
 
 
+_DISPLACEMENT, _FORCE = Axis("displacement", "in"), Axis("force", "kip")
+
+
 @dataclass(frozen=True)
 class Axes:
-    """Motion and response of a model, and whether time matters to it.
+    """Motion and response of a model, whether time matters to it, and whether tests are actuated.
 
     Inside the package they are always called displacement and force, "in" and "kip"; `name` and
     `unit` say what these are.
     """
 
-    motion: Axis = Axis("displacement", "in")
-    response: Axis = Axis("force", "kip")
+    motion: Axis = _DISPLACEMENT
+    response: Axis = _FORCE
     timed: bool = True
+    actuated: bool = True
 
     @property
     def of_damper(self) -> bool:
@@ -84,8 +88,27 @@ class Axes:
             return factor(unit, role, of=of)
         return check_unit(unit, axis, of)
 
+    def has(self, name: str) -> bool:
+        """Whether a property of a loop, such as "slip_fwd", makes sense."""
+        if name == "c_eq" and not self.timed:
+            return False
+        if self.of_damper:
+            return True
+        if name.startswith(("energy", "effective_damping", "c_eq")):
+            return self.energetic
+        return not name.startswith(("slip", "gap", "build_up", "C_"))
+
+    @cached_property
+    def energetic(self) -> bool:
+        """Whether the area of a loop is an energy, or one of a unit of volume, area or length."""
+        area = f"{self.motion.unit}*({self.response.unit})"
+        return any(measures(area, energy) for energy in ("J", "J/m", "J/m^2", "J/m^3"))
+
     def text(self, words: str) -> str:
         """A sentence of the package about a damper in the names of this motion and response."""
+        without = () if self.timed else (" and velocity", " over time", " against time")
+        for text in (*without, *(() if self.actuated else (" and actuation",))):
+            words = words.replace(text, "")
         if self.of_damper:
             return words
 
@@ -104,6 +127,7 @@ class Axes:
         names = {"offset of the load cell": f"offset of the {response}"}
         if self.response != DAMPER.response:
             names |= {"force": response, "forces": many}
+            names |= {"slip force": response, "slip force and gap": response}
         if self.motion != DAMPER.motion:
             names |= {"displacement": motion, "displacements": f"{motion}s", "displ.": motion}
             names |= {"stroke": f"{motion} range", "strokes": f"{motion} ranges"}
@@ -131,7 +155,9 @@ def axis_of(given: object, default: Axis) -> Axis:
     parts = given if isinstance(given, tuple | list) else str(given).split(",", 1)
     name, *unit = (str(part).strip() for part in parts)
     if not re.fullmatch(r"[A-Za-z]\w*", name) or len(unit) > 1:
-        raise UnitError(f"expected a quantity and its unit such as 'stress, MPa', got {given!r:.60}")
+        raise UnitError(
+            f"expected a quantity and its unit such as 'stress, MPa', got {given!r:.60}"
+        )
     if name in ("time", "velocity", "actuation", "rate"):
         raise UnitError(f"{name!r} is the name of another column")
     if name in ("displacement", "force"):
@@ -173,5 +199,6 @@ def in_place_of(unit: str, units: Mapping[str, str]) -> str:
         return f"{match[1]}({other})" if compound else f"{match[1]}{other}"
 
     text = re.sub(r"([*/]?)([A-Za-z%]+)", replaced, unit)
-    text = re.sub(r"[*/]1(?![\d.])", "", text)
+    text = re.sub(r"/\(1/(\w*)\)", r"*\1", text).replace("*1/", "/")
+    text = re.sub(r"[*/]1(?![\d./])", "", text)
     return re.sub(r"^1\*", "", text)

@@ -121,9 +121,9 @@ _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
 _DASH = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")  # kip-in, kN-m
 _FLUIDS = (
     (re.compile(r"\bgals?(?=\s*/\s*(?:s|sec|min|h|hr|d)\b)", re.IGNORECASE), "gallon"),
-    (re.compile(r"^lpm$", re.IGNORECASE), "L/min"),
-    (re.compile(r"^gpm$", re.IGNORECASE), "gallon/min"),
-    (re.compile(r"^cfm$", re.IGNORECASE), "ft^3/min"),
+    (re.compile(r"\blpm\b", re.IGNORECASE), "(L/min)"),
+    (re.compile(r"\bgpm\b", re.IGNORECASE), "(gallon/min)"),
+    (re.compile(r"\bcfm\b", re.IGNORECASE), "(ft^3/min)"),
 )
 _GROUPED = re.compile(r"\s*[+-]?\d{1,3}(?:[ ,'’\u00a0\u202f]\d{3})+(?!\d)")  # 1,000 · 1 000
 _ANGLES = re.compile(r"radian|degree|revolution|turn|grad|cycle|arc")  # pint takes them for 1
@@ -242,6 +242,11 @@ def measure(unit: str) -> str | None:
         return _measure(_parse(unit, unit))
     except UnitError:
         return None
+
+
+def measures(unit: str, like: str) -> bool:
+    """Whether a unit is of the same dimension as another."""
+    return bool(_parse(unit, unit).dimensionality == _parse(like, like).dimensionality)
 
 
 def has_angle(unit: str) -> bool:

@@ -6,7 +6,7 @@ import difflib
 import math
 import reprlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,7 +19,6 @@ from mfd_bayes.campaign.schema import (
     CampaignFile,
     Column,
     GoalTable,
-    NO_ACTUATION,
     NoiseName,
     Role,
     TestTable,
@@ -31,7 +30,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, check_session
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.records.channels import Source
+from mfd_bayes.records.channels import NO_ACTUATION, Source
 from mfd_bayes.records.columns import header_unit
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.table import own_name
@@ -130,6 +129,12 @@ class Campaign:
         return self.folder / file if file else None
 
     @property
+    def axes(self) -> Axes:
+        """What the model's motion and response are; whether its tests have time and actuation."""
+        actuated = any(test.actuation is not None for test in self.settings.test)
+        return replace(self.force_model.axes, actuated=actuated)
+
+    @property
     def noise(self) -> str:
         """Name of the noise."""
         return self.settings.noise
@@ -177,20 +182,21 @@ def load_campaign(
     except (OSError, RuntimeError) as error:
         raise CampaignError(f"cannot read {path}: {error}") from error
     axes = _axes_of(content, folder, model)
+    general = content.get("campaign")
+    if not axes.timed and isinstance(general, dict) and "rate" in general:
+        raise CampaignError(
+            f"campaign.rate in {path}: samples are numbered for a rate-independent model; leave "
+            "rate out"
+        )
     settings = _checked(path, content, axes)
     chosen = {name: value for name, value in (("model", model), ("noise", noise)) if value}
-    general = settings.campaign.model_copy(update=chosen)
-    force_model = models.find_model(general.model, folder)
-    if general.rate is not None and not axes.timed:
-        raise CampaignError(
-            f"campaign.rate in {path}: samples are numbered for {force_model.where}, which is "
-            "rate-independent; leave rate out"
-        )
-    replaced = general.model != settings.model
+    table = settings.campaign.model_copy(update=chosen)
+    force_model = models.find_model(table.model, folder)
+    replaced = table.model != settings.model
     if not replaced:
         _check_own_names(path, settings, force_model)
     laws = _laws_of(settings, force_model)
-    settings = settings.model_copy(update={"campaign": general, "laws": laws})
+    settings = settings.model_copy(update={"campaign": table, "laws": laws})
     tests = []
     for entry in settings.test:
         if entry.rate is not None and "time" in entry.columns.given:
@@ -244,9 +250,7 @@ def _window_of(path: Path, entry: TestTable, axes: Axes) -> Window | None:
     if entry.fit is None:
         return None
     try:
-        return parse_window(
-            entry.fit, of=f"fit of test {entry.id!r} in {path}", timed=axes.timed
-        )
+        return parse_window(entry.fit, of=f"fit of test {entry.id!r} in {path}", timed=axes.timed)
     except UnitError as error:
         raise CampaignError(str(error)) from error
 

@@ -27,7 +27,7 @@ from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.records.channels import Source, Subtracted, step_of
+from mfd_bayes.records.channels import NO_ACTUATION, Source, Subtracted, step_of
 from mfd_bayes.records.readers.table import COLUMNS, NAME
 from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.units import (
@@ -83,9 +83,6 @@ DEPENDENCE: Mapping[str, str] = MappingProxyType(
 
 RESERVED = frozenset({"campaign", "sentence", "population"})
 """Names beside those of the tests in the verdicts and steps of a run, in small letters."""
-
-NO_ACTUATION = "100 %"
-"""That of tests which have none, of a model in which nothing follows it."""
 
 _ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
 _PERCENT = re.compile(r"(\d+(?:\.\d+)?)\s*%")

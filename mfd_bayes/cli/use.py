@@ -22,10 +22,12 @@ _COMPARED = "three_stage,lugre,bouc_wen,backlash"
 def predict(
     ctx: Context,
     out: options.Run,
-    actuation: Annotated[str, Option(help='Such as "1000 psi".')],
     bands: Annotated[
         Path, Option("-o", "--out", parser=options.path, help="CSV to write; PNGs beside it.")
     ],
+    actuation: Annotated[
+        str, Option(help='Such as "1000 psi"; needed where the tests have one.')
+    ] = "",
     motion: Annotated[
         Path | None, Option(parser=options.path, help="A file with time_s and displacement_in, …")
     ] = None,
@@ -106,7 +108,7 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     """Print what a prediction found, and where its tables are."""
     band = answer.band
     for remark in band.remarks:
-        console.say(f"warning: {remark}", err=True)
+        console.say(f"warning: {answer.system.text(remark)}", err=True)
     console.say(
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({answer.name}), from {band.source}: {question.bands}"

@@ -128,7 +128,10 @@ def predictive_checks(
             sizes = check.observed, check.expected, check.size, check.p_value
             checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
     seen = measured_properties(measured)
+    axes = posterior.model.axes
     for name, (feature, unit, check_name) in _FEATURES.items():
+        if not axes.has(name):
+            continue
         values = properties[name][np.isfinite(properties[name])]
         if not values.size or not np.isfinite(seen[name]):
             continue

@@ -10,10 +10,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.design import sessions_of
 from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
 from mfd_bayes.messages import Message
+from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.measured import FORMULAS, UNITS, MeasuredCycles
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
@@ -94,7 +96,7 @@ class Datasheet:
     formulas: Mapping[str, str]
 
 
-def parse_condition(text: str, actuation_unit: str) -> Condition:
+def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:
     """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency.
 
     Raises
@@ -102,15 +104,17 @@ def parse_condition(text: str, actuation_unit: str) -> Condition:
     MfdError
         When it has not these three parts, or the actuation is of another kind than the tests'.
     """
+    if not axes.actuated:
+        text = f"{NO_ACTUATION}, {text}"
     level, _, motion = text.partition(",")
-    if text.count(",") != 2:
+    if text.count(",") != (2 if axes.timed else 1):
         raise CampaignError(f"a condition reads '35 lbf, 1 in, 0.5 Hz', got {text!r}")
     actuation, unit = parse_actuation(level.strip(), of=f"the actuation of {text!r}")
     if unit != actuation_unit:
         raise CampaignError(
             f"the actuation of {text!r} must be {actuation_kind(actuation_unit)}, as in the tests"
         )
-    harmonic = parse_sine(f"{motion}, {CYCLES} cycles")
+    harmonic = parse_sine(f"{motion}, {CYCLES} cycles", axes)
     return Condition(actuation, harmonic.amplitude, harmonic.frequency)
 
 
@@ -142,15 +146,23 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
         tested=_tested(run),
         verdict=_verdict(run, rows),
         not_known=(*lacking, *_not_known(run)),
-        formulas={quantity: FORMULAS[quantity] for quantity, _, _ in _QUANTITIES},
+        formulas={
+            run.system.text(quantity): run.system.text(FORMULAS[quantity])
+            for quantity, _, name in _QUANTITIES
+            if run.system.axes.has(name)
+        },
     )
 
 
 def condition_words(run: Run, condition: Condition) -> str:
     """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
     say, unit = run.system.words, run.actuation_unit
-    level = say([condition.actuation], unit, actuation=True)
-    return f"{level}, {say([condition.stroke], 'in', 3)}, {condition.frequency:.3g} Hz"
+    parts, axes = [say([condition.stroke], "in", 3)], run.system.axes
+    if axes.actuated:
+        parts.insert(0, say([condition.actuation], unit, actuation=True))
+    if axes.timed:
+        parts.append(f"{condition.frequency:.3g} Hz")
+    return ", ".join(parts)
 
 
 def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycles]]:
@@ -164,7 +176,8 @@ def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycle
         full = cycles.full_stroke
         if full.size and full.mean() >= HARMONIC:
             amplitude = 0.5 * float(np.median(cycles.stroke[full]))
-            frequency = float(np.median(cycles.frequency[full]))
+            timed = run.system.axes.timed
+            frequency = float(np.median(cycles.frequency[full])) if timed else 1.0
             level, by = traces[name].reference_actuation, run.system.factor("in")
             condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
             tests.append((condition, name, traces[name], cycles))
@@ -185,7 +198,11 @@ def _rows(
     peaks: Peaks,
 ) -> list[dict[str, object]]:
     """Rows of one condition; `own` are its tests."""
-    trace = own[0][1] if own else Harmonic(*condition[1:], CYCLES).trace(condition.actuation)
+    trace = (
+        own[0][1]
+        if own
+        else Harmonic(*condition[1:], CYCLES, run.system.axes.timed).trace(condition.actuation)
+    )
     names = dict.fromkeys(run.session(name) for name, _, _ in own) or sessions_of(run)
     nominal, bounded = _predicted(run, trace, list(names), peaks)
     remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
@@ -200,6 +217,8 @@ def _rows(
     tail = 0.5 * (1.0 - PROBABILITY)
     rows = []
     for quantity, direction, name in _QUANTITIES:
+        if not run.system.axes.has(name):
+            continue
         values = [getattr(cycles, name)[cycles.full_stroke] for _, _, cycles in own]
         for cycle in range(CYCLES + 1 if name == "energy" else 1):
             kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
@@ -272,6 +291,8 @@ def _measured(
     """Rows of the measured values of one test, cycle by cycle."""
     for number, cycle in enumerate(np.flatnonzero(cycles.full_stroke).tolist(), start=1):
         for quantity, direction, column in _QUANTITIES:
+            if not run.system.axes.has(column):
+                continue
             yield {
                 "test": name,
                 "session": run.session(name),
@@ -290,8 +311,11 @@ def _tested(run: Run) -> dict[str, Message]:
     """Ranges and numbers of what was tested."""
     more = {"stroke": " from end to end"}
     ranges = {
-        span.name: Message(f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)})
+        run.system.text(span.name): Message(
+            f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)}
+        )
         for span in run.tested
+        if run.system.axes.actuated or span.name != "actuation"
     }
     sessions = [session for session in sessions_of(run) if session]
     return ranges | {
@@ -323,7 +347,8 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     if not cycles:
         second = Message("No test is harmonic: there are no measured cycles to compare.")
     spans = {span.name: span for span in run.tested}
-    where = [spans[name] for name in ("actuation", "stroke", "frequency") if name in spans]
+    actuated = ("actuation",) if run.system.axes.actuated else ()
+    where = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
     third = Message(
         "Bounds hold for one device within {where}; outside they rest on the form of the laws.",
         {"where": ", ".join(span.words(run.system) for span in where)},

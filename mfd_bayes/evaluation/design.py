@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.evaluation.properties import NO_FACTOR, UNITS, peaks_of, properties_of
+from mfd_bayes.evaluation.properties import NO_FACTOR, UNITS, kept, peaks_of, properties_of
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
 from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
@@ -123,7 +123,8 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[Desi
         drawn[basis] = {name: np.concatenate([p[name] for p in parts]) for name in PROPERTIES}
     for side, factor_of in peaks.items():
         drawn["device"][f"peak_{side}"] *= factor_of.expected
-    return bounds_of(drawn, probability)
+    axes = run.manifest.axes
+    return bounds_of({basis: kept(d, axes) for basis, d in drawn.items()}, probability)
 
 
 def design_warnings(run: Run) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.axes import Axes
 from mfd_bayes.calibration.cycles import derive_from_parameters
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
@@ -301,7 +302,14 @@ def predicted_rows(
         drawn = device_properties(source, trace, band, test)
     cycles = None if record is None else measured_cycles(record)
     measured = {} if cycles is None else measured_properties(cycles)
+    first = source.runs[0] if isinstance(source, ModelAverage) else source
+    drawn = kept(drawn, first.system.axes)
     return property_rows("", band.kind, trace, drawn, measured, band.probability)
+
+
+def kept(properties: Mapping[str, Array], axes: Axes) -> dict[str, Array]:
+    """Those of the properties that make sense for a model's motion and response."""
+    return {name: values for name, values in properties.items() if axes.has(name)}
 
 
 def property_rows(

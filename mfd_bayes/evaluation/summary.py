@@ -180,7 +180,7 @@ def verdicts(view: CampaignView) -> dict[str, str]:
         if worse != Use.WITH_CARE or uses.get(check.test) != Use.NOT_USABLE:
             uses[check.test] = worse or uses.get(check.test, Use.USABLE)
     uses |= {judged.subject: judged.use for judged in view.judgements}
-    sentence = join(view.sentences, " ").to_text(view.systems[view.metric].words)
+    sentence = join(view.sentences, " ").to_text(view.systems[view.metric])
     whole = {"campaign": view.verdict, "sentence": sentence}
     return whole | uses | whole  # tests may have these names too
 

@@ -21,6 +21,7 @@ from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.properties import (
     Peaks,
     device_properties,
+    kept,
     measured_of,
     measured_properties,
     of_parameters,
@@ -82,7 +83,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     return TestView(
         id=test.id,
         role="calibrate",
-        actuation=US.actuation(trace, manifest.settings.actuation_unit),
+        actuation=US.actuation(trace, settings.actuation_unit) if manifest.axes.actuated else "",
         trace=trace,
         first=posterior.first,
         device=fan_of("this_test", replicas.force),
@@ -106,7 +107,9 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
         ),
         score=score,
         identifiability=identifiability,
-        derived=property_rows(test.id, "calibrate", trace, drawn, measured_properties(measured)),
+        derived=property_rows(
+            test.id, "calibrate", trace, kept(drawn, manifest.axes), measured_properties(measured)
+        ),
         loop_estimates=checks.loop_estimates(predictive, properties),
         noises=noises,
         modes=_modes(facts),
@@ -127,12 +130,12 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     return TestView(
         id=name,
         role="validate",
-        actuation=US.actuation(trace, run.actuation_unit),
+        actuation=US.actuation(trace, run.actuation_unit) if run.manifest.axes.actuated else "",
         trace=trace,
         first=0,
         observation=fan_of("observation", seen.draws),
         score=score_of(name, "validate", trace, seen.draws, 0),
-        derived=property_rows(name, "validate", trace, drawn, measured),
+        derived=property_rows(name, "validate", trace, kept(drawn, run.manifest.axes), measured),
         shares=seen.explained,
         begun=before.words if before else "",
     )

@@ -530,6 +530,10 @@ class Model:
     ) -> tuple[Columns, Array, Columns]:
         """Columns and place in the gap, (n,), and factors, (T, n) or (T, 1); none if constant."""
         check_trace("trace", trace, FitError)
+        if not (trace.timed or self.rate_independent):
+            raise FitError(
+                f"the model {self.name} needs the time of each sample, and the trace has none"
+            )
         c = self.columns(theta)
         n = next(iter(c.values())).size if c else len(np.atleast_2d(np.asarray(theta)))
         w0 = check_start(start, n)

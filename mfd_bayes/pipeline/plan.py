@@ -161,7 +161,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         settings=settings,
         inputs=inputs,
         tests=entries,
-        axes=campaign.force_model.axes,
+        axes=campaign.axes,
         warnings=findings_of(faults, campaign, design, {task.id: task.trace for task in tasks}),
         command=options.command.encode(errors="backslashreplace").decode(),  # any path's name
         started=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -209,7 +209,9 @@ def _read(campaign: Campaign, test: Test) -> Record:
             f"test {test.id!r} of {campaign.path} has no {force}: name its column in [columns]"
         )
     if not np.any(record.force):
-        raise CampaignError(f"the {force} of test {test.id!r} of {campaign.path} is zero throughout")
+        raise CampaignError(
+            f"the {force} of test {test.id!r} of {campaign.path} is zero throughout"
+        )
     return record
 
 

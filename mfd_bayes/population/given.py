@@ -269,7 +269,7 @@ def check_kind(forecast: Forecast) -> None:
 def usual_step(residual: Residual, setting: Setting) -> float:
     """Time between samples, s, at which a motion of such a peak speed would be fitted."""
     own = -residual.noise_time * np.log(residual.lag_one)
-    speed = setting.covariates["velocity"]
+    speed = setting.covariates.get("velocity", 0.0)
     usual = 0.5 * np.pi * residual.travel / speed if speed > 0 else np.inf
     return float(np.clip(usual, 0.25 * own, 4.0 * own))
 
@@ -365,6 +365,7 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
         mean(trace.velocity),
         hysteresis=trace.hysteresis,
     )
+    part = replace(part, timed=trace.timed)
     return part, (edges >= inside[0]) & (edges + size <= inside[-1] + 1)
 
 

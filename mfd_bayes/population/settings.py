@@ -46,8 +46,9 @@ class Setting:
     session : str
         Tests of one session were made together; "" where none is declared.
     covariates : mapping of str to float
-        "velocity" (in/s, its peak), "amplitude" (in, half the stroke) and "full_strokes" (share of
-        the path that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake).
+        "velocity" (in/s, its peak; of a trace with time), "amplitude" (in, half the stroke) and
+        "full_strokes" (share of the path that lies in full strokes: about 1 for a sine, about 0.2
+        for an earthquake).
     """
 
     actuation: float
@@ -69,8 +70,8 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
     x = trace.displacement
     strokes = np.abs(np.diff(x[np.unique([0, *trace.turning_points, trace.samples - 1])]))
     full = strokes[strokes >= FULL * strokes.max(initial=0.0)].sum()
-    covariates = {
-        "velocity": float(np.quantile(np.abs(trace.velocity), 0.98)),
+    speed = {"velocity": float(np.quantile(np.abs(trace.velocity), 0.98))} if trace.timed else {}
+    covariates = speed | {
         "amplitude": 0.5 * float(np.ptp(x)),
         "full_strokes": float(full / max(strokes.sum(), 1e-300)),
     }
@@ -167,9 +168,13 @@ def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, fl
         return np.array([stroke, speed, speed - stroke])
 
     tests = np.array([logs(s) for s in tested])
-    tests = tests[np.all(np.isfinite(tests), axis=1)]
+    timed = "velocity" in setting.covariates and bool(np.any(np.isfinite(tests[:, 1])))
+    kept = slice(None) if timed else slice(1)
+    tests = tests[np.all(np.isfinite(tests[:, kept]), axis=1)]
     here = logs(setting)
-    if not len(tests) or not np.all(np.isfinite(here)):
+    if not len(tests) or not np.all(np.isfinite(here[kept])):
         return 0.0, 0.0
     outside = np.maximum(np.maximum(here - tests.max(axis=0), tests.min(axis=0) - here), 0.0)
+    if not timed:
+        return float(outside[0]), 0.0
     return float(outside[0]), float(outside[1:].max())

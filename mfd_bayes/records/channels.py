@@ -178,6 +178,9 @@ class Source:
         return self.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
 
 
+NO_ACTUATION = "100 %"
+"""That of tests which have none, of a model in which nothing follows it."""
+
 NUMBERED = Source(rate="1 Hz")
 """The time of samples that are numbered."""
 

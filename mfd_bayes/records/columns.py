@@ -92,7 +92,9 @@ def roles_of(
     unnamed = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
     if not timed:
         unnamed = [role for role in unnamed if role != "time"]
-    roles |= {role: name for role in unnamed if (name := _guess(table, axes.name(role))) is not None}
+    roles |= {
+        role: name for role in unnamed if (name := _guess(table, axes.name(role))) is not None
+    }
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
     needed = ("time", "displacement") if timed else ("displacement",)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -182,7 +182,7 @@ class Record:
 
     def _as_trace(self, time: Array, signals: dict[str, Array]) -> Trace:
         history = signals.get("actuation")
-        return Trace.from_arrays(
+        trace = Trace.from_arrays(
             time,
             signals["displacement"],
             # The filter may go below zero next to a jump.
@@ -190,6 +190,7 @@ class Record:
             signals.get("force"),
             signals.get("velocity"),
         )
+        return trace if self.axes.timed else replace(trace, timed=False)
 
 
 def read_record(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from mfd_bayes.axes import Axes
 from mfd_bayes.evaluation.views import (
     CampaignView,
     Fan,
@@ -50,7 +51,10 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     """
     if system == US:
         return frame
-    shown = frame.copy()
+    shown, axes = frame.copy(), system.axes
+    for name in ("quantity", "feature", "condition", "note"):
+        if name in frame and not axes.of_damper:
+            shown[name] = [_renamed(v, axes) for v in frame[name]]
     if "unit" in frame:
         by = frame["unit"].map(system.factor)
         for name in _OF_UNIT.intersection(frame.columns):
@@ -61,15 +65,27 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
         ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
         if ending:
             unit = _ENDINGS[ending]
-            own = f"_{system.unit(unit).replace('/', '_per_')}"
-            names[name] = f"{name.removesuffix(ending)}{own}"
+            names[name] = system.column(str(name).removesuffix(ending), unit)
         elif str(name).endswith("]"):
             what, _, unit = name[:-1].rpartition(" [")
             names[name] = f"{what} [{system.unit(unit)}]"
         else:
             continue
         shown[name] = frame[name] * system.factor(unit)
-    return shown.rename(columns=names)
+    shown = shown.rename(columns=names)
+    if axes.timed:
+        return shown
+    lost = [n for n in shown if n == "frequency_Hz" or "in_per_s" in str(n)]
+    lost += [n for n in names.values() if n == system.column("velocity", "in/s")]
+    return shown.drop(columns=lost).rename(columns={"time_s": "sample"})
+
+
+def _renamed(words: Any, axes: Axes) -> Any:
+    """Words of the package in the names of a model's axes; a parameter's name stays."""
+    if words == "peak_force":
+        return f"peak_{axes.response.name}"
+    is_ours = isinstance(words, str) and (" " in words or words == "stroke")
+    return axes.text(words) if is_ours else words
 
 
 def convert_row(row: AnyRow, system: System) -> AnyRow:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,6 +22,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from mfd_bayes.axes import DAMPER
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
@@ -167,7 +169,9 @@ class Units:
         return Markup(escape(line.template)).format(*digits)
 
     def level(self, test: TestView, unit: str) -> Markup:
-        """Actuation of a test; `unit` is its internal one."""
+        """Actuation of a test, "" of none; `unit` is its internal one."""
+        if not self.systems[0].axes.actuated:
+            return Markup()
         text = self.values([test.trace.reference_actuation], ACTUATION + unit, 4)
         return text + Markup(" (mean of a history)" if test.trace.varying else "")
 
@@ -181,7 +185,8 @@ class Units:
             else symbols.sentence_in_html(value)
             for name, value in sentence.values.items()
         }
-        return Markup(escape(sentence.template)).format(**shown)
+        template = self.systems[0].text(sentence.template)
+        return Markup(escape(template)).format(**shown)
 
     @property
     def table(self) -> Markup:
@@ -282,7 +287,9 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
 def _datasheet(sheet: Datasheet | None, view: CampaignView) -> dict[str, Any]:
     if sheet is None:
         return {"datasheet": None}
-    properties = datasheet_sheet(sheet.rows, US, view.title)
+    properties = datasheet_sheet(
+        sheet.rows, replace(US, axes=view.systems[0].axes), view.title
+    )
     heads = dict(zip(sheet.rows["condition"].unique(), properties.heads, strict=True))
     with_note = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
     notes = [
@@ -300,7 +307,17 @@ def render_page(template: str, units: Units, *scripts: str, **values: Any) -> st
     """A page from its template; `scripts` are those that it may run besides the report's own."""
     script = files("mfd_bayes.reporting").joinpath("templates", "report.js").read_text("utf-8")
     made = environment().get_template(template)
-    return made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
+    page = made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
+    axes = units.systems[0].axes
+    if axes == DAMPER:
+        return page
+    parts = _TEXT.split(page)  # what is between tags, but for scripts and styles
+    return "".join(axes.text(part) if at % 2 == 0 else part for at, part in enumerate(parts))
+
+
+_TEXT = re.compile(
+    r"(<(?:script|style)\b.*?</(?:script|style)>|<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>)", re.DOTALL
+)
 
 
 def policy_of(*scripts: str) -> str:

@@ -346,7 +346,9 @@ def paper_sheets(view: CampaignView, system: System) -> tuple[Sheet, Sheet]:
     noises = _deciding(to_units(frames["noises"], system))
     tests = [test for test in view.tests if test.rows]
     heads = {
-        test.id: f"{printable(test.id)}, {system.actuation(test.trace, view.actuation_unit)}"
+        test.id: ", ".join(
+            filter(None, (printable(test.id), system.actuation(test.trace, view.actuation_unit)))
+        )
         for test in tests
     }
     parameters = to_units(frames["parameters"], system)
@@ -392,6 +394,8 @@ def datasheet_frame(rows: pd.DataFrame, system: System) -> pd.DataFrame:
     levels = [system.of_actuation(unit) for unit in rows["actuation_unit"]]
     frame["actuation"] = rows["actuation"] * np.array([by for by, _ in levels])
     frame["actuation_unit"] = [name for _, name in levels]
+    if not system.axes.actuated:
+        frame = frame.drop(columns=["actuation", "actuation_unit"])
     return to_units(frame, system)
 
 
@@ -402,11 +406,13 @@ def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
     for row in _records(rows.drop_duplicates("condition")):
         unit = row["actuation_unit"]
         level = system.words([row["actuation"]], unit, actuation=True)
-        motion = (row["stroke"], "in"), (row["frequency"], "Hz")
-        parts = ((row["actuation"], f"{ACTUATION}{unit}"), *motion)
+        motion = [(row["stroke"], "in")]
+        if system.axes.timed:
+            motion.append((row["frequency"], "Hz"))
+        parts = [(row["actuation"], f"{ACTUATION}{unit}"), *motion][not system.axes.actuated :]
         conditions.append(tuple(part for part in parts if math.isfinite(part[0])))
-        words = (system.words([value], of, 3) for value, of in conditions[-1][1:])
-        heads[row["condition"]] = ", ".join((level, *words))
+        words = [system.words([value], of, 3) for value, of in motion if math.isfinite(value)]
+        heads[row["condition"]] = ", ".join([level][not system.axes.actuated :] + words)
     made = []
     order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
     keys = ["quantity", "direction", "cycle", "unit"]
@@ -428,7 +434,7 @@ def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
         detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle != "0" else "")))
         made.append(
             SheetRow(
-                name.replace("_", " ").replace("gap", "gap width"),
+                system.text(name.replace("_", " ").replace("gap", "gap width")),
                 system.unit(unit),
                 tuple(cells.get(key) for key in heads),
                 detail,
@@ -746,13 +752,16 @@ def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
     return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
 
 
-def predicted_csv(rows: Iterable[DerivedRow], actuation: str, probability: float) -> str:
+def predicted_csv(
+    rows: Iterable[DerivedRow], actuation: str, probability: float, force: str = "force"
+) -> str:
     """Derived quantities of a prediction, with intervals of this probability."""
     shown = tuple(rows)
     about = (
-        f"derived quantities of the damper, without offset and noise, of kind {shown[0].role}: "
+        f"derived quantities of the device, without offset and noise, of kind {shown[0].role}: "
         f"equal-tailed {percent(probability)} % intervals",
-        f"actuation {actuation}; measured: of the force in the motion's file, as it is",
+        f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
+        "as it is",
     )
     pairs = [word.partition(":") for word in _COLUMNS["prediction"].split()]
     lines = [[_safe(getattr(row, name)) for name, _, _ in pairs] for row in shown]
@@ -772,7 +781,7 @@ def design_csv(rows: Iterable[DesignRow], actuation: str) -> str:
     about = (
         f"mean and bounding properties; each bound is exceeded with a probability of {tail:g} %",
         "lambda: bound over the nominal value, which is the mean of the mean property",
-        f"actuation {actuation}",
+        *([f"actuation {actuation}"] if actuation else []),
     )
     return to_csv(frame.rename(columns={"name": "property", "of": "name"}), about)
 
@@ -783,16 +792,16 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     `about` are lines of its head, besides what the band is; the columns are in the units of
     `system`.
     """
-    length, force = system.unit("in"), system.unit("kip")
     columns: dict[str, Any] = {
-        "time_s": [f"{time:.15g}" for time in trace.time],  # may be seconds since 1970
-        f"displacement_{length}": trace.displacement * system.factor("in"),
+        # may be seconds since 1970
+        "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
+        system.column("displacement", "in"): trace.displacement * system.factor("in"),
     }
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
     forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
     for name, values in forces.items():
         if values is not None:
-            columns[f"{name}_{force}"] = values * system.factor("kip")
+            columns[system.column(name, "kip")] = values * system.factor("kip")
     if band.given is not None:
         columns["given"] = band.given.holds(trace.time).astype(np.float64)
     head = [
@@ -802,8 +811,8 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     if band.whole_lower is not None:
         head.append("whole: band of the whole history, of the same probability")
     if band.given is not None:
-        head.append("given: 1 where the force was given, 0 elsewhere")
-    head += [f"warning: {remark}" for remark in band.remarks] + list(about)
+        head.append(system.text("given: 1 where the force was given, 0 elsewhere"))
+    head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(about)
     return _csv_text(head, list(columns), zip(*columns.values(), strict=True), 8)
 
 

@@ -231,7 +231,12 @@ class Run:
     def tested(self) -> tuple[Span, ...]:
         """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
         tests = (self.manifest.tests[name].conditions for name in self.tests)
-        return range_of(tests, self.actuation_unit)
+        spans = range_of(tests, self.actuation_unit)
+        return (
+            spans
+            if self.manifest.axes.actuated
+            else tuple(s for s in spans if s.name != "actuation")
+        )
 
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""

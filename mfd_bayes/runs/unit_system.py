@@ -24,7 +24,9 @@ PRESSURES = frozenset({"bar", "kPa"})
 
 _SET = {"ksi": "psi", "kip": "lbf"}  # in which an actuation is set in tests
 _WORD = re.compile(r"[A-Za-z]+")
-_CUSTOMARY = re.compile(r"(?<![A-Za-z])(?:in|ft|lb|lbf|lbs|kips?|ksi|psi|psf|gal|gallon|gpm|inch)(?![A-Za-z])")
+_CUSTOMARY = re.compile(
+    r"(?<![A-Za-z])(?:in|ft|lb|lbf|lbs|kips?|ksi|psi|psf|gal|gallon|gpm|inch)(?![A-Za-z])"
+)
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,16 @@ class System:
     def small(self) -> bool:
         """Whether forces are in lbf or N."""
         return self.force in (US_SMALL.force, SI_SMALL.force)
+
+    def column(self, name: str, internal: str) -> str:
+        """Head of a column of a table, "displacement_in": a name and an internal unit."""
+        unit = self.unit(internal).replace("/", "_per_")
+        name = self.axes.text(name).replace(" ", "_")
+        return name if unit == "1" else f"{name}_{unit}"
+
+    def text(self, words: str) -> str:
+        """A sentence about a damper in the names of the model's motion and response."""
+        return self.axes.text(words)
 
     def unit(self, internal: str) -> str:
         """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
@@ -105,7 +117,9 @@ class System:
         return f"{' to '.join(shown)}{f' {unit}' if unit != '1' else ''}"
 
     def actuation(self, trace: Trace, unit: str) -> str:
-        """Actuation of a trace in words; `unit` is the internal one, such as "ksi"."""
+        """Actuation of a trace in words, "" of none; `unit` is the internal one, such as "ksi"."""
+        if not self.axes.actuated:
+            return ""
         text = self.words([trace.reference_actuation], unit, actuation=True)
         return f"{text} (mean of a history)" if trace.varying else text
 

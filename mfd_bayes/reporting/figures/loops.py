@@ -60,14 +60,16 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: Syste
     Trace and fans are in the units of `system`.
     """
     figure = look.new_figure(10, 4.3, title)
-    left, right = figure.subplots(1, 2, sharey=True)
+    left, *others = figure.subplots(1, 2 if trace.timed else 1, sharey=True, squeeze=False)[0]
     _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
-    span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
-    _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
-    left.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
-    left.set_title("Force–displacement")
-    right.set(xlabel=f"velocity, {system.velocity}", ylabel=f"force, {system.force}")
-    right.set_title("Force–velocity")
+    force = system.label("force", "kip")
+    left.set(xlabel=system.label("displacement", "in"), ylabel=force)
+    left.set_title(system.text("Force–displacement"))
+    for right in others:
+        span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
+        _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
+        right.set(xlabel=system.label("velocity", "in/s"), ylabel=force)
+        right.set_title(system.text("Force–velocity"))
     _legend(figure, fans, measured=trace.force is not None)
     return figure
 
@@ -106,9 +108,10 @@ def draw_history(
                 column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
             _mark(axes, trace.time, window, marks)
-        column[-1].set_xlabel("time, s")
+        column[-1].set_xlabel(clock(trace))
         column[-1].margins(x=0.005)
-    names = (f"displ., {system.length}", f"force, {system.force}", f"residual, {system.force}")
+    parts = (("displ.", "in"), ("force", "kip"), ("residual", "kip"))
+    names = [system.label(*part) for part in parts]
     for axes, name in zip(grid[:, 0], names, strict=False):
         axes.set_ylabel(name)
     if len(windows) > 1:
@@ -140,9 +143,9 @@ def draw_overview(
         axes.set_visible(True)
         _draw_panel(axes, test)
         if (row + 1, column) not in places:
-            axes.set_xlabel(f"displacement, {system.length}")
+            axes.set_xlabel(system.label("displacement", "in"))
         if (row, column - 1) not in places:
-            axes.set_ylabel(f"force, {system.force}")
+            axes.set_ylabel(system.label("force", "kip"))
             axes.tick_params(labelleft=True)
     if shown:
         _legend(figure, [shown[0].observation], measured=True)
@@ -194,7 +197,8 @@ def draw_band(axes: Any, fan: Fan, time: Array, displacement: Array | None, syst
     else:
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
         _draw_loop(axes, [fan], displacement, turns)
-    below = "time, s" if displacement is None else f"displacement, {system.length}"
+    timed = "time, s" if system.axes.timed else "sample"
+    below = timed if displacement is None else system.label("displacement", "in")
     return _labelled(axes, below, fan, system)
 
 
@@ -202,7 +206,12 @@ def draw_measured(axes: Any, trace: Trace, fan: Fan, system: System) -> Axes:
     """Axes with the measured loops of a trace over a band, both in the units of a system."""
     axes = _checked_axes(axes)
     _draw_loop(axes, [fan], trace.displacement, trace.turning_points, trace.force)
-    return _labelled(axes, f"displacement, {system.length}", fan, system)
+    return _labelled(axes, system.label("displacement", "in"), fan, system)
+
+
+def clock(trace: Trace) -> str:
+    """Label of an axis of time, or of numbered samples."""
+    return "time, s" if trace.timed else "sample"
 
 
 def _checked_axes(axes: Any) -> Axes:
@@ -223,7 +232,7 @@ def _checked_axes(axes: Any) -> Axes:
 
 
 def _labelled(axes: Axes, below: str, fan: Fan, system: System) -> Axes:
-    axes.set(xlabel=below, ylabel=f"force, {system.force}")
+    axes.set(xlabel=below, ylabel=system.label("force", "kip"))
     axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
 

@@ -230,12 +230,12 @@ def draw_residuals(title: str, test: TestView, system: System = US) -> Figure | 
     figure = look.new_figure(10, 3.4, title)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.6, 1.3))
     _draw_by_stage(left, residual, half, None if test.stage is None else test.stage[kept])
-    left.set_ylabel(f"residual, {system.force}")
+    left.set_ylabel(system.label("residual", "kip"))
     where, what = test.trace.displacement, "displacement"
     if test.travel is not None:
         where, what = test.travel, "travel since the last slip or turn"
     _draw_along(middle, where[kept], residual, half)
-    middle.set(xlabel=f"{what}, {system.length}", ylabel=f"residual, {system.force}")
+    middle.set(xlabel=system.label(what, "in"), ylabel=system.label("residual", "kip"))
     _draw_autocorrelation(right, residual)
     for axes in (left, middle):
         axes.axhline(0.0, color="#888888", linewidth=0.7)
