@@ -8,7 +8,6 @@ import signal
 import zipfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -30,7 +29,6 @@ CAMPAIGN = b"""\
 [campaign]
 priors = "own.toml"
 noise = "ou"
-rate = "20 Hz"
 [columns]
 time = { name = "time_s", unit = "s" }
 displacement = { name = "displacement_in", unit = "in", tare = "0 s to 1 s" }
@@ -53,7 +51,7 @@ WORDS = (
 
 def workbook(file):
     book = Workbook()
-    for row in (list(COLUMNS), *np.column_stack(list(COLUMNS.values())).tolist()):
+    for row in ([*COLUMNS], *zip(*COLUMNS.values(), strict=True)):
         book.active.append(row)
     book.save(file)
 

@@ -248,8 +248,12 @@ def test_a_damaged_manifest_is_refused(campaign, copied, content):
 
 
 def test_what_was_being_discarded_is_not_resumed(start, campaign, copied, monkeypatch):
-    def stop(*_, **__):
-        raise KeyboardInterrupt
+    remove = shutil.rmtree
+
+    def stop(path, *words, **options):
+        if copied in Path(path).parents:
+            raise KeyboardInterrupt
+        remove(path, *words, **options)
 
     monkeypatch.setattr(shutil, "rmtree", stop)
     words = ["calibrate", str(campaign), "-o", str(copied), "--force"]
