@@ -59,28 +59,43 @@ class Batches:
     """Density and pool for dynesty: the threads of a map have theirs computed together."""
 
     def __init__(self, density):
-        self.density, self.points, self.answers = density, {}, {}
+        self.density, self.lock = density, threading.Condition()
+        self.busy, self.points, self.answers = 0, {}, {}
 
     def __call__(self, point):
-        """Log density of a point, once every other thread waits for one too."""
+        """Log density of a point, once every other thread waits for one or has ended."""
         me = threading.get_ident()
-        self.points[me] = point
-        self.barrier.wait()
-        return self.answers[me]
+        with self.lock:
+            self.points[me] = point
+            self.compute()
+            self.lock.wait_for(lambda: me in self.answers)
+            return self.answers.pop(me)
 
     def compute(self):
-        """Compute the densities of all threads that wait."""
-        values = self.density(np.array(list(self.points.values()))).tolist()
-        self.answers, self.points = dict(zip(self.points, values, strict=True)), {}
+        """Compute the densities of the threads if all of them wait."""
+        if self.points and len(self.points) == self.busy:
+            values = self.density(np.array(list(self.points.values()))).tolist()
+            self.answers |= dict(zip(self.points, values, strict=True))
+            self.points = {}
+            self.lock.notify_all()
 
     def map(self, function, arguments):
-        """Results of a function, which asks for as many densities of each argument."""
+        """Results of a function of each argument."""
         if len(arguments) > TOGETHER:
             first, rest = arguments[:TOGETHER], arguments[TOGETHER:]
             return self.map(function, first) + self.map(function, rest)
-        self.barrier = threading.Barrier(len(arguments), self.compute)
-        with ThreadPoolExecutor(len(arguments)) as pool:
-            return list(pool.map(function, arguments))
+
+        def work(argument):
+            try:
+                return function(argument)
+            finally:
+                with self.lock:
+                    self.busy -= 1
+                    self.compute()
+
+        self.busy = len(arguments)
+        with ThreadPoolExecutor(self.busy) as pool:
+            return list(pool.map(work, arguments))
 
 
 def nested(posterior: mb.Posterior, draws: mb.Draws) -> tuple[float, float]:
