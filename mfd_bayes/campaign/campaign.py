@@ -260,10 +260,11 @@ def _check_actuations(path: Path, settings: CampaignFile, model: Model) -> None:
     without = [test.id for test in settings.test if test.actuation is None]
     if not without:
         return
-    where = f"actuation of test {without[0]!r} is missing in {path}"
-    if not model.source or model.laws:
-        follow = f": {' and '.join(model.laws)} follow it" if model.laws else ""
-        raise CampaignError(f"{where}{follow}")
+    where = f"test {without[0]!r}.actuation is missing in {path}"
+    if not model.source:
+        raise CampaignError(where)
+    if model.laws:
+        raise CampaignError(f"{where}: {' and '.join(model.laws)} of {model.where} follow it")
     if len(without) < len(settings.test):
         raise CampaignError(f"{where}: expected one in all tests or in none")
 

@@ -258,8 +258,8 @@ def _motion_of(
     columns = None
     if not axes.of_damper:  # units that the campaign states and the file does not
         names = read_table(question.motion).names
-        given = settings.columns.given.items()
-        columns = {role: c.source for role, c in given if c.key in names or c.name is None} or None
+        stated = settings.columns.given.items()
+        columns = {role: c.source for role, c in stated if c.key in names or c.name is None} or None
     record = read_record(question.motion, columns, actuation=question.actuation, axes=axes)
     given = f"--given {question.given!r}" if question.given else ""
     needs = "--compare" if question.compare else given

@@ -101,4 +101,5 @@ def _form(axes: Axes) -> str:
     amplitude = f"1 {unit}" if unit != "1" else "2 %"
     if axes == DAMPER:
         return "a harmonic motion reads '1 in, 0.5 Hz, 3 cycles'"
-    return f"a harmonic motion of {axes.motion.name} reads '{amplitude}, {'0.5 Hz, ' * axes.timed}3 cycles'"
+    parts = (amplitude, "0.5 Hz", "3 cycles") if axes.timed else (amplitude, "3 cycles")
+    return f"a harmonic motion of {axes.motion.name} reads '{', '.join(parts)}'"

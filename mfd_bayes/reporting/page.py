@@ -287,9 +287,7 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
 def _datasheet(sheet: Datasheet | None, view: CampaignView) -> dict[str, Any]:
     if sheet is None:
         return {"datasheet": None}
-    properties = datasheet_sheet(
-        sheet.rows, replace(US, axes=view.systems[0].axes), view.title
-    )
+    properties = datasheet_sheet(sheet.rows, US, view.title, view.systems[0].axes)
     heads = dict(zip(sheet.rows["condition"].unique(), properties.heads, strict=True))
     with_note = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
     notes = [

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mfd_bayes.axes import Axes
 from mfd_bayes.evaluation.design import BASES, DesignRow
 from mfd_bayes.evaluation.next_test import advice_rows
 from mfd_bayes.evaluation.views import CampaignView, DerivedRow, Fan, LeftOutRow, ScoreRow, TestView
@@ -400,20 +401,23 @@ def datasheet_frame(rows: pd.DataFrame, system: System) -> pd.DataFrame:
     return to_units(frame, system)
 
 
-def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
+def datasheet_sheet(
+    rows: pd.DataFrame, system: System, title: str, axes: Axes | None = None
+) -> Sheet:
     """The properties of a data sheet for reading: conditions are columns."""
+    axes = axes or system.axes
     heads: dict[str, str] = {}
     conditions = []
     for row in _records(rows.drop_duplicates("condition")):
         unit = row["actuation_unit"]
         level = system.words([row["actuation"]], unit, actuation=True)
         motion = [(row["stroke"], "in")]
-        if system.axes.timed:
+        if axes.timed:
             motion.append((row["frequency"], "Hz"))
-        parts = [(row["actuation"], f"{ACTUATION}{unit}"), *motion][not system.axes.actuated :]
+        parts = [(row["actuation"], f"{ACTUATION}{unit}"), *motion][not axes.actuated :]
         conditions.append(tuple(part for part in parts if math.isfinite(part[0])))
         words = [system.words([value], of, 3) for value, of in motion if math.isfinite(value)]
-        heads[row["condition"]] = ", ".join([level][not system.axes.actuated :] + words)
+        heads[row["condition"]] = ", ".join([level][not axes.actuated :] + words)
     made = []
     order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
     keys = ["quantity", "direction", "cycle", "unit"]
@@ -435,7 +439,7 @@ def datasheet_sheet(rows: pd.DataFrame, system: System, title: str) -> Sheet:
         detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle != "0" else "")))
         made.append(
             SheetRow(
-                system.text(name.replace("_", " ").replace("gap", "gap width")),
+                axes.text(name.replace("_", " ").replace("gap", "gap width")),
                 system.unit(unit),
                 tuple(cells.get(key) for key in heads),
                 detail,
