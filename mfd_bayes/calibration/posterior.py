@@ -23,8 +23,7 @@ from mfd_bayes.store.cards import card, counted
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 1 << 24
-"""Points times samples whose forces are computed at once: some 400 MB."""
+AT_ONCE = 1 << 24  # points times samples whose forces are computed at once: some 400 MB
 
 
 @dataclass(frozen=True)
@@ -34,21 +33,12 @@ class Pivot:
     A slow test tells F_s, a fast one F_c; F_c (1 + c e), with c the mean of exp(−(v/v_s)²)
     over the motion and e the excess of static friction, is what either knows best. The
     logarithms of both differ by log(1 + c e), which depends on e alone: the Jacobian is 1.
-
-    Attributes
-    ----------
-    kinetic, excess : int
-        Columns of q.
-    share : float
-        c.
-    prior : Prior
-        Of the excess.
     """
 
-    kinetic: int
+    kinetic: int  # columns of q
     excess: int
-    share: float
-    prior: Prior
+    share: float  # c
+    prior: Prior  # of the excess
 
     def shift(self, points: Array) -> Array:
         """Difference between the sampled coordinate and log F_c, log(1 + c e), (n,)."""
@@ -340,13 +330,7 @@ def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -
 
 
 def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
-    """Sample from which the device has surely slipped: after a stretch of two prior gaps.
-
-    Raises
-    ------
-    FitError
-        When the priors have no gap, or no stretch of the record is that long.
-    """
+    """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
     gap = file.gap
     if gap is None and not model.has_gap:
         return 0

@@ -23,17 +23,16 @@ from mfd_bayes.friction.quantity import Quantity
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
+# beginning of the title of a prior file that was made of a campaign's own records
 SCALED = "scales read off the records"
-"""Beginning of the title of a prior file that was made of a campaign's own records."""
 
-WRITTEN = "priors.toml"
-"""Name of the prior file that ``mfd-bayes init`` writes beside a campaign."""
+WRITTEN = "priors.toml"  # name of the prior file that ``mfd-bayes init`` writes beside a campaign
 
+# the device's own scales that a prior file may state, and what each measures
 SCALES = MappingProxyType({"force": "force", "length": "displacement", "speed": "velocity"})
-"""The device's own scales that a prior file may state, and what each measures."""
 
+# largest length of an error message, in characters, however long the names in the file
 _LONGEST = 1000
-"""Largest length of an error message, in characters, however long the names in the file."""
 
 _MULTIPLES = MappingProxyType(
     {
@@ -50,6 +49,7 @@ _MULTIPLE = re.compile(
 )
 
 
+# what a record has, whatever the model and the noise
 OF_RECORDS = (
     Quantity(
         "start",
@@ -61,7 +61,6 @@ OF_RECORDS = (
     ),
     Quantity("offset", "force", "F_0", "F<sub>0</sub>", "offset of the load cell", least=-np.inf),
 )
-"""What a record has, whatever the model and the noise."""
 
 
 def known_quantities(model: Model | None = None) -> dict[str, Quantity]:
@@ -132,11 +131,6 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     """Path of a prior file named "mfd", "brfd", … or given by its path.
 
     With a `folder`, the path is relative to it and, with links resolved, must lie in it.
-
-    Raises
-    ------
-    PriorError
-        When there is no such file (the message lists the known names), or it lies elsewhere.
     """
     package = Path(__file__).parents[1]
     home = next(p for p in (package / "priors", package.parent / "priors") if p.is_dir())
@@ -171,12 +165,6 @@ def load_priors(
 
     With `of_others`, what `model` does not have may be of another model, whose parameters are not
     known here: what cannot be read of it is left out.
-
-    Raises
-    ------
-    PriorError
-        When the file is missing, is no TOML, or a prior in it has an unknown name, family,
-        figure or unit.
     """
     path = find_priors(name, folder)
     try:

@@ -19,8 +19,7 @@ from mfd_bayes.errors import PriorError
 Array = NDArray[np.float64]
 Figures = Mapping[str, Any]
 
-RANGE = 1e15
-"""Values beyond this, or as near to a bound, are out of support: no damper has them."""
+RANGE = 1e15  # values beyond this, or as near to a bound, are out of support: no damper has them
 
 
 class Figure(NamedTuple):
@@ -41,26 +40,15 @@ WHOLE_LINE = (-np.inf, np.inf)
 
 @dataclass(frozen=True)
 class Family:
-    """A family of densities of a quantity x.
+    """A family of densities of a quantity x."""
 
-    Attributes
-    ----------
-    figures : mapping of str to Figure
-        What a prior file gives for it.
-    log_density : callable
-        Normalised log density at x, any shape, inside the support.
-    draw : callable
-        Independent draws, (n,).
-    median : callable
-        Median of x.
-    support : (float, float), or None
-        Lower and upper bound of x; None where they are the figures "lower" and "upper".
-    """
-
-    figures: Mapping[str, Figure]
+    figures: Mapping[str, Figure]  # Figure: what a prior file gives for it
+    # normalised log density at x, any shape, inside the support
     log_density: Callable[[Array, Figures], Array]
-    draw: Callable[[np.random.Generator, int, Figures], Array]
-    median: Callable[[Figures], float]
+    draw: Callable[[np.random.Generator, int, Figures], Array]  # independent draws, (n,)
+    median: Callable[[Figures], float]  # median of x
+    # (float, float), or None: lower and upper bound of x; None where they are the figures "lower"
+    # and "upper"
     support: tuple[float, float] | None = (0.0, np.inf)
 
 
@@ -102,6 +90,7 @@ def _truncated_quantile(u: Any, f: Figures) -> Any:
     return f["mean"] + side * f["sd"] * special.ndtri_exp(probability)
 
 
+# every family by its name in prior files: a new one is registered here, by one entry
 FAMILIES: Mapping[str, Family] = MappingProxyType(
     {
         "lognormal": Family(
@@ -159,7 +148,6 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
         ),
     }
 )
-"""Every family by its name in prior files: a new one is registered here, by one entry."""
 
 
 @dataclass(frozen=True)
@@ -168,20 +156,12 @@ class Prior:
 
     q is x itself on the whole line, log(x − lower) on a half line, and the logit of the place
     between two bounds.
-
-    Attributes
-    ----------
-    family : str
-    figures : mapping of str to float, internal units
-    reason : str
-    lower, upper : float
-        Between which the quantity is.
     """
 
     family: str
-    figures: Mapping[str, float]
+    figures: Mapping[str, float]  # float, internal units
     reason: str = ""
-    lower: float = field(init=False)
+    lower: float = field(init=False)  # between which the quantity is
     upper: float = field(init=False)
 
     def __post_init__(self) -> None:

@@ -35,11 +35,8 @@ if TYPE_CHECKING:
 
     from mfd_bayes.calibration.sampling import Draws
 
-LEAST_AFTER = 20
-"""Fewest samples that are fitted after a start that is masked."""
-
-REPLICAS = 50
-"""Posterior predictive records that are stored for each ensemble."""
+LEAST_AFTER = 20  # fewest samples that are fitted after a start that is masked
+REPLICAS = 50  # posterior predictive records that are stored for each ensemble
 
 _Share = Annotated[float, Field(ge=0, le=1.001)]
 
@@ -73,13 +70,7 @@ class Task:
         return ()
 
     def posterior(self) -> Posterior:
-        """Posterior of the test.
-
-        Raises
-        ------
-        MfdError
-            When it cannot be made: no force, a name that is unknown, or a prior that is missing.
-        """
+        """Posterior of the test."""
         found = Posterior(self.trace, self.priors, self.noise, self.model, start=self.start)
         if self.trace.samples - found.first < LEAST_AFTER:
             raise FitError(
@@ -94,13 +85,7 @@ class Task:
 
 
 def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-    """Sample one test's posterior and store it in a run folder.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be written, as on a full disk: that is no fault of the test.
-    """
+    """Sample one test's posterior and store it in a run folder."""
     from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
 
     began = time.perf_counter()
@@ -195,13 +180,7 @@ class Extras(Protocol):
 
 
 def needed(extras: Extras | None) -> Extras:
-    """The extras of a result that came from `mfd_bayes.open_run`.
-
-    Raises
-    ------
-    FitError
-        When it did not.
-    """
+    """The extras of a result that came from `mfd_bayes.open_run`."""
     if extras is None:
         raise FitError("this needs a result of a run that mfd_bayes.open_run has opened")
     return extras
@@ -209,42 +188,22 @@ def needed(extras: Extras | None) -> Extras:
 
 @dataclass(frozen=True, eq=False)
 class TestResult:
-    """A calibrated test.
-
-    Attributes
-    ----------
-    id : str
-    posterior : Posterior
-    path : Path
-        Of the stored posterior.
-    sha256 : str
-        Of that file, where it is known: the draws of another run are not taken for this one's.
-    intervals : mapping of str to (float, float, float)
-        Median and equal-tailed 95 % interval of every quantity: 50, 2.5 and 97.5 %.
-    """
+    """A calibrated test."""
 
     __test__ = False
 
     id: str
     posterior: Posterior
-    path: Path
+    path: Path  # of the stored posterior
+    # of that file, where it is known: the draws of another run are not taken for this one's
     sha256: str = ""
+    # (float, float, float): median and equal-tailed 95 % interval of every quantity: 50, 2.5 and
+    # 97.5 %
     intervals: Mapping[str, Interval] = field(default_factory=dict, repr=False)
     extras: Extras | None = field(default=None, repr=False)
 
     def plot_loops(self, axes: Any = None) -> Any:
-        """Matplotlib axes with the measured loops over the bands of a measurement, as replicated.
-
-        Parameters
-        ----------
-        axes : matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
-
-        Raises
-        ------
-        FitError
-            When the test does not come from a run of `mfd_bayes.open_run`.
-        """
+        """Matplotlib axes with the measured loops over the bands of a measurement, as replicated."""
         return needed(self.extras).plot_loops(self, axes)
 
     def inference_data(self) -> Any:
@@ -252,12 +211,6 @@ class TestResult:
 
         Its groups are those of `posterior.nc`, and `log_likelihood`: the log density of each cycle
         given all others, by which `az.loo` leaves out whole cycles. That takes some seconds.
-
-        Raises
-        ------
-        FitError
-            When the test does not come from a run of `mfd_bayes.open_run`, or has fewer cycles
-            than can be left out.
         """
         return needed(self.extras).inference_data(self)
 
@@ -267,13 +220,7 @@ class TestResult:
 
     @property
     def stored(self) -> StoredTest:
-        """What is stored of it, read anew each time: the draws of many tests are not all held.
-
-        Raises
-        ------
-        StoreError
-            When the file cannot be read, or was replaced since its run was opened.
-        """
+        """What is stored of it, read anew each time: the draws of many tests are not all held."""
         if self.sha256 and self.path.is_file() and hash_file(self.path) != self.sha256:
             raise StoreError(f"{self.path} was changed by another process since it was opened")
         return load_test(self.path)
@@ -292,13 +239,7 @@ class TestResult:
 def load_result(
     test_id: str, path: Path, priors: PriorFile, model: Model | None = None
 ) -> TestResult:
-    """Calibrated test of its stored posterior; `model` is that of its run.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, or holds no posterior under these priors.
-    """
+    """Calibrated test of its stored posterior; `model` is that of its run."""
     stored = load_test(path)
     facts = stored.facts
     check_facts(facts, path)

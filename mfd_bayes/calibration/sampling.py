@@ -33,79 +33,57 @@ from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.store.cards import counted, grid
 
 Array = NDArray[np.float64]
+# log density of points (n, dim), (n,). What is surely below the number may be −inf instead
 BoundedDensity = Callable[[Array, float], Array]
-"""Log density of points (n, dim), (n,). What is surely below the number may be −inf instead."""
 
+# largest number of steps stored for each walker; beyond it, every second one is dropped
 STORED = 3000
-"""Largest number of steps stored for each walker; beyond it, every second one is dropped."""
 
-ROUND = 20
-"""Steps after which the proposal is learned again during the warm-up."""
+ROUND = 20  # steps after which the proposal is learned again during the warm-up
+ROUNDS = 12  # largest number of such rounds at full power; fewer where they no longer help
 
-ROUNDS = 12
-"""Largest number of such rounds at full power; fewer where they no longer help."""
-
+# powers of the density in the first rounds, so that walkers reach its tails and other modes
 HEAT = (0.3, 0.35, 0.5, 0.65, 0.8)
-"""Powers of the density in the first rounds, so that walkers reach its tails and other modes."""
 
-BROAD = 0.5
-"""The proposal learned at this power stays part of all later ones."""
+BROAD = 0.5  # the proposal learned at this power stays part of all later ones
+FIRST = 80  # largest number of kept steps after which convergence is measured first
+SLOW = 40.0  # autocorrelation time, steps, above which the proposal is learned again
 
-FIRST = 80
-"""Largest number of kept steps after which convergence is measured first."""
-
-SLOW = 40.0
-"""Autocorrelation time, steps, above which the proposal is learned again."""
-
+# least autocorrelation time, steps, that is used for the length of a run: far tails are visited
+# more rarely than the estimate shows
 LEAST = 16.0
-"""Least autocorrelation time, steps, that is used for the length of a run: far tails are visited
-more rarely than the estimate shows."""
 
-PARTS = 6
-"""Largest number of Student-t components of a learned proposal, besides the wide one."""
+PARTS = 6  # largest number of Student-t components of a learned proposal, besides the wide one
+REQUIRED = 200  # correlated draws per dimension that each component needs
 
-REQUIRED = 200
-"""Correlated draws per dimension that each component needs."""
-
+# A proposal whose log density is this far below that of every walker is never accepted
 NEVER = 1000.0
-"""A proposal whose log density is this far below that of every walker is never accepted."""
 
+# seconds after which R̂ and effective sample size are reported, even of a run that is too short
 SILENT = 5.0
-"""Seconds after which R̂ and effective sample size are reported, even of a run that is too short."""
 
+# share of independence proposals among the steps; the others are differential evolution
 JUMPS = 0.7
-"""Share of independence proposals among the steps; the others are differential evolution."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """Draws of a density; each ensemble is a chain.
+    """Draws of a density; each ensemble is a chain."""
 
-    Attributes
-    ----------
-    q : (chain, draw, dim)
-        A chain's draws are ordered by walker and, within a walker, by step, so that the
-        autocorrelation of a chain is that of its walkers.
-    log_prob : (chain, draw)
-    walkers : int
-    steps, thin, discarded : int
-        Steps of each ensemble; the interval of steps between kept draws; steps of the warm-up,
-        in which the proposal was fitted and no draw is kept.
-    acceptance : (chain,)
-    autocorrelation : (dim,)
-        Integrated autocorrelation time, steps.
-    watched : (ensemble, step, walker, m)
-        Kept draws of all that must converge: coordinates, log density, derived quantities.
-    """
-
+    # (chain, draw, dim): A chain's draws are ordered by walker and, within a walker, by step, so
+    # that the autocorrelation of a chain is that of its walkers
     q: Array
-    log_prob: Array
+    log_prob: Array  # (chain, draw)
     walkers: int
+    # steps of each ensemble; the interval of steps between kept draws; steps of the warm-up, in
+    # which the proposal was fitted and no draw is kept
     steps: int
     thin: int
     discarded: int
-    acceptance: Array
-    autocorrelation: Array
+    acceptance: Array  # (chain,)
+    autocorrelation: Array  # (dim,): integrated autocorrelation time, steps
+    # (ensemble, step, walker, m): kept draws of all that must converge: coordinates, log density,
+    # derived quantities
     watched: Array
 
     @property
@@ -135,15 +113,6 @@ def sample_density(
     draws are kept: from independence proposals of the mixture and differential evolution. If
     the chains mix slowly, or are far from the effort's target, the mixture is learned again
     from the kept draws, which are then discarded: not in the second half of the effort's limit.
-
-    Parameters
-    ----------
-    density : callable
-        Log density of points (n, dim), (n,). What is surely below the number may be −inf instead.
-    derived : callable, optional
-        Other quantities that must converge too, (n, dim) -> (n, m).
-    report : callable, optional
-        Called with a `Progress` after every block of steps.
     """
     walk = _Walk(density, modes, effort, rng, derived)
     walk.warm_up()
@@ -439,13 +408,7 @@ def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves
 def disperse(
     density: Density, anchors: Mixture | Proposal, walkers: int, random: np.random.RandomState
 ) -> Array:
-    """Starting points (walkers, dim): draws around the modes, chosen by importance weights.
-
-    Raises
-    ------
-    FitError
-        When the density is zero at all draws.
-    """
+    """Starting points (walkers, dim): draws around the modes, chosen by importance weights."""
     draws = anchors.draw(random, 4 * walkers)
     ratio = density(draws) - anchors.log_density(draws)
     top = np.sort(ratio)[-max(10, len(ratio) // 100)]
