@@ -23,7 +23,7 @@ from benchmarks.common.machine import load, processor
 from benchmarks.heldout.records import Kind, lay_out
 from benchmarks.heldout.run import PUBLISHED, WINDOWS
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.trace import Trace
 

@@ -17,7 +17,7 @@ from benchmarks.fuzz.mutations import Rng
 from benchmarks.fuzz.seeds import FORCE, MOTION, TIME, priors, texts
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile, units
+from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.calibration.result import load_result
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.evaluation.laws import law_rows, law_views

@@ -11,7 +11,7 @@ from nptdms import ChannelObject, TdmsWriter
 from openpyxl import Workbook
 from scipy.io import savemat
 
-from mfd_bayes.calibration.prior_files import find_priors
+from mfd_bayes.calibration.priors import find_priors
 
 TIME = np.arange(60) * 0.05
 MOTION = np.sin(2 * np.pi * TIME)

@@ -49,7 +49,7 @@ from benchmarks.fuzz.seeds import (
     texts,
     workbook,
 )
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft.columns import guess_columns
 from mfd_bayes.campaign.draft.priors import Units, priors_text

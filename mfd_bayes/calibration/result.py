@@ -20,7 +20,7 @@ from mfd_bayes.calibration.diagnostics import (
 from mfd_bayes.calibration.noise_sensitivity import OtherFit, fit_other, other_noises
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
-from mfd_bayes.calibration.prior_files import PriorFile, units
+from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step

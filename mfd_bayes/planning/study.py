@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import design_of

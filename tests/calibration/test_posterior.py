@@ -5,8 +5,7 @@ import pytest
 
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, load_priors
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
