@@ -1,0 +1,211 @@
+"""Finished run folders that no sampler has seen, and in which files two folders differ."""
+
+import json
+import re
+import tempfile
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.prior_files import find_priors, units
+from mfd_bayes.evaluation.crossvalidate import Fold
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.population.design import design_of
+from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
+from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.population import LawDraws, Population
+from mfd_bayes.population.settings import setting_of
+from mfd_bayes.population.starts import Starts
+from mfd_bayes.population.storage import save_population
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.store.files import write_json
+from mfd_bayes.store.netcdf import CalibratedTest, save_test, save_trace
+
+TIME = np.arange(60) * 0.05
+MOTION = np.sin(2 * np.pi * TIME)
+FORCE = 2.0 * np.sign(np.cos(2 * np.pi * TIME))
+RECORD = "time_s,displacement_in,force_kip\n" + "".join(
+    f"{t:.6g},{x:.6g},{f:.6g}\n" for t, x, f in zip(TIME, MOTION, FORCE, strict=True)
+)
+PRIORS = find_priors("mfd").read_text(encoding="utf-8")
+
+LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
+
+_TEST = """
+[[test]]
+id = "{id}"
+file = "a.csv"
+actuation = "{actuation} psi"
+role = "{role}"
+"""
+
+
+@cache
+def plan_of(*, small: bool) -> Plan:
+    """Plan of the run: a and b are calibrated, or a alone, and c is held out."""
+    model, noise, names = ("lugre", "iid", "a") if small else ("three_stage", "ou", "ab")
+    head = f'[campaign]\ntitle = "Brake 7"\npriors = "own.toml"\nmodel = "{model}"\n'
+    head += f'noise = "{noise}"\narea = "1.5 in^2"\n\n[laws]\n'
+    head += "".join(f'{name} = "{law}"\n' for name, law in LAWS.items())
+    head += 'Fs_fwd = "power"\n'
+    tests = [(name, 500 * (i + 1), "calibrate") for i, name in enumerate(names)]
+    tests.append(("c", 700, "validate"))
+    keys = ("id", "actuation", "role")
+    entries = [_TEST.format(**dict(zip(keys, test, strict=True))) for test in tests]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "campaign.toml").write_text(head + "".join(entries))
+        (folder / "own.toml").write_text(PRIORS, encoding="utf-8")
+        (folder / "a.csv").write_text(RECORD)
+        return plan_campaign(folder / "campaign.toml", Options(effort="quick"))
+
+
+def write_run(folder: Path, *, small: bool = False) -> None:
+    """Write a finished run folder with its hashes."""
+    plan = plan_of(small=small)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "priors.toml").write_text(PRIORS, encoding="utf-8")
+    rng = np.random.default_rng(1)
+    under = []
+    for task in plan.tasks:
+        posterior = Posterior(task.trace, plan.priors, task.noise, task.model, start=task.start)
+        path = folder / "tests" / task.id / "posterior.nc"
+        _write_posterior(path, posterior, rng)
+        under.append(setting_of(task.trace))
+    save_trace(folder / "tests/c/record.nc", Trace.from_arrays(TIME, MOTION, 0.7, FORCE), {})
+    _write_population(folder / "population.nc", plan.priors, posterior.names, under, rng)
+    score = {"coverage": [0.5, 0.9, 0.95], "width": 1.0, "interval_score": 1.2}
+    score |= {"crps": 0.1, "rrse": 0.2}
+    predictions = [{"part": "a", "test": "a", "score": score, "fitted": score}]
+    stored = {"key": asdict(_fold()), "predictions": predictions}
+    write_json(folder / "crossvalidation" / _fold().file, stored)
+    names = [p.relative_to(folder).as_posix() for p in folder.rglob("*.*") if p.suffix != ".json"]
+    about = _about(plan, predictions) | {"files": hash_stored(folder, names)}
+    write_json(folder / "manifest.json", {**plan.manifest.content, **about})
+
+
+def _write_posterior(path, posterior, rng):
+    flat = posterior.draw_prior(rng, 24)
+    theta = posterior.theta(flat)
+    flat |= {name: theta[:, k] for k, name in enumerate(posterior.model.parameters)}
+    density = posterior.log_prior(posterior.coordinates(flat)).reshape(2, 12)
+    stats = dict.fromkeys(("lp", "log_prior", "log_likelihood"), density)
+    facts = {"model": posterior.model.name, "noise": posterior.noise.name, "start": "sample"}
+    facts |= {"test": path.parent.name, "seed": [1, 2], "walkers": 6, "steps": 300}
+    facts |= {"discarded": 100, "modes": 2, "mode_shares": [[0.4, 0.6], [0.5, 0.5]]}
+    facts["autocorrelation"] = dict.fromkeys(posterior.names, 10.0)
+    facts["convergence"] = {name: [1.0, 500.0, 500.0] for name in flat}
+    values = {name: draws.reshape(2, 12) for name, draws in flat.items()}
+    predictive = np.zeros((2, 1, 60))
+    save_test(path, CalibratedTest(values, units(), stats, posterior.trace, predictive, facts))
+
+
+def _write_population(path, priors, names, under, rng):
+    design = design_of(priors, names, under, LAWS)
+    begin = design.free.size + len(design.effects)
+    h = rng.normal(-2.0, 0.2, size=(12, begin + len(design.shapes)))
+    choice = np.tile([LAW_NAMES.index(law) for law in design.laws.values()], (12, 1))
+    draws = {"h": h[:, :begin], "z": 0.1 * rng.normal(size=(12, design.quantity.size))}
+    draws |= dict(zip(("share", "exponent"), design.law_shapes(h[:, begin:], choice), strict=True))
+    zeros = np.zeros(2 * KNOTS)
+    learned = 0.01 * rng.normal(size=zeros.size), 1e-4 * np.eye(zeros.size), zeros
+    population = Population(
+        design=design,
+        draws=LawDraws(**{name: values.reshape(2, 6, -1) for name, values in draws.items()}),
+        choice=choice.reshape(2, 6, -1),
+        law_weights={name: {law: 1.0} for name, law in design.laws.items()},
+        alternatives=LawDraws(**draws),
+        alternative_weight=np.full(12, 1.0 / 12.0),
+        residual=Residual(TravelBasis(1.0, 2.0), *learned, 1.0, 0.3, 0.2, 0.01, 0.01),
+        starts=Starts(),
+        priors=priors.parameters,
+        actuation_unit="ksi",
+        walkers=6,
+        convergence=Convergence(np.ones(2), np.full(2, 500.0), np.ones(2)),
+    )
+    save_population(path, population)
+
+
+def _about(plan, predictions):
+    """What a manifest holds once the run is finished, with everything that may be in it."""
+    done = {"status": "done", "seconds": 1.0}
+    tests = {
+        name: entry | (done if entry["role"] == "calibrate" else {"status": "held out"})
+        for name, entry in plan.manifest.content["tests"].items()
+    }
+    law = {"quantity": "Fc_fwd", "elpd": 2.0, "se": 1.0, "weight": 0.5}
+    compared = {"subject": "a", "cycles": 6, "elpd": 2.0, "elpd_se": 1.0, "p_loo": 3.0}
+    compared |= {"worst_k": 0.5, "bad": 0.0, "unsettled": 0.0, "difference": 0.0}
+    compared |= {"difference_se": 0.0, "rrse": 0.1}
+    return {
+        "status": "finished",
+        "finished": "2026-01-01T00:01:00+00:00",
+        "tests": tests,
+        "verdicts": {"campaign": "not usable", "sentence": "Not.", "a": "not usable"},
+        "truth": {"population": {"scatter_offset": 0.02}, "tests": {"a": {"Fc_fwd": 1.0}}},
+        "law_scores": [
+            law | {"law": "power", "levels": [1.0, 1.0]},
+            law | {"law": "affine", "levels": [0.5, 0.2]},
+        ],
+        "free_exponents": {"Fc_bwd": [0.9, 1.0, 1.1]},
+        "dependence_scores": [law | {"covariate": "velocity", "difference": 3.0}],
+        "population_sampler": {"accepted": {"h": 0.3}, "sweeps": 240},
+        "crossvalidation": {"by": "test", "predictions": predictions},
+        "comparison": {
+            "rows": [compared | {"model": model} for model in ("lugre", "bouc_wen")],
+            "sentence": "The records do not tell them apart.",
+        },
+        "seconds": 1.0,
+    }
+
+
+def _fold():
+    return Fold("a", "test_1.json", ("a",), ("b",), "quick", 1)
+
+
+def content(path):
+    """What of a file is to be the same in every run: all but times, and the command's words."""
+    if path.suffix == ".nc":
+        found = {}
+        with h5py.File(path) as file:
+            file.visititems(
+                lambda name, item: (
+                    found.update({name: np.asarray(item[()]).tobytes()})
+                    if isinstance(item, h5py.Dataset)
+                    else None
+                )
+            )
+        return found
+    if path.name == "manifest.json":
+        manifest = json.loads(path.read_text())
+        for key in ("command", "started", "finished", "seconds"):
+            manifest.pop(key, None)
+        for entry in manifest["tests"].values():
+            entry.pop("seconds", None)
+        return manifest | {"files": sorted(manifest["files"])}  # posteriors hold their wall times
+    if path.name == "report.html":
+        return re.sub(r"<dt>(command|started|finished)</dt><dd>[^\n]*</dd>", "", path.read_text())
+    return path.read_bytes()
+
+
+def files(out: Path) -> set[str]:
+    """Every file of a folder, hidden ones too."""
+    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+
+
+def differing(out: Path, reference: Path) -> list[str]:
+    """Files of a run folder whose content differs from the reference's; without hidden files."""
+
+    def same(name):
+        try:
+            return content(out / name) == content(reference / name)
+        except (OSError, ValueError, KeyError):
+            return False
+
+    return [n for n in sorted(files(out)) if not Path(n).name.startswith(".") and not same(n)]
