@@ -198,7 +198,7 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
 
 
 def tempering(log_weights: Array, share: float) -> float:
-    """Power of weights, at most 1, at which the effective sample size is a share of their number."""
+    """Power of weights, at most 1, at which the effective size is a share of their number."""
     from scipy import optimize  # which takes long to import
 
     floor, below = np.log(share * log_weights.size), log_weights - log_weights.max()

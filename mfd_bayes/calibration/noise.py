@@ -69,23 +69,9 @@ class Noise:
         np.subtract(residual[:, 1:], standard, out=standard)
         standard /= scale * np.sqrt(shrink)
         total = self._density(residual[:, :1] / scale, values) + self._density(standard, values)
-        total -= self._log_scale(shrink, time, values)
-        return total
-
-    def _log_scale(self, shrink: Array, time: Array, values: Values) -> Array:
-        """Sum over the samples of the log scales of their innovations, (n,)."""
         repeats = (time.size - 1) // shrink.shape[1]  # one φ stands for all uniform steps
-        steps: Array = 0.5 * repeats * np.log(shrink).sum(axis=1)
-        return time.size * np.log(values["noise_sd"]) + steps
-
-    def largest(self, time: Array, values: Values) -> Array:
-        """Largest log density that any residuals have, (n,); ∞ where it depends on the travel."""
-        n = values["noise_sd"].size
-        if self.needs_travel:
-            return np.full(n, np.inf)
-        shrink = self._correlation(time, values)[1]
-        nothing = self._density(np.zeros((n, 1)), values)
-        return time.size * nothing - self._log_scale(shrink, time, values)
+        steps = 0.5 * repeats * np.log(shrink).sum(axis=1)
+        return np.asarray(total - (time.size * np.log(values["noise_sd"]) + steps))
 
     def draw(
         self,

@@ -16,7 +16,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.columns import columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.store.cards import card, counted
 
@@ -144,22 +144,10 @@ class Posterior:
         fixed = {name: p.figures["value"] for name, p in self.priors.items() if p.fixed}
         return ({} if self.model.own else {"gamma1": 1.0}) | {"start": 0.5} | fixed
 
-    def log_prob(self, q: ArrayLike, least: float = -np.inf) -> Array:
-        """Log posterior density of q, unnormalised, (n, dim) -> (n,).
-
-        No force is computed where prior and noise alone keep the density below `least`: it is −inf
-        there. A FitError says that the shape does not fit, or that q holds NaN.
-        """
+    def log_prob(self, q: ArrayLike) -> Array:
+        """Log posterior density of q, unnormalised, (n, dim) -> (n,)."""
         points = self._check(q)
-        limit = least if least == -np.inf else real_number("least", least, FitError)
         density = self.log_prior(points)
-        below = np.isfinite(density) & (density < limit)
-        if np.any(below):
-            time = self.trace.time[self.first :]
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                most = density[below] + self.noise.largest(time, self.values(points[below]))
-            below[below] = most < limit
-            density[below] = -np.inf
         inside = np.isfinite(density)
         density[inside] += self._log_likelihood(points[inside])
         if np.any(np.isnan(density)):

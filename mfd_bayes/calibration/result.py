@@ -6,17 +6,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from pydantic import Field
 
-from mfd_bayes.calibration.diagnostics import (
-    Interval,
-    interval_rows,
-    intervals_of,
-    measure_draws,
-)
+from mfd_bayes.calibration.diagnostics import Interval, interval_rows, intervals_of, measure_draws
 from mfd_bayes.calibration.noise_sensitivity import OtherFit, fit_other, other_noises
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
@@ -28,7 +22,6 @@ from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import CalibratedTest, StoredTest, load_test, save_test
-from mfd_bayes.store.schema import LARGEST, Figure, Index, Part, Positive, Three, check
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,8 +30,6 @@ if TYPE_CHECKING:
 
 LEAST_AFTER = 20  # fewest samples that are fitted after a start that is masked
 REPLICAS = 50  # posterior predictive records that are stored for each ensemble
-
-_Share = Annotated[float, Field(ge=0, le=1.001)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +62,13 @@ class Task:
 
     def posterior(self) -> Posterior:
         """Posterior of the test."""
-        found = Posterior(self.trace, self.priors, self.noise, self.model, start=self.start)
-        if self.trace.samples - found.first < LEAST_AFTER:
+        posterior = Posterior(self.trace, self.priors, self.noise, self.model, start=self.start)
+        if (left := self.trace.samples - posterior.first) < LEAST_AFTER:
             raise FitError(
-                f"start = 'mask' leaves {self.trace.samples - found.first} samples of {self.id} "
-                f"after its first long stroke, and at least {LEAST_AFTER} are needed"
+                f"start = 'mask' leaves {left} samples of {self.id} after its first long stroke, "
+                f"and at least {LEAST_AFTER} are needed"
             )
-        return found
+        return posterior
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Calibrate the test into a run folder."""
@@ -128,9 +119,8 @@ def _stored_of(
     chains, convergence = draws.chains, {}
     for name, value in values.items():
         if np.ptp(value) > 0:
-            found = measure_draws(value, chains.walkers)
-            figures = found.r_hat, found.ess_bulk, found.ess_tail
-            convergence[name] = [float(figure[0]) for figure in figures]
+            measured = measure_draws(value, chains.walkers)
+            convergence[name] = [float(figure[0]) for figure in vars(measured).values()]
     facts = {
         "test": task.id,
         "model": posterior.model.name,
@@ -195,15 +185,13 @@ class TestResult:
     id: str
     posterior: Posterior
     path: Path  # of the stored posterior
-    # of that file, where it is known: the draws of another run are not taken for this one's
-    sha256: str = ""
-    # (float, float, float): median and equal-tailed 95 % interval of every quantity: 50, 2.5 and
-    # 97.5 %
+    sha256: str = ""  # of that file, where it is known
+    # median and equal-tailed 95 % interval of every quantity: 50, 2.5 and 97.5 %
     intervals: Mapping[str, Interval] = field(default_factory=dict, repr=False)
     extras: Extras | None = field(default=None, repr=False)
 
     def plot_loops(self, axes: Any = None) -> Any:
-        """Matplotlib axes with the measured loops over the bands of a measurement, as replicated."""
+        """Matplotlib axes with the measured loops over the bands of a measurement."""
         return needed(self.extras).plot_loops(self, axes)
 
     def inference_data(self) -> Any:
@@ -241,84 +229,14 @@ def load_result(
 ) -> TestResult:
     """Calibrated test of its stored posterior; `model` is that of its run."""
     stored = load_test(path)
-    facts = stored.facts
-    check_facts(facts, path)
+    facts, draws = stored.facts, stored.values()
     try:
         if model is not None and facts["model"] != model.name:
             raise FitError(f"it is of the model {facts['model'][:60]!r}, not {model.name!r}")
-        chosen = model or facts["model"]
-        posterior = Posterior(stored.trace, priors, facts["noise"], chosen, start=facts["start"])
-    except MfdError as error:
+        kind = model or facts["model"]
+        posterior = Posterior(stored.trace, priors, facts["noise"], kind, start=facts["start"])
+        if missing := {*posterior.names, *posterior.model.parameters, "offset"} - draws.keys():
+            raise FitError(f"it holds no draws of {min(missing)}")
+    except (MfdError, LookupError, TypeError) as error:
         raise StoreError(f"{path} is damaged or not of this program: {error}") from error
-    check_draws(stored, posterior, path)
-    return TestResult(test_id, posterior, path, intervals=intervals_of(stored.values()))
-
-
-class _OtherFit(Part):
-    """A fit under another noise, as `noise_sensitivity.OtherFit` is stored."""
-
-    noise: Annotated[str, Field(max_length=100)]
-    how: Annotated[str, Field(max_length=100)]
-    k: Figure
-    size: Figure
-    quantities: dict[str, Three]
-    seconds: Figure
-    error: str
-
-
-class _Facts(Part):
-    """Facts of a sampling that are read back."""
-
-    model: str
-    noise: str
-    start: Literal["sample", "mask"]
-    walkers: Annotated[int, Field(ge=1)]
-    steps: Annotated[int, Field(le=10**12)]
-    discarded: Index
-    seed: list[Index]
-    modes: Annotated[int, Field(ge=1, le=1000)]
-    mode_shares: list[list[_Share]] = Field(default_factory=list, max_length=1000)
-    mode_values: list[dict[str, float | None]] = Field(default_factory=list, max_length=1000)
-    autocorrelation: Annotated[dict[str, Positive | None], Field(min_length=1)]
-    other_noises: list[_OtherFit] = Field(default_factory=list, max_length=20)
-    convergence: dict[str, Annotated[list[float | None], Field(min_length=3, max_length=3)]]
-
-
-def check_facts(facts: Any, where: Path) -> None:
-    """Refuse sampling facts that no calibration stores."""
-    found = check(_Facts, facts, where)
-    if len({len(shares) for shares in found.mode_shares}) > 1:
-        raise StoreError(f"{where} is damaged: mode_shares differ in length between chains")
-
-
-def check_draws(stored: StoredTest, posterior: Posterior, where: Path) -> None:
-    """Refuse draws with wrong names or sizes, or outside the support of their priors."""
-    level = posterior.trace.reference_actuation
-    if not level >= 0:
-        raise StoreError(f"{where} must be of a test with an actuation, got {level:g}")
-    wanted = {*posterior.names, *posterior.model.parameters, "offset", "start"}
-    arrays, stats = stored.posterior.arrays, stored.sample_stats.arrays
-    if missing := wanted - set(arrays):
-        raise StoreError(f"{where} holds no draws of {min(missing)}")
-    if unknown := set(arrays) - wanted - {*posterior.priors, "gamma1"}:
-        raise StoreError(
-            f"{where} holds draws of {min(unknown)[:60]!r}, which the model does not have"
-        )
-    densities = ("log_prior", "log_likelihood")
-    if not set(densities) <= set(stats):
-        raise StoreError(f"{where} holds no {' and '.join(densities)} in its sample_stats")
-    shape = arrays["offset"].shape
-    for name, values in (arrays | {n: stats[n] for n in densities}).items():
-        if values.shape != shape or values.ndim != 2 or values.dtype != np.float64:
-            raise StoreError(f"{where} must hold {name} as (chain, draw) numbers like the others")
-        if not np.all(np.abs(values) <= LARGEST):
-            raise StoreError(f"{where} must hold finite draws of {name}")
-    if shape[0] < 1 or shape[1] < 1 or shape[1] % stored.facts["walkers"]:
-        raise StoreError(f"{where} must hold draws of {stored.facts['walkers']} walkers")
-    for name in wanted & set(posterior.priors):
-        prior, values = posterior.priors[name], arrays[name]
-        with np.errstate(all="ignore"):
-            inside = np.isfinite(prior.log_density(prior.coordinate(values)))
-        if not np.all(inside):
-            value = values[~inside][0]
-            raise StoreError(f"{where} holds a draw of {name}, {value:g}, that its prior excludes")
+    return TestResult(test_id, posterior, path, intervals=intervals_of(draws))

@@ -80,7 +80,7 @@ class Starts:
         *,
         repeat: bool,
     ) -> Array:
-        """Places of tests, (n,), of standard normal numbers (n, 2): which density, and where in it."""
+        """Places of tests, (n,), of normal numbers (n, 2): which density, and where in it."""
         if self.fixed is not None:
             return np.full(len(numbers), self.fixed)
         which, u = ndtr(numbers).T

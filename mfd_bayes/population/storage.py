@@ -31,7 +31,7 @@ _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
 
 
 def save_population(path: Path, population: Population) -> None:
-    """Write the draws of a population: slopes and intercepts, scatter, and all else that it holds."""
+    """Write the draws of a population, and all else that it holds."""
     design, residual, starts = population.design, population.residual, population.starts
     arrays: dict[str, Array] = {
         **population.slopes,
