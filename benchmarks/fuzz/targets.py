@@ -55,7 +55,7 @@ from mfd_bayes.campaign.draft.columns import guess_columns
 from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.channels import Source, Subtracted
-from mfd_bayes.records.loop_features import scales_of
+from mfd_bayes.records.loops import scales_of
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import read_record
 

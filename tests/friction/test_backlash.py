@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mfd_bayes.records.loop_features import loop_estimate
+from mfd_bayes.records.loops import loop_estimate
 from mfd_bayes.records.trace import Trace
 from tests.friction.backlash_cases import (
     MODEL,
