@@ -81,7 +81,10 @@ class Source:
         return text
 
     def scale(self, role: str, unit: str, of: str) -> tuple[float, str]:
-        """Factor from a unit of the column to the internal one, and a unit of the role."""
+        """Factor from a unit of the column to the internal one of its role, and a unit of the role.
+
+        `of` is what has the unit, for messages.
+        """
         if not self.arm:
             return self.sign * factor(unit, role, of=of), unit
         arm, length = split_quantity(self.arm, of=f"arm of {of}")

@@ -12,7 +12,11 @@ from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import parse_quantity
 
-SAMPLES, MOST_CYCLES = 400, 100  # of a cycle, and of a motion
+SAMPLES = 400
+"""Samples of a cycle."""
+
+MOST_CYCLES = 100
+
 _FORM = "a harmonic motion reads '1 in, 0.5 Hz, 3 cycles'"
 
 
@@ -22,11 +26,19 @@ class Harmonic:
 
     A sine that begins at full speed would be a jump out of rest, and its viscous force a peak
     that no machine makes.
+
+    Attributes
+    ----------
+    amplitude : float, in
+        Half the stroke.
+    frequency : float, Hz
+    cycles : float
+        Of full stroke.
     """
 
-    amplitude: float  # in; half the stroke
-    frequency: float  # Hz
-    cycles: float  # of full stroke
+    amplitude: float
+    frequency: float
+    cycles: float
 
     def trace(self, actuation: ArrayLike) -> Trace:
         """The sampled motion at an actuation, ksi or kip; back at rest after whole half cycles."""
@@ -49,7 +61,13 @@ class Harmonic:
 
 
 def parse_sine(text: str) -> Harmonic:
-    """Harmonic motion of ``"1 in, 0.5 Hz, 3 cycles"``: amplitude, frequency, number of cycles."""
+    """Harmonic motion of ``"1 in, 0.5 Hz, 3 cycles"``: amplitude, frequency, number of cycles.
+
+    Raises
+    ------
+    UnitError
+        When it has not these three parts, or one is not above zero or too large.
+    """
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 3:
         raise UnitError(f"{_FORM}, got {text!r}")

@@ -13,6 +13,8 @@ from mfd_bayes.records.trace import Trace
 Samples = NDArray[np.intp]
 
 SPIKE = 0.10  # an isolated sample that stands out by this share of the signal's range is a spike
+
+
 OVERFLOW, LONGEST = 10.0, 5
 """Further from the median than so many times the range of the middle half, a value that does not
 change, or that lasts for at most so many samples, is no measurement."""
@@ -30,10 +32,13 @@ def without_spikes(trace: Trace) -> Trace:
     at = force_spikes(trace)
     if x.size:
         near = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
-        motion = interpolated(trace.displacement, x)
-        speed = interpolated(trace.velocity, near)
-        clean = Trace.from_arrays(trace.time, motion, None, force, speed)
-        trace = replace(clean, actuation=trace.actuation)
+        motion = (
+            interpolated(trace.displacement, x),
+            None,
+            force,
+            interpolated(trace.velocity, near),
+        )
+        trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
     return replace(trace, force=interpolated(np.asarray(force), at)) if at.size else trace
 
 
