@@ -54,52 +54,28 @@ _EARTHQUAKE = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class TestDraft:
-    """A test, as guessed from its file.
-
-    Attributes
-    ----------
-    columns : dict of str to Guess
-        Role to column, without the actuation.
-    actuation : str or Guess or None
-        A level, a column with a history, or None where it is unknown.
-    source : str
-        Where the actuation stands, or which columns might hold it.
-    doubts : tuple of str
-        What is not certain about the actuation, and what contradicts the file's name.
-    earthquake : bool
-        Whether the file's name is that of an earthquake.
-    scales : Scales or None
-        What its loops show; None where a unit is unknown.
-    """
+    """A test, as guessed from its file."""
 
     __test__ = False
 
     id: str
     file: str
-    columns: dict[str, Guess]
-    actuation: str | Guess | None
-    source: str
-    doubts: tuple[str, ...]
-    earthquake: bool
-    scales: Scales | None = None
+    columns: dict[str, Guess]  # by role, without the actuation
+    actuation: str | Guess | None  # a level, a column with a history, or None where it is unknown
+    source: str  # where the actuation stands, or which columns might hold it
+    doubts: tuple[str, ...]  # about the actuation and the file's name
+    earthquake: bool  # whether the file's name is that of one
+    scales: Scales | None  # None where a unit is unknown
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A campaign, as guessed from the files of a folder.
-
-    Attributes
-    ----------
-    left_out : tuple of (str, str)
-        Files that are not tests of the campaign, and why.
-    unit : str or None
-        "ksi" where actuations are pressures, "kip" of tensions, …; None if unknown.
-    """
+    """A campaign, as guessed from the files of a folder."""
 
     folder: Path
     tests: tuple[TestDraft, ...]
-    left_out: tuple[tuple[str, str], ...]
-    unit: ActuationUnit | None
+    left_out: tuple[tuple[str, str], ...]  # files that are not tests of the campaign, and why
+    unit: ActuationUnit | None  # of the actuations, "ksi" of pressures; None if unknown
 
     @property
     def scales(self) -> dict[str, Scales]:
@@ -109,13 +85,7 @@ class Draft:
 
 
 def draft_campaign(folder: Path) -> Draft:
-    """Campaign of the test files in a folder, guessed from names, units and numbers.
-
-    Raises
-    ------
-    CampaignError
-        When the folder cannot be read or holds no test.
-    """
+    """Campaign of the test files in a folder; refused where there is none."""
     try:
         paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
     except OSError as error:
@@ -305,10 +275,7 @@ def campaign_text(draft: Draft) -> str:
 
 
 def _priors_of(draft: Draft) -> tuple[str, str]:
-    """Name of the priors of a draft, and why these.
-
-    Those of a shipped file where it knows such a device, else those that are read off the records.
-    """
+    """Shipped priors that know such a device, else those read off the records; and why these."""
     name, why = _PRIORS.get(draft.unit, _OTHER)
     if not draft.scales:
         guesses = [guess for test in draft.tests for guess in test.columns.values()]

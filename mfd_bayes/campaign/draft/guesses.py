@@ -86,31 +86,15 @@ NO_TIME = 'the file has none, and states no rate: write time = { rate = "100 Hz"
 
 @dataclass(frozen=True)
 class Guess:
-    """A column guessed for a role.
+    """A column guessed for a role."""
 
-    Attributes
-    ----------
-    name : str
-        "" where a rate stands in place of a column of times.
-    unit : str or None
-        None where it is unknown.
-    doubts : tuple of str
-        What is not certain, with the alternatives.
-    number : int, optional
-        Number of a column, from 1, that has no name of its own.
-    lacking : str
-        Why its unit is unknown, and what may be written; empty where nothing more is known.
-    rate : str
-        The rate, or the step, that the file states.
-    """
-
-    name: str
-    unit: str | None
-    doubts: tuple[str, ...] = ()
-    number: int | None = None
-    lacking: str = ""
+    name: str  # "" where a rate stands in place of a column of times
+    unit: str | None  # None where it is unknown
+    doubts: tuple[str, ...] = ()  # what is not certain, with the alternatives
+    number: int | None = None  # of a column that has no name of its own, from 1
+    lacking: str = ""  # why its unit is unknown, and what may be written
     sign: int = 1
-    rate: str = ""
+    rate: str = ""  # the rate, or the step, that the file states
 
     @property
     def source(self) -> Source:
@@ -518,28 +502,16 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class TestFile:
-    """A file with time, displacement and force, and everything that may be its actuation.
-
-    Attributes
-    ----------
-    columns : dict of str to Guess
-        Role to column, without the actuation.
-    column : Guess or None
-        The column that may hold the actuation.
-    header : Level or None
-        Level in the header lines.
-    named : tuple of Level
-        Levels in the file's name.
-    """
+    """A file with time, displacement and force, and everything that may be its actuation."""
 
     __test__ = False
 
     path: Path
     table: Table
-    columns: dict[str, Guess]
-    column: Guess | None
-    header: Level | None
-    named: tuple[Level, ...]
+    columns: dict[str, Guess]  # by role, without the actuation
+    column: Guess | None  # that may hold the actuation
+    header: Level | None  # level in the header lines
+    named: tuple[Level, ...]  # levels in the file's name
 
     @property
     def levels(self) -> list[Level]:
@@ -577,12 +549,7 @@ def actuation_of(
     """Actuation, where it stands, and what is not certain about it.
 
     A measured actuation counts before the header, the header before the name; None where none has
-    it.
-
-    Raises
-    ------
-    RecordError
-        When the actuation is a pressure where most files have tensions or the reverse.
+    it. Refused where it is a pressure and most files have tensions, or the reverse.
     """
     stated = file.levels
     levels = [level for level in stated if level.unit == unit]
