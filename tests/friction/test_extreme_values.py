@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.models import MODELS
 

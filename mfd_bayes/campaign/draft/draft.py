@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mfd_bayes.calibration.prior_files import WRITTEN
+from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.draft.guesses import (
     Guess,
     TestFile,
