@@ -41,8 +41,10 @@ class Forecast:
     kind : {"device", "new_test", "observation", "this_test"}
     probability : float
     draws, seed : int
-    session : str
-        Of the predicted test, where the campaign declares sessions.
+    session, device : str
+        Of the predicted test, where the campaign declares sessions or devices.
+    conditions : mapping of str to float
+        Of the predicted test: what is known of `settings.CONDITIONS`.
     whole : bool
         Whether a band of the whole history is computed too.
     explained : bool
@@ -65,6 +67,8 @@ class Forecast:
     whole: bool = False
     explained: bool = False
     before: Ending | None = field(default=None, repr=False, compare=False)
+    device: str = ""
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -72,9 +76,14 @@ class Forecast:
         real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
         whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, FitError)
-        if not isinstance(self.session, str):
-            raise FitError(f"session must be text, got {self.session!r}")
+        for name in ("session", "device"):
+            if not isinstance(getattr(self, name), str):
+                raise FitError(f"{name} must be text, got {getattr(self, name)!r}")
         check_flag("whole", self.whole)
+
+    def setting(self, trace: Trace) -> Setting:
+        """Setting of the predicted test under a motion."""
+        return setting_of(trace, self.session, self.device, self.conditions)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -324,7 +333,7 @@ class Predictor:
 
         They begin where the test before ended, if there is one.
         """
-        population, setting = self.population, setting_of(trace, forecast.session)
+        population, setting = self.population, forecast.setting(trace)
         grid, n = population.grid_of(trace), forecast.draws
         p = population.draw_tests(n, setting.actuation, grid, rng)
         drawn = self.drawn(trace, setting, p, grid, scatter=forecast.kind != "device", x=x)

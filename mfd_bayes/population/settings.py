@@ -33,6 +33,8 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
 # actuation below this share of the largest is zero: what a gauge shows with nothing applied
 ZERO = 1e-3
+# What a test may say of the state of its device: decimal years, number of cycles, °C
+CONDITIONS = ("date", "cycles", "temperature")
 FULL = 0.8  # A stroke of at least this share of the largest one is a full stroke
 
 
@@ -47,15 +49,24 @@ class Setting:
         Tests of one session were made together; "" where none is declared.
     covariates : mapping of str to float
         "velocity" (in/s, its peak), "amplitude" (in, half the stroke) and "full_strokes" (share of
-        the path that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake).
+        the path that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake); and
+        what is known of `CONDITIONS`.
+    device : str
+        "" where none is declared.
     """
 
     actuation: float
     session: str = ""
     covariates: Mapping[str, float] = field(default_factory=dict)
+    device: str = ""
 
 
-def setting_of(trace: Trace, session: str = "") -> Setting:
+def setting_of(
+    trace: Trace,
+    session: str = "",
+    device: str = "",
+    conditions: Mapping[str, float] | None = None,
+) -> Setting:
     """Setting under which a trace was made, or is to be predicted.
 
     Raises
@@ -74,7 +85,8 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
         "amplitude": 0.5 * float(np.ptp(x)),
         "full_strokes": float(full / max(strokes.sum(), 1e-300)),
     }
-    return Setting(trace.reference_actuation, session, covariates)
+    covariates |= conditions or {}
+    return Setting(trace.reference_actuation, session, covariates, device)
 
 
 def planned_setting(

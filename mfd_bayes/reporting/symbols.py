@@ -61,6 +61,10 @@ _PREFIXES = {
         "deviation by session,",
         "deviation from the law that all tests of a session have in common, standard deviation",
     ),
+    "deviation_device": (
+        "deviation by device,",
+        "deviation from the law that all tests of a device have in common, standard deviation",
+    ),
     "exponent": ("exponent of", "exponent of the power law"),
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
     "dependence": (
