@@ -56,7 +56,7 @@ def open_console() -> Console:
     return console
 
 
-def effect_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+def effect_cells(row: Any) -> tuple[str, ...]:
     """Cells of a quantity of a device that is compared with the others."""
     has = math.isfinite(row["effect"])
     return (

@@ -38,6 +38,10 @@ def predict(
     test: Annotated[
         str, Option(metavar="ID", help="The calibrated test, for --kind this_test.")
     ] = "",
+    device: Annotated[
+        str,
+        Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several."),
+    ] = "",
     whole: Annotated[
         bool, Option("--whole", help="Add a band that holds the whole history.")
     ] = False,
@@ -277,7 +281,7 @@ def accept(
                     f"{row['quantity']} {row['direction']}".strip(),
                     *console.effect_cells(row),
                 )
-                for row in each.rows.to_dict("records")
+                for _, row in each.rows.iterrows()
             ]
             console.print_rows(f"{each.device}: {each.verdict}", ["quantity", *heads], rows)
     for each in found.devices:

@@ -14,7 +14,7 @@ over the devices of a batch by Benjamini and Hochberg (1995).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,7 +24,13 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.errors import CampaignError, RecordError
-from mfd_bayes.evaluation.properties import Peaks, measured_properties, peaks_of, properties_of
+from mfd_bayes.evaluation.properties import (
+    NO_FACTOR,
+    Peaks,
+    measured_properties,
+    peaks_of,
+    properties_of,
+)
 from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.population.bands import Band
 from mfd_bayes.records.measured import UNITS, measured_cycles
@@ -34,6 +40,7 @@ from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import far_sentences
 
 Array = NDArray[np.float64]
+Row = dict[str, Any]
 
 ALPHA = 0.05  # stated rate of false alarms, and of each of the two one-sided tests
 DRAWS = 1000
@@ -60,18 +67,13 @@ CAUSES = ("slip_fwd", "slip_bwd", "build_up_slope", "gap")
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """One record against the population.
+class Expected:
+    """What the population expects of a record of a device under a motion.
 
     Attributes
     ----------
-    record : Record
-    trace : Trace
-        With its force, at the rate of the calibrated tests.
-    measured : mapping of str to float
-        Value of each quantity that the record shows.
     nominal : mapping of str to (n,)
-        Draws of the nominal value.
+        Draws of the nominal value of each quantity.
     device, among : mapping of str to (n,)
         Draws of a record of a device at the nominal value, and of any device. They are the same
         where tests of one device are all that is known.
@@ -80,14 +82,31 @@ class Comparison:
     remarks : tuple of str
     """
 
-    record: Record
-    trace: Trace
-    measured: Mapping[str, float]
     nominal: Mapping[str, Array]
     device: Mapping[str, Array]
     among: Mapping[str, Array]
     fan: Fan
     remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """One record, and what was expected of it.
+
+    Attributes
+    ----------
+    record : Record
+    trace : Trace
+        With its force, at the rate of the calibrated tests.
+    measured : mapping of str to float
+        Value of each quantity that the record shows.
+    expected : Expected
+    """
+
+    record: Record
+    trace: Trace
+    measured: Mapping[str, float]
+    expected: Expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +141,7 @@ class Acceptance:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Reasons to trust the answer less."""
-        return tuple(dict.fromkeys(r for c in self.comparisons for r in c.remarks))
+        return tuple(dict.fromkeys(r for c in self.comparisons for r in c.expected.remarks))
 
 
 def accept(
@@ -171,10 +190,11 @@ def accept(
             f"and {len(names)} devices"
         )
     allowed = complete_limits(limits or run.manifest.settings.limits or DEFAULT_LIMITS)
-    peaks, groups = peaks_of(run), dict[str, list[Comparison]]()
+    groups: dict[str, list[Comparison]] = {}
     for name, record in zip(names, records, strict=True):
-        how = {"session": session, "draws": draws, "seed": seed}
-        groups.setdefault(name, []).append(compare_record(run, record, name, peaks, **how))
+        trace = trace_of(run, record)
+        expected = expect(run, trace, name, session=session, draws=draws, seed=seed)
+        groups.setdefault(name, []).append(compare_record(record, trace, expected))
     independent = not any(run.manifest.settings.sessions.values())
     levels = [Level.of(group, independent=independent) for group in groups.values()]
     batch = false_discovery([level.p_value for level in levels])
@@ -195,64 +215,81 @@ def complete_limits(given: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in each.items() if value is not None and name != "loop"}
 
 
-def compare_record(
-    run: Run, record: Record, device: str, peaks: Peaks, *, session: str, draws: int, seed: int
-) -> Comparison:
-    """One record against the population."""
-    cycles = measured_cycles(record)
-    if cycles is None:
-        raise RecordError(f"{record.path} has no force, which must be compared")
+def trace_of(run: Run, record: Record) -> Trace:
+    """Trace of a record at the rate of the calibrated tests."""
+    if record.force is None:
+        raise RecordError(f"{record.path} has no force, which is to be compared")
     gap = run.priors.gap if run.model.has_gap else None
     trace = record.trace(run.manifest.settings.campaign.rate, gap=gap)
-    departures = run.departures(trace)
-    if far := far_sentences(departures, run.system):
+    if not np.isfinite(trace.reference_actuation):
+        raise RecordError(f"{record.path} needs an actuation")
+    if far := far_sentences(run.departures(trace), run.system):
         raise RecordError(f"{record.path}: {far}")
-    motion, measured = replace(trace, force=None), measured_properties(cycles)
+    return trace
 
-    def drawn(kind: str, of: str) -> Band:
+
+def expect(
+    run: Run, trace: Trace, device: str, *, session: str = "", draws: int = DRAWS, seed: int = 0
+) -> Expected:
+    """What the population expects of a record of a device under a motion and an actuation."""
+    motion, peaks = replace(trace, force=None), peaks_of(run)
+
+    def predict(kind: str, of: str) -> Band:
         how: dict[str, Any] = {"session": session, "device": of, "draws": draws, "seed": seed}
         return run.predict(motion, kind, 1.0 - ALPHA, **how)
 
+    def nominal_of(of: str) -> dict[str, Array]:
+        band = predict("device", of)
+        values = _quantities(motion, band, band)
+        by = {f"peak_{side}": factor.expected for side, factor in peaks.items()}
+        return {name: value * by.get(name, 1.0) for name, value in values.items()}
+
+    def tests_of(seen: Band, of: str) -> dict[str, Array]:
+        middle = np.median(seen.draws, axis=0)
+        values = _quantities(motion, seen, predict("new_test", of), peaks)
+        return values | {"loop": np.sqrt(np.mean((seen.draws - middle) ** 2, axis=1))}
+
     known = [name for name in run.devices if name]
-    one = device if device in known else known[0] if len(known) > 1 else ""
-    nominal = _quantities(motion, drawn("device", device), drawn("device", device), {})
-    for side, factor in peaks.items():
-        nominal[f"peak_{side}"] = nominal[f"peak_{side}"] * factor.expected
-    seen = drawn("observation", device)
-    among = _quantities(motion, seen, drawn("new_test", device), peaks)
-    if one and one != device:  # tests of a device that is known scatter about its own values
-        itself = _quantities(motion, drawn("device", one), drawn("device", one), {})
-        for side, factor in peaks.items():
-            itself[f"peak_{side}"] = itself[f"peak_{side}"] * factor.expected
-        tests = _quantities(motion, drawn("observation", one), drawn("new_test", one), peaks)
-        same = {name: nominal[name] * tests[name] / itself[name] for name in tests}
-    else:
-        same = dict(among)
-    middle = np.median(seen.draws, axis=0)
-    same["loop"] = among["loop"] = np.sqrt(np.mean((seen.draws - middle) ** 2, axis=1))
-    measured["loop"] = float(np.sqrt(np.mean((np.asarray(trace.force) - middle) ** 2)))
+    nominal, seen = nominal_of(device), predict("observation", device)
+    among = own = tests_of(seen, device)
+    if device not in known and len(run.devices) > 1:  # tests of a known one scatter as its own do
+        one, itself = known[0], nominal_of(known[0])
+        own = tests_of(predict("observation", one), one)
+        own = {n: v * nominal[n] / itself[n] if n in nominal else v for n, v in own.items()}
+    band = Interval(1.0 - ALPHA, seen.lower, seen.upper)
+    return Expected(nominal, own, among, Fan("observation", seen.median, (band,)), seen.remarks)
+
+
+def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparison:
+    """A record with what was expected of it; the measured values are of its own samples."""
+    cycles = measured_cycles(record)
+    assert cycles is not None  # a trace with a force has them
+    measured = measured_properties(cycles)
+    away = np.asarray(trace.force) - expected.fan.median
+    measured["loop"] = float(np.sqrt(np.mean(away**2)))
     shown = {
         name: measured[name]
         for name in QUANTITIES
-        if np.isfinite(measured.get(name, np.nan)) and np.isfinite(among[name]).mean() > 0.5
+        if np.isfinite(measured.get(name, np.nan))
+        and np.isfinite(expected.device[name]).mean() > 0.5
     }
     if wrong := [name for name, value in shown.items() if not value > 0.0]:
         words = " ".join(QUANTITIES[wrong[0]][1:3]).strip()
         raise RecordError(
-            f"{record.path}: the {words} is {shown[wrong[0]]:.3g}, and must be above zero: see "
-            "mfd-bayes inspect; is a sign swapped?"
+            f"{record.path}: the {words} is {shown[wrong[0]]:.3g}, and must be above zero; is a "
+            "sign swapped? See mfd-bayes inspect"
         )
-    fan = Fan("observation", middle, (Interval(1.0 - ALPHA, seen.lower, seen.upper),))
-    return Comparison(record, trace, shown, nominal, same, among, fan, seen.remarks)
+    return Comparison(record, trace, shown, expected)
 
 
-def _quantities(trace: Trace, band: Band, smooth: Band, peaks: Peaks) -> dict[str, Array]:
+def _quantities(
+    trace: Trace, band: Band, smooth: Band, peaks: Peaks = NO_FACTOR
+) -> dict[str, Array]:
     """Draws of the quantities of a band; `smooth` is the same without noise, for its peaks."""
     force = smooth.draws
     if band.kind == "observation":
         force = force + np.asarray(smooth.values["offset"])[:, None]
-    how: dict[str, Any] = {"peaks": peaks} if peaks else {}
-    values = properties_of(trace, band.draws, smooth=force, **how)
+    values = properties_of(trace, band.draws, peaks, smooth=force)
     with np.errstate(invalid="ignore"):
         return {n: np.where(values[n] > 0.0, values[n], np.nan) for n in QUANTITIES if n in values}
 
@@ -270,6 +307,8 @@ class Level:
         Draws of this mean for a device at the nominal value, and for any device.
     p_values : (K,)
         Two-sided, adjusted over the quantities; of the loop for a larger distance.
+    sizes : (K,)
+        Differences in standard deviations.
     critical : float
         Number of standard deviations that counts as a difference.
     """
@@ -279,6 +318,7 @@ class Level:
     device: Array
     among: Array
     p_values: Array
+    sizes: Array
     critical: float
 
     @property
@@ -294,39 +334,35 @@ class Level:
             raise RecordError(f"{group[0].record.path} shows no quantity that can be compared")
         rng = np.random.default_rng(0)
         measured = np.mean([[np.log(c.measured[n]) for n in names] for c in group], axis=0)
-        device, among = (
-            np.mean(
-                [
-                    _logs(c, draws, names, rng if i and independent else None)
-                    for i, (c, draws) in enumerate(zip(group, each, strict=True))
-                ],
-                axis=0,
-            )
-            for each in ([c.device for c in group], [c.among for c in group])
-        )
+
+        def level(which: str) -> Array:
+            each = [
+                _logs(c.expected, which, names, rng if i and independent else None)
+                for i, c in enumerate(group)
+            ]
+            return np.asarray(np.mean(each, axis=0))
+
+        device, among = level("device"), level("among")
         size, own = _standard(device, measured, names)
         largest = size.max(axis=1)
         p = (1.0 + np.sum(largest[:, None] >= own, axis=0)) / (1.0 + len(largest))
         critical = float(np.quantile(largest, 1.0 - ALPHA))
-        return cls(names, measured, device, among, p, critical)
+        return cls(names, measured, device, among, p, own, critical)
 
 
 def _logs(
-    comparison: Comparison,
-    draws: Mapping[str, Array],
-    names: Sequence[str],
-    rng: np.random.Generator | None,
+    expected: Expected, which: str, names: Sequence[str], rng: np.random.Generator | None
 ) -> Array:
     """Logarithms of draws, (n, K); with `rng`, of tests that scatter by themselves."""
-    found = []
+    columns, draws = [], getattr(expected, which)
+    order = None if rng is None else rng.permutation(len(draws["loop"]))
     for name in names:
-        log, nominal = np.log(draws[name]), comparison.nominal.get(name)
-        middle = np.zeros(log.size) if nominal is None else np.log(nominal)
-        middle = np.where(np.isfinite(middle), middle, np.nanmean(middle))
-        left = log - middle
-        found.append((middle, np.where(np.isfinite(left), left, np.nanmean(left))))
-    order = slice(None) if rng is None else rng.permutation(found[0][0].size)
-    return np.stack([middle + left[order] for middle, left in found], axis=1)
+        nominal = np.log(expected.nominal.get(name, np.ones(len(draws[name]))))
+        nominal = np.where(np.isfinite(nominal), nominal, np.nanmean(nominal))
+        scatter = np.log(draws[name]) - nominal
+        scatter = np.where(np.isfinite(scatter), scatter, np.nanmean(scatter))
+        columns.append(nominal + (scatter if order is None else scatter[order]))
+    return np.stack(columns, axis=1)
 
 
 def _standard(draws: Array, measured: Array, names: Sequence[str]) -> tuple[Array, Array]:
@@ -352,14 +388,14 @@ def judge(
     limits: Mapping[str, float],
 ) -> Acceptance:
     """Verdict of a device: two one-sided tests against limits, and what tests scatter."""
-    rows = []
+    rows: dict[str, Row] = {}
     for k, name in enumerate(level.names):
         _, words, direction, unit = QUANTITIES[name]
         effect = level.measured[k] - level.device[:, k]
         among, sd = np.exp(level.among[:, k]), float(effect.std())
         nominal = float(np.exp(np.median(level.device[:, k])))
         low, middle, high = np.expm1(np.quantile(effect, [ALPHA, 0.5, 1.0 - ALPHA]))
-        row = {
+        row: Row = {
             "quantity": words,
             "direction": direction,
             "unit": unit,
@@ -391,12 +427,14 @@ def judge(
                 row["verdict"] = "beyond the limit"
             else:
                 row["verdict"] = "cannot tell"
-        rows.append(row)
-    table = pd.DataFrame(rows, index=pd.Index(level.names, name="name"))
-    differing = table.index[(table["p_value"] < ALPHA) & (p_batch < ALPHA)]
-    named = _most(table, [n for n in differing if n in CAUSES] or list(differing), level)
-    verdict = _verdict(table)
-    sentence = _sentence(verdict, table, named)
+        rows[name] = row
+    differing = [name for name, row in rows.items() if _differs(row["p_value"], p_batch)]
+    size = dict(zip(level.names, level.sizes, strict=True))
+    causes = [name for name in differing if name in CAUSES] or differing
+    named = max(causes, key=lambda name: size[name], default="")
+    verdict = _verdict(rows)
+    table = pd.DataFrame(list(rows.values()), index=pd.Index(level.names, name="name"))
+    sentence = _sentence(verdict, rows, named)
     return Acceptance(device, verdict, sentence, level.p_value, p_batch, named, table, group)
 
 
@@ -404,55 +442,44 @@ def _differs(p_value: float, p_batch: float) -> bool:
     return p_value < ALPHA and p_batch < ALPHA
 
 
-def _most(table: pd.DataFrame, among: Iterable[str], level: Level) -> str:
-    """Quantity whose difference is the largest in standard deviations; "" of none."""
-    own = dict(
-        zip(level.names, _standard(level.device, level.measured, level.names)[1], strict=True)
-    )
-    return max(among, key=lambda name: own[name], default="")
-
-
-def _verdict(table: pd.DataFrame) -> str:
-    limited = table[table["limit"].notna()]
-    if (limited["verdict"] == "beyond the limit").any():
+def _verdict(rows: Mapping[str, Row]) -> str:
+    verdicts = [row["verdict"] for row in rows.values() if np.isfinite(row["limit"])]
+    if "beyond the limit" in verdicts:
         return "rejected"
-    if limited.empty or not (limited["verdict"] == "within the limit").all():
-        return "cannot tell"
-    return "accepted"
+    return "accepted" if {*verdicts} == {"within the limit"} else "cannot tell"
 
 
-def _sentence(verdict: str, table: pd.DataFrame, named: str) -> str:
+def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:
     """The verdict with its reason, and the power of the records."""
-    limited = table[table["limit"].notna()]
+    limited = {name: row for name, row in rows.items() if np.isfinite(row["limit"])}
+    if not limited:
+        return "Cannot tell: the record shows no quantity that has a limit."
 
-    def words(name: str) -> str:
-        row = table.loc[name]
+    def words(row: Row) -> str:
         return f"{row['quantity']} {row['direction']}".strip()
 
-    def shown(name: str) -> str:
-        row = table.loc[name]
-        low, high = row["effect_lower"], row["effect_upper"]
-        return (
-            f"{words(name)} {row['effect']:+.0f} % ({100 * (1 - 2 * ALPHA):.0f} % interval "
-            f"{low:+.0f} to {high:+.0f} %)"
-        )
+    def those(verdict: str) -> str:
+        return ", ".join(words(row) for row in limited.values() if row["verdict"] == verdict)
 
-    about = ""
-    if named:
-        what = "the whole loop" if named == "loop" else shown(named)
-        about = f" It differs from the others, most in {what}."
-    if verdict == "accepted":
-        first = f"Accepted: all {len(limited)} quantities lie within their limits."
-    elif verdict == "rejected":
-        beyond = limited.index[limited["verdict"] == "beyond the limit"]
-        first = f"Rejected: beyond the limit: {', '.join(map(words, beyond))}."
-    else:
-        open_ = limited.index[limited["verdict"] == "cannot tell"]
-        first = f"Cannot tell with this record: {', '.join(map(words, open_))}."
-    worst = limited["power"].idxmin()
-    row = limited.loc[worst]
+    first = {
+        "accepted": f"Accepted: all {len(limited)} quantities with a limit lie within it.",
+        "rejected": f"Rejected: beyond the limit: {those('beyond the limit')}.",
+        "cannot tell": f"Cannot tell with this record: {those('cannot tell')}.",
+    }[verdict]
+    about, row = "", rows.get(named)
+    if row is not None:
+        much = (
+            ""
+            if named == "loop"
+            else (
+                f", {row['effect']:+.0f} % ({100 - 200 * ALPHA:.0f} % interval "
+                f"{row['effect_lower']:+.0f} to {row['effect_upper']:+.0f} %)"
+            )
+        )
+        about = f" It differs from the others, most in {words(row)}{much}."
+    worst = min(limited.values(), key=lambda row: row["power"])
     return (
-        f"{first}{about} A deviation of {row['limit']:.0f} % would be found in every quantity with "
-        f"a probability of {row['power']:.2f} or more; least in {words(worst)}, where "
-        f"{row['detectable']:.0f} % would be found with 0.80."
+        f"{first}{about} Power: a deviation of the size of its limit would be found with a "
+        f"probability of {worst['power']:.2f} in {words(worst)}, and of more in all others; there "
+        f"{worst['detectable']:.0f} % would be found with 0.80."
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from mfd_bayes.runs.run import Run
 Array = NDArray[np.float64]
 
 ANOTHER = "another_device"
-"""Another device of the same make: known where the sessions of a campaign are devices."""
+"""Another device of the same make: known where the calibrated tests are of several devices."""
 
 BASES: Mapping[str, str] = {
     "device": KIND_NAMES["device"],
@@ -31,13 +32,13 @@ BASES: Mapping[str, str] = {
 DRAWS = 1000
 """Draws of each basis: few would leave the bounds to chance."""
 
-NOT_KNOWN = "not known: no sessions of several devices are declared"
+NOT_KNOWN = "not known: the calibrated tests are of one device"
 
 PROPERTIES = (
     *("slip_fwd", "slip_bwd", "energy_per_cycle", "effective_stiffness", "effective_damping"),
     *("c_eq", "peak_fwd", "peak_bwd", "gap"),
 )
-_NEW = "\x00another"  # a session that no campaign can declare
+NEW = "\x00another"  # a session or a device that no campaign can declare
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class DesignRow:
     probability : float
         Of the interval between the bounds.
     note : str
-        Why the bounds are not known.
+        Why the bounds are not known, or from how many devices they are.
     """
 
     basis: str
@@ -82,9 +83,10 @@ class DesignRow:
 def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[DesignRow, ...]:
     """Mean and bounding properties under a motion and an actuation, by property, then by basis.
 
-    "This device tested again" is a test in one of the declared sessions, "another device" one in a
-    session that was not. Without sessions the latter is not known. The mean property has the mean
-    of the factor between the model's peak and the measured one, the others its scatter too.
+    "This device tested again" is a test of one of the calibrated devices in one of the declared
+    sessions, "another device" a test of a new one, in a new session where there are several. With
+    one device the latter is not known. The mean property has the mean of the factor between the
+    model's peak and the measured one, the others its scatter too.
 
     Parameters
     ----------
@@ -99,17 +101,17 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[Desi
     FitError
         When the trace has no actuation, or the probability is not between 0 and 1.
     """
-    sessions, n, peaks = sessions_of(run), n_draws(run), peaks_of(run)
+    places, n, peaks = places_of(run), n_draws(run), peaks_of(run)
 
-    def draw(kind: str, session: str, draws: int = n) -> Band:
-        return run.predict(trace, kind, probability, session=session, draws=draws)
+    def draw(kind: str, session: str, device: str, draws: int = n) -> Band:
+        how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
+        return run.predict(trace, kind, probability, **how)
 
-    bands = {
-        kind: [draw(kind, session) for session in sessions] for kind in KIND_NAMES if kind in BASES
-    }
+    bands = {kind: [draw(kind, *place) for place in places] for kind in KIND_NAMES if kind in BASES}
     smooth = {kind: bands[kind] for kind in ("device", "new_test")}
-    if len(sessions) > 1:
-        bands[ANOTHER] = [draw("new_test", _NEW, DRAWS)]
+    if len(run.devices) > 1:
+        session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
+        bands[ANOTHER] = [draw("new_test", session, NEW, DRAWS)]
     drawn = {}
     for basis, several in bands.items():
         parts = []
@@ -123,7 +125,7 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[Desi
         drawn[basis] = {name: np.concatenate([p[name] for p in parts]) for name in PROPERTIES}
     for side, factor_of in peaks.items():
         drawn["device"][f"peak_{side}"] *= factor_of.expected
-    return bounds_of(drawn, probability)
+    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
 
 
 def design_warnings(run: Run) -> tuple[str, ...]:
@@ -140,11 +142,12 @@ def design_warnings(run: Run) -> tuple[str, ...]:
 
 
 def bounds_of(
-    drawn: Mapping[str, Mapping[str, Array]], probability: float
+    drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = ""
 ) -> tuple[DesignRow, ...]:
     """Bounds of draws (n,) by basis and property; "device" has the nominal values.
 
-    A basis of `BASES` that is missing is not known, and its bounds are NaN.
+    A basis of `BASES` that is missing is not known, and its bounds are NaN. The `note` says of
+    how many devices another one is known.
     """
     tail = 0.5 * (1.0 - probability)
     rows = []
@@ -161,16 +164,23 @@ def bounds_of(
             values = values[np.isfinite(values)]
             if values.size:
                 lower, upper = np.quantile(values, [tail, 1.0 - tail]).tolist()
-                rows.append(DesignRow(basis, *head, lower, upper, probability))
+                about = note if basis == ANOTHER else ""
+                rows.append(DesignRow(basis, *head, lower, upper, probability, about))
     return tuple(rows)
 
 
 def n_draws(run: Run) -> int:
-    """Draws of the bands behind the bounds, for each session.
+    """Draws of the bands behind the bounds, for each session and device.
 
-    A band with as many, without sessions, has the same draws as the bounds.
+    A band with as many, of one session and device, has the same draws as the bounds.
     """
-    return DRAWS // len(sessions_of(run)) + 10
+    return DRAWS // len(places_of(run)) + 10
+
+
+def places_of(run: Run) -> tuple[tuple[str, str], ...]:
+    """Session and device of the calibrated tests, each pair once."""
+    devices = run.manifest.settings.devices
+    return tuple(dict.fromkeys((run.session(name), devices[name]) for name in run.tests))
 
 
 def sessions_of(run: Run) -> tuple[str, ...]:

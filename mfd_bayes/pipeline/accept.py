@@ -119,7 +119,7 @@ def _write(run: Run, wish: Inspection, devices: tuple[Acceptance, ...]) -> tuple
     heading = [f"run {made}", f"actuation {wish.actuation}", f"date {today}"]
     heading += [f"{d.device}: {d.sentence}" for d in devices]
     write_text(folder / "acceptance.csv", to_csv(acceptance_table(devices, run.system), heading))
-    pages = []
+    pages: list[Path] = []
     for device in devices:
         about = {
             f"record {i}": f"{c.record.path.name}, SHA-256 {c.record.sha256}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -353,7 +353,7 @@ class Population:
         free = ~self.design.common
         new = free & (setting.session not in self.design.sessions)
         device = free & (setting.device not in self.design.devices)
-        more = device if self.several_devices else []
+        more: Sequence[bool] = device.tolist() if self.several_devices else []
         untested = np.any(np.abs(self.design.krige(setting.session, grid)[1]) > 1e-9)
         level = np.full(len(self._leveled) * grid.size, untested)
         outside = self._extrapolation_sd(setting) > 0

@@ -46,7 +46,7 @@ def acceptance_page(
 
     pictures = []
     for comparison in device.comparisons[:LOOPS]:
-        fan = convert_fan(comparison.fan, system.factor("kip"))
+        fan = convert_fan(comparison.expected.fan, system.factor("kip"))
         trace = convert_trace(comparison.trace, system)
         png = to_png(draw_loops(comparison.record.path.name, trace, [fan], system))
         pictures.append(f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}")
@@ -58,7 +58,7 @@ def acceptance_page(
             verdict=device.verdict,
             sentence=device.sentence,
             about=list(about.items()),
-            rows=[_shown(row) for row in to_units(device.rows, system).to_dict("records")],
+            rows=[_shown(row) for _, row in to_units(device.rows, system).iterrows()],
             pictures=pictures,
             remarks=device.remarks,
             batch=batch,
@@ -68,11 +68,11 @@ def acceptance_page(
     )
 
 
-def _shown(row: Mapping[str, object]) -> dict[str, str]:
+def _shown(row: pd.Series) -> dict[str, str]:
     """A row of the page's table, as text."""
 
     def number(name: str, digits: int = 3, form: str = "") -> str:
-        value = float(row[name])  # type: ignore[arg-type]
+        value = float(row[name])
         if not np.isfinite(value):
             return ""
         return f"{value:{form}}" if form else in_digits(value, digits)

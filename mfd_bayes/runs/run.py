@@ -397,13 +397,11 @@ class Run:
                 f"session {session!r} is taken for a new one, whose tests may differ: {has}"
             )
         if device and device not in self.devices:
-            names = ", ".join(repr(name) for name in self.devices if name) or "one without a name"
-            differs = (
-                f"differs as the {len(self.devices)} devices do, {names}"
-                if len(self.devices) > 1
-                else f"may differ by more than is known: all tests are of one device, {names}"
-            )
-            remarks.append(f"device {device!r} is taken for a new one, which {differs}")
+            names = ", ".join(repr(name) for name in self.devices if name) or "without a name"
+            several = f"the run has {len(self.devices)} devices, {names}"
+            one = f"all its tests are of one device, {names}, and how devices differ is not known"
+            has = several if len(self.devices) > 1 else one
+            remarks.append(f"device {device!r} is taken for a new one: {has}")
         return remarks
 
     def _repeat(self, trace: Trace, forecast: Forecast, name: str) -> Band:

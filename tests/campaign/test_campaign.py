@@ -146,7 +146,7 @@ def test_the_unit_of_a_history_may_stand_in_the_files_row_of_units(folder):
         (TEST + 'rol = "validate"\n', "did you mean 'role'?"),
         ('[laws]\nFc_fw = "affine"\n' + TEST, "did you mean 'Fc_fwd'?"),
         ("[tolerances]\nenergies = 0.1\n" + TEST, "did you mean 'energy'?"),
-        ("[dependence]\nFc = []\n" + TEST, "unknown key 'Fc' in [dependence]"),
+        ("[dependence]\nFcc = []\n" + TEST, "unknown key 'Fcc' in [dependence]"),
         ('[columns]\ntimes = { name = "t" }\n' + TEST, "did you mean 'time'?"),
         ('[columns]\ntime = { nam = "t" }\n' + TEST, "unknown key 'nam' in [columns.time]"),
         ('[columns]\nforce = { name = "f", minos_mass = "3 kg" }\n' + TEST, "'minus_mass'?"),
