@@ -33,7 +33,7 @@ from mfd_bayes.population.law_scores import (
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import Setting, levels_of, setting_of, varies
+from mfd_bayes.population.settings import CONDITIONS, Setting, levels_of, setting_of, varies
 from mfd_bayes.population.starts import Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace
 
@@ -250,7 +250,9 @@ def _likelihoods(
     # slip forces follow the stroke, if it varies: no friction model here knows of it
     stroke = len(under) >= TESTS and varies(under, "amplitude")
     dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
-    dependence |= {name: those for name, those in settings.dependence.items() if those}
+    for name, those in settings.dependence.items():
+        usual = () if {*those} - {*CONDITIONS} else dependence.get(name, ())
+        dependence[name] = (*usual, *those)
     design = design_of(priors, names, under, settings.laws, dependence, model)
     changing = [swings(design, model, test.trace) for test in tests.values()]
     if any(changing):

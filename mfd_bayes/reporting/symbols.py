@@ -69,7 +69,8 @@ _PREFIXES = {
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
     "dependence": (
         "dependence of",
-        "change of the logarithm when speed or stroke grows by a factor e",
+        "change of the logarithm when speed or stroke grows by a factor e, or over the span of the "
+        "tests' dates, cycles or temperatures",
     ),
 }
 # Scatter of these is not that of the quantity itself, but of another one that is pooled for it.

@@ -81,6 +81,11 @@ _COLUMNS = {
         "fitted_crps:fitted_crps_kip width_ratio crps_ratio whole_95"
     ),
     "tested_range": "name:condition unit lowest:smallest highest:largest",
+    "drift": (
+        "quantity condition per change:change_percent lower:lower_percent upper:upper_percent "
+        "probability limit:limit_percent left:left_at_last_test leaves:leaves_ahead when "
+        "when_lower:when_q5 when_upper:when_q95"
+    ),
     "comparison": (
         "subject:test model cycles elpd elpd_se p_loo worst_k:worst_pareto_k bad:share_bad_k "
         "unsettled:share_unsettled difference:elpd_difference difference_se:elpd_difference_se "
@@ -116,6 +121,8 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
         "scores": view.scores,
         "tested_range": view.tested,
     }
+    if view.drifts:
+        rows["drift"] = view.drifts
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
     return {name: frame_of(name, lines) for name, lines in rows.items()}
