@@ -31,6 +31,7 @@ from mfd_bayes.evaluation.acceptance import (
     complete_limits,
     expect,
     judge,
+    surprises,
     trace_of,
 )
 from mfd_bayes.evaluation.drift import drift_row
@@ -89,7 +90,8 @@ def good(folder: Path) -> None:
         columns = ("time_s", "displacement_in", "force_kip")
         pd.DataFrame(np.transpose([time_s, x, force]), columns=columns).to_csv(path, index=False)
         record = mb.read_record(path, actuation="1 ksi")
-        pool.append((run, record, expect(run, trace_of(run, record), "", draws=4000)))
+        expected = expect(run, trace_of(run, record), "", draws=4000)
+        pool.append((run, record, expected.widened(surprises(run))))
 
     def judged(number: int, fault: dict[str, float]) -> list[Acceptance]:
         devices = []
