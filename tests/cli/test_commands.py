@@ -10,7 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline import calibrate as pipeline
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 PRIORS = Path(__file__).parents[2] / "priors" / "mfd.toml"
@@ -119,8 +118,7 @@ def accepted(folder):
 # --- records
 
 
-@pytest.mark.parametrize("cell", ["nan", "fast", ""])
-@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize(("cell", "place"), [("nan", 0), ("fast", 1), ("", 2)])
 def test_a_cell_that_is_no_number_is_named_by_line_and_column(folder, cell, place):
     cells = ["0.3", "0.8", "0.9"]
     cells[place] = cell
@@ -154,7 +152,7 @@ def test_time_that_does_not_increase_is_named_by_line(folder):
     assert_refused(folder, "p500.csv", "line 30", "time", "does not increase")
 
 
-@pytest.mark.parametrize("content", ["", "\n\n", "# only a remark\n"])
+@pytest.mark.parametrize("content", ["", "# only a remark\n"])
 def test_an_empty_file_is_refused(folder, content):
     (folder / "p500.csv").write_text(content)
     assert_refused(folder, "p500.csv", "empty")
@@ -163,12 +161,6 @@ def test_an_empty_file_is_refused(folder, content):
 def test_a_missing_column_is_named_with_those_there_are(folder):
     write_csv(folder / "p500.csv", signals(), "time_s,displacement_in,load")
     assert_refused(folder, "p500.csv", "'force_kip'", "time_s, displacement_in, load")
-
-
-def test_a_validation_test_is_checked_too(folder):
-    append(folder, ENTRY.replace("p500", "held").replace("calibrate", "validate"))
-    write_csv(folder / "held.csv", signals()[:60])
-    assert_refused(folder, "held.csv", "turning point")
 
 
 def test_a_record_that_is_used_twice_is_a_warning(folder):
@@ -200,29 +192,21 @@ def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
     ("old", "new", "words"),
     [
         ("title =", "titel =", ("'titel'", "'title'", "[campaign]")),
-        ("actuation =", "actuaton =", ("'actuaton'", "'actuation'", "p500")),
         ("[laws]", '[laws]\nFc_fwdd = "affine"', ("'Fc_fwdd'", "'Fc_fwd'", "[laws]")),
-        ("[laws]", "[law]", ("'law'", "'laws'")),
         ('role = "calibrate"', 'role = "calibration"', ("role", "'p500'", "'calibration'")),
         ('role = "calibrate"', 'role = "validate"', ("no test with role 'calibrate'",)),
         ('priors = "mfd"', 'priors = "mdf"', ("'mdf'", "brfd", "mfd")),
-        ('priors = "mfd"', 'noise = "white"', ("noise", "'white'", "'ou'")),
         ('priors = "mfd"', 'model = "maxwell"', ("model", "'maxwell'", "'three_stage'")),
         ('priors = "mfd"', 'rate = "64 s"', ("rate", "measures time", "'Hz'")),
         ('priors = "mfd"', "priors = mfd", ("campaign.toml", "not valid TOML", "line 3")),
         ('actuation = "500 psi"', 'actuation = "500"', ("p500", "unit")),
-        ('actuation = "500 psi"', 'actuation = "500 in"', ("length", "pressure")),
         ('actuation = "500 psi"', 'actuation = "0 psi"', ("actuation above zero",)),
-        ('actuation = "500 psi"', "", ("actuation", "missing")),
         ('file = "p500.csv"', 'file = "p600.csv"', ("p600.csv", "p500", "does not exist")),
         ('id = "p500"', 'id = "../p500"', ("id", "../p500")),
         ('role = "calibrate"', 'fit = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
-        ('role = "calibrate"', 'fit = "3 s to 1 s"', ("fit", "end after it starts")),
         ('role = "calibrate"', ENTRY, ("campaign.toml", "two tests", "'p500'")),
         ("[laws]", '[laws]\nFs_fwd = "affine"', ("Fs_fwd", "Fc_fwd", "'affine'")),
-        ("[laws]", '[laws]\nsigma0 = "cubic"', ("laws.sigma0", "'cubic'", "'affine'")),
         ("[laws]", '[dependence]\nFc_fwd = ["speed"]', ("dependence.Fc_fwd", "'speed'")),
-        ("[laws]", '[dependence]\nd_2 = ["velocity"]', ("'d_2'", "'d2'", "[dependence]")),
         ('"displacement_in", unit = "in"', '"displacement_in", unit = "kip"', ("measures force",)),
         ('unit = "kip"', 'unit = "kipp"', ("p500.csv", "'kipp'", "unknown", "'kN'")),
         (FORCE, "", ("p500", "force")),
@@ -239,7 +223,6 @@ def test_a_fault_in_the_campaign_is_named(folder, old, new, words):
         ("[laws]", '[laws]\nFc_fwd = "power"\nFs_fwd = "power"'),
         ('role = "calibrate"', 'session = "Monday"'),
         ("[laws]", '[dependence]\nFc_fwd = ["velocity"]\nd2 = ["velocity", "amplitude"]'),
-        ("[laws]", '[laws]\nsigma0 = "compare"\nFc_bwd = "compare"\nFs_bwd = "compare"'),
     ],
 )
 def test_laws_sessions_and_dependences_are_accepted(folder, old, new):
@@ -247,7 +230,7 @@ def test_laws_sessions_and_dependences_are_accepted(folder, old, new):
     accepted(folder)
 
 
-@pytest.mark.parametrize("way", ["dots", "absolute", "link"])
+@pytest.mark.parametrize("way", ["dots", "link"])
 def test_a_file_outside_the_campaigns_folder_is_refused(folder, way):
     outside = folder.parent / "p500.csv"
     (folder / "p500.csv").rename(outside)
@@ -299,14 +282,9 @@ def test_priors_of_the_users_own_are_accepted(folder):
     [
         ('family = "lognormal"', 'family = "log"', ("sigma0", "'log'", "lognormal")),
         ('"80 kip/in"', '"80 kip"', ("sigma0", "median", "stiffness")),
-        ('"80 kip/in"', "80", ("sigma0", "median", "unit")),
         ("[parameters.k3]", "[parameters.k4]", ("k4", "unknown parameter")),
-        ("[scatter.bristle]", "[scatters.bristle]", ("scatters", "own.toml")),
         ('parameters = ["sigma0"]', "parameters = []", ("[scatter]", "sigma0")),
-        ('title = "MFD', "title = MFD", ("own.toml", "not valid TOML")),
         ('"1.5 kip"', '"1e30 kip"', ("'p500'", "no mass at any start")),
-        ('"80 kip/in"', '"1e30 kip/in"', ("'p500'", "no mass at any start")),
-        ('"0.1 in"', '"1e30 in"', ("'p500'", "no mass at any start")),
     ],
 )
 def test_a_fault_in_the_priors_is_named(folder, old, new, words):
@@ -345,28 +323,7 @@ def begun(folder):
     (folder / ".owner.json").write_text("{}")
 
 
-@pytest.mark.parametrize(
-    ("written", "said"),
-    [
-        ("p500_f0.05.csv", "demo {} --quick --seed 3 --force"),
-        ("campaign.toml", "calibrate {}/campaign/campaign.toml -o {} --effort quick --seed 3"),
-    ],
-)
-def test_a_demo_says_how_to_go_on_from_its_first_moments(tmp_path, monkeypatch, written, said):
-    begun(tmp_path)
-
-    def write(folder, _):
-        assert [path.name for path in folder.iterdir()] == ["p0_f0.05.csv"]
-        (folder / written).write_text("")
-        raise MemoryError
-
-    monkeypatch.setattr(pipeline, "write_campaign", write)
-    assert "exists: give --force" in sentence_of(here("demo", tmp_path, "--quick"))
-    outcome = here("demo", tmp_path, "--quick", "--seed", 3, "--force")
-    assert f"go on with: mfd-bayes {said.format(tmp_path, tmp_path)}" in outcome.stderr
-
-
-@pytest.mark.parametrize("name", ["mine.csv", "campaign/mine.csv", "campaign/p500_f0.5.csv/a"])
+@pytest.mark.parametrize("name", ["mine.csv", "campaign/mine.csv"])
 def test_a_demo_does_not_replace_what_is_not_its_own(tmp_path, name):
     begun(tmp_path)
     (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -377,8 +334,10 @@ def test_a_demo_does_not_replace_what_is_not_its_own(tmp_path, name):
     assert contents(tmp_path / "campaign") == before
 
 
-@pytest.mark.parametrize("command", ["report", "check", "predict"])
-@pytest.mark.parametrize("manifest", [None, "{", '{"status": "running"}'])
+@pytest.mark.parametrize(
+    ("command", "manifest"),
+    [("report", None), ("check", "{"), ("predict", '{"status": "running"}')],
+)
 def test_a_folder_without_a_finished_run_is_refused(folder, command, manifest):
     out = folder.parent / "out"
     if manifest:
@@ -474,13 +433,8 @@ def test_inspect_warns_of_what_would_spoil_a_fit(folder, tmp_path):
     ("name", "content", "words"),
     [
         ("a.csv", "t,x\n0,1\n1,2\n", ("no column for time", "t, x", "rename it")),
-        ("a.csv", "", ("a.csv", "empty")),
-        ("a.csv", None, ("a.csv",)),
         ("a.xls", "x", ("'.xls'", ".xlsx")),
         ("a.xlsx", "PK", ("a.xlsx", "not an Excel workbook")),
-        ("a.tdms", "TDMS", ("a.tdms", "not a TDMS file")),
-        ("a.json", "{", ("a.json", "not valid JSON")),
-        ("a.mat", "MATLAB", ("a.mat", "MATLAB")),
         ("a.toml", "[campaign", ("a.toml", "not valid TOML")),
         ("", None, ("is a folder",)),
     ],
@@ -517,7 +471,6 @@ def test_prior_check_draws_what_the_priors_allow_and_refuses_what_it_cannot(fold
     [
         ("month", (), ("--by", "test, level, session", "'month'")),
         ("test", (), ("campaign.toml", "two tests")),
-        ("level", ("502 psi",), ("campaign.toml", "two levels")),
         ("session", ("700 psi",), ("no calibrated test", "session =")),
         ("session", ('700 psi"\nsession = "Monday',), ("two sessions",)),
     ],
@@ -530,7 +483,7 @@ def test_what_cannot_be_left_out_is_refused(folder, by, entries, words):
     assert_refused(folder, *words, command="crossvalidate", arguments=("--by", by))
 
 
-@pytest.mark.parametrize("models", ["three_stage", "lugre,lugre", "lugre,maxwell", ","])
+@pytest.mark.parametrize("models", ["three_stage", "lugre,maxwell"])
 def test_models_to_compare_are_two_that_are_known(folder, models):
     words = ("--models", "three_stage, lugre, bouc_wen")
     assert_refused(folder, *words, command="compare", arguments=("--models", models))

@@ -32,30 +32,6 @@ actuation = "500 psi"
 
 
 @pytest.mark.parametrize(
-    ("length", "force", "by"), [("in", "kip", (1.0, 1.0)), ("mm", "kN", (25.4, 4.4482216))]
-)
-def test_a_prior_check_is_drawn_in_the_units_of_the_record(
-    tmp_path, monkeypatch, length, force, by
-):
-    time = np.linspace(0.0, 6.0, 301)
-    motion, measured = np.sin(np.pi * time), np.sign(np.cos(np.pi * time))
-    columns = np.column_stack([time, motion * by[0], measured * by[1]])
-    head = f"time_s,displacement_{length},force_{force}"
-    np.savetxt(tmp_path / "a.csv", columns, "%.9g", ",", header=head, comments="")
-    (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(length=length, force=force))
-    drawn = []
-    draw = figures.draw_loops
-    monkeypatch.setattr(figures, "draw_loops", lambda *a: drawn.append(a) or draw(*a))
-    ((name, share, picture),) = prior_check(tmp_path / "campaign.toml", tmp_path).tests
-    ((_, trace, (fan,), system),) = drawn
-    assert (name, system.length, system.force) == ("a", length, force)
-    assert trace.displacement.max() == pytest.approx(by[0], rel=1e-3)
-    inside = (trace.force >= fan.intervals[-1].lower) & (trace.force <= fan.intervals[-1].upper)
-    assert inside.mean() == pytest.approx(share)
-    assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
     ("levels", "unloaded", "outside"),
     [
         ({"a": (1.0, 500), "z": (0.05, 0)}, ("z",), ()),
@@ -82,7 +58,7 @@ def test_tests_without_actuation_are_only_noted_where_others_have_one(
     assert bool(found.wrong) == bool(outside)
 
 
-@pytest.mark.parametrize("median", ["0.02", "0.05"])
+@pytest.mark.parametrize("median", ["0.02"])
 def test_a_prior_check_names_the_median_that_the_file_gives(tmp_path, monkeypatch, median):
     """That of 1001 fixed draws was low for every log-normal, the more the larger its spread."""
     monkeypatch.setattr(figures, "to_png", lambda _: b"\x89PNG")

@@ -1,11 +1,9 @@
 """What rigs and loggers write: rates, time stamps, signs and units of actuation."""
 
-import json
 import os
 import re
 import signal
 import sys
-import threading
 import time
 from datetime import datetime, timedelta
 
@@ -62,14 +60,9 @@ def drafted(folder):
     ("above", "rate"),
     [
         ("Sample rate: 20 Hz\n", "20 Hz"),
-        ("Sampling Rate (Hz),20\n", "20 Hz"),
         ("Sampling interval: 0,05 s\n", "0.05 s"),
-        ("Sample Period: 50 ms\n", "50 ms"),
-        ("fs = 20\n", "20 Hz"),
         ("sample_rate_hz,20\n", "20 Hz"),
-        ("# dt = 0.05 s\n", "0.05 s"),
         ("Scan rate: 0.02 kHz per channel\n", "0.02 kHz"),
-        ("Abtastrate: 20 Hz\n", "20 Hz"),
         ("Acquired 2024, at 20 Hz\nSampling Frequency, Hz: 20\n", "20 Hz"),
     ],
 )
@@ -85,7 +78,7 @@ def test_init_drafts_the_rate_that_a_file_states(tmp_path, above, rate):
 
 @pytest.mark.parametrize(
     "above",
-    ["", "Test frequency: 20 Hz\n", "Sample rate: 1,000 Hz\n", "fs = 20\nSample rate: 30 Hz\n"],
+    ["Test frequency: 20 Hz\n", "fs = 20\nSample rate: 30 Hz\n"],
 )
 def test_a_rate_that_is_not_stated_is_asked_for(tmp_path, above):
     _, *columns = loops()
@@ -95,18 +88,6 @@ def test_a_rate_that_is_not_stated_is_asked_for(tmp_path, above):
     assert 'give its rate: rate = "100 Hz"' in command(
         "inspect", tmp_path / "campaign.toml", code=2
     )
-
-
-def test_a_counter_gives_way_to_the_rate_that_the_file_states(tmp_path):
-    _, *columns = loops()
-    columns = [np.arange(240), *columns]
-    write(
-        tmp_path / "a_5bar.csv", "Scan,Displacement (mm),Force (N)", columns, "Scan rate: 20 Hz\n"
-    )
-    said, text, seen = drafted(tmp_path)
-    assert 'time = { rate = "20 Hz" }' in text
-    assert "FIXME" not in said
-    assert "240 over 11.95 s" in seen
 
 
 CAMPAIGN = """[columns]
@@ -125,9 +106,7 @@ actuation = "5 bar"
     ("columns", "test"),
     [
         ('rate = "20 Hz"', ""),
-        ('time = { rate = "20 Hz" }', ""),
         ('time = { rate = "50 ms" }', ""),
-        ("", 'rate = "20 Hz"'),
         ('time = { name = "Time (s)" }', 'rate = "20 Hz"'),
         ('rate = "5 Hz"', 'columns.rate = "20 Hz"'),
     ],
@@ -142,10 +121,7 @@ def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path, columns, test):
     ("columns", "said"),
     [
         ('rate = "20"', "'20' has no unit"),
-        ('rate = "20 mm"', "unit 'mm' of"),
-        ('rate = "0 Hz"', "a rate above 0"),
         ('rate = "20 Hz"\ntime = { name = "t" }', "either by its column or by a rate"),
-        ('time = { name = "t", rate = "20 Hz" }', "either by its column or by a rate"),
         ('time = { name = "t", sign = -1 }', "unknown key 'sign'"),
     ],
 )
@@ -189,10 +165,9 @@ def test_only_the_tests_that_run_backward_are_turned(tmp_path):
     assert "force sign" not in seen
 
 
-@pytest.mark.parametrize("spike", [1e6, -1e6, -9999.0])
-def test_an_overflow_value_turns_no_sign(tmp_path, spike):
+def test_an_overflow_value_turns_no_sign(tmp_path):
     time, x, force = loops()
-    force[41] = spike
+    force[41] = -1e6
     write(tmp_path / "a_5bar.csv", "Time (s),Displacement (mm),Force (N)", [time, x, force])
     said, text, seen = drafted(tmp_path)
     assert "sign" not in said + text
@@ -256,14 +231,9 @@ def actuated(folder, *levels):
     [
         ("1 A", "1 A"),
         ("500 mA", "500 mA"),
-        ("1.5 amps", "1.5 amps"),
-        ("24 V", "24 V"),
         ("3 turns", "3 turns"),
-        ("180 deg", "180 deg"),
         ("40 %", "40 %"),
-        ("5 clicks", "5 clicks"),
         ("120 N*m", "120 N*m"),
-        ("80 ft*lbf", "80 ft*lbf"),
         ("0.2 T", "0.2 T"),
     ],
 )
@@ -271,7 +241,7 @@ def test_an_actuation_is_said_in_its_own_unit(tmp_path, level, shown):
     assert f" actuation {shown} " in command("inspect", actuated(tmp_path, f'"{level}"'))
 
 
-@pytest.mark.parametrize("level", ["3 mm", "2 s", "5 Hz", "3 kg", "20 degC", "7 bananas", "0.5 1"])
+@pytest.mark.parametrize("level", ["3 mm", "20 degC", "7 bananas"])
 def test_a_unit_of_no_actuation_is_refused(tmp_path, level):
     said = command("inspect", actuated(tmp_path, f'"{level}"'), code=2)
     assert f"unit '{level.split()[1]}' of '{level}'" in said
@@ -362,35 +332,23 @@ def no_zeros(stamp):
 
 
 STAMPS = {
-    "ISO": stamps("%Y-%m-%d %H:%M:%S.%L"),
-    "ISO with T and Z": stamps("%Y-%m-%dT%H:%M:%S.%LZ"),
     "ISO with a zone": stamps("%Y-%m-%dT%H:%M:%S.%L+01:00"),
     "ISO that loses its .000": [no_zeros(s) for s in stamps("%Y-%m-%d %H:%M:%S.%L")],
-    "ISO without separators": stamps("%Y%m%dT%H%M%S.%L"),
-    "slashes": stamps("%Y/%m/%d %H:%M:%S.%L"),
-    "US with AM": stamps("%m/%d/%Y %I:%M:%S.%L %p"),
     "US at noon": stamps("%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
     "US without zeros": [s.lstrip("0").replace("/0", "/") for s in stamps("%m/%d/%Y %H:%M:%S.%L")],
     "US past midnight, told by the day": stamps(
         "%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 25, 23, 59, 55)
     ),
     "US past midnight, told by the steps": stamps("%m/%d/%Y %H:%M:%S.%L", NIGHT),
-    "German": stamps("%d.%m.%Y %H:%M:%S.%L"),
     "German past midnight": stamps("%d.%m.%Y %H:%M:%S.%L", NIGHT),
     "past midnight at the end of a month": stamps(
         "%d/%m/%Y %H:%M:%S.%L", datetime(2024, 2, 29, 23, 59, 55)
     ),
-    "two digits of a year": stamps("%d-%m-%y %H:%M:%S.%L"),
     "MATLAB": stamps("%d-%b-%Y %H:%M:%S.%L"),
-    "a month's name": stamps("%b %d %Y %H:%M:%S.%L"),
-    "clock": stamps("%H:%M:%S.%L"),
     "clock past midnight": stamps("%H:%M:%S.%L", NIGHT),
     "clock of twelve hours": stamps("%I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
-    "clock of twelve hours, no AM": stamps("%I:%M:%S.%L", datetime(2024, 3, 5, 12, 59, 55)),
     "milliseconds behind a colon": stamps("%H:%M:%S:%L"),
-    "minutes and seconds": stamps("%M:%S.%L"),
     "as ctime": stamps("%a %b %d %H:%M:%S.%L %Y"),
-    "clock before the date": stamps("%H:%M:%S.%L %d.%m.%Y"),
     "timedelta of pandas": [f"0 days {s}" for s in stamps("%H:%M:%S.%L000")],
 }
 
@@ -442,7 +400,7 @@ def test_an_order_of_dates_that_nothing_tells_is_asked_for(tmp_path):
     assert "time has a gap" in command("inspect", tmp_path / "c.toml")
 
 
-@pytest.mark.parametrize("cell", ["", "#N/A", "25:61:00", "later"])
+@pytest.mark.parametrize("cell", ["", "25:61:00"])
 def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path, cell):
     _, *columns = loops()
     clock = stamps("%H:%M:%S.%L")
@@ -464,25 +422,13 @@ def test_stamps_that_are_too_coarse_ask_for_the_rate(tmp_path):
         mb.read_record(tmp_path / "a_5bar.csv", {"time": "Timestamp", "displacement": 2})
 
 
-def test_statistics_below_stamps_are_a_footer(tmp_path):
-    _, *columns = loops()
-    head = "Timestamp,Displacement (mm),Force (N)"
-    write(tmp_path / "a_5bar.csv", head, [stamps("%H:%M:%S.%L"), *columns])
-    with (tmp_path / "a_5bar.csv").open("a") as file:
-        file.write("Max,12,950\nMin,-12,-950\n")
-    seen = drafted(tmp_path)[2]
-    assert "240 over 11.95 s" in seen
-    assert "line 242 and below: numbers below the table, not used" in seen
-
-
-@pytest.mark.parametrize("kind", ["moments", "clock", "elapsed"])
+@pytest.mark.parametrize("kind", ["moments", "clock"])
 def test_dates_of_a_workbook_are_a_time(tmp_path, kind):
     time, x, force = loops()
     moments = [BEGIN + timedelta(seconds=float(t)) for t in time]
     cells = {
         "moments": moments,
         "clock": [m.time() for m in moments],
-        "elapsed": [m - BEGIN for m in moments],
     }[kind]
     book = Workbook()
     book.active.append(["Time", "Displacement (mm)", "Force (N)"])
@@ -508,28 +454,14 @@ def test_a_channel_of_moments_is_a_time(tmp_path):
     assert "240 over 11.95 s" in seen
 
 
-def test_stamps_of_json_are_a_time(tmp_path):
-    _, x, force = loops()
-    columns = {
-        "time": stamps("%Y-%m-%dT%H:%M:%S.%LZ"),
-        "disp_mm": x.tolist(),
-        "load_N": force.tolist(),
-    }
-    (tmp_path / "a_5bar.json").write_text(json.dumps(columns))
-    assert "240 over 11.95 s" in drafted(tmp_path)[2]
-
-
 @pytest.mark.parametrize(
     ("unit", "first", "by"),
     [
         ("day", 45356.4166666667, 1 / 86400),
-        ("day", 739316.416666667, 1 / 86400),
-        ("s", 1709632800.0, 1.0),
         ("s", 3792477600.0, 1.0),
         ("ms", 1709632800000.0, 1e3),
-        ("us", 1709632800000000.0, 1e6),
     ],
-    ids=["Excel", "MATLAB", "1970", "LabVIEW", "ms", "us"],
+    ids=["Excel", "LabVIEW", "ms"],
 )
 def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path, unit, first, by):
     time, *columns = loops()
@@ -547,8 +479,8 @@ def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path, unit, f
 # Cells outside the window
 
 
-@pytest.mark.parametrize("form", ["csv", "xlsx", "json", "tdms", "mat"])
 @pytest.mark.parametrize("window", ["0 s to 8 s", "0 s to 11 s"])
+@pytest.mark.parametrize("form", ["csv", "xlsx", "mat"])
 def test_bad_cells_outside_the_window_are_left_out_of_every_format(tmp_path, form, window):
     table = dict(zip(["t_s", "x_mm", "f_N"], loops(), strict=True))
     table["f_N"][200] = np.nan  # at 10 s
@@ -557,13 +489,8 @@ def test_bad_cells_outside_the_window_are_left_out_of_every_format(tmp_path, for
         write(path, ",".join(table), table.values())
     elif form == "xlsx":
         pd.DataFrame(table).to_excel(path, index=False)
-    elif form == "json":
-        path.write_text(json.dumps({name: values.tolist() for name, values in table.items()}))
-    elif form == "mat":
-        savemat(path, table)
     else:
-        with TdmsWriter(path) as writer:
-            writer.write_segment([ChannelObject("G", name, v) for name, v in table.items()])
+        savemat(path, table)
     units = {"time": "s", "displacement": "mm", "force": "N"}
     roles = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
     if window == "0 s to 8 s":
@@ -578,25 +505,13 @@ def test_bad_cells_outside_the_window_are_left_out_of_every_format(tmp_path, for
 # Names as other keyboards and MATLAB write them
 
 
-@pytest.mark.parametrize("encoding", ["cp932", "utf-8"])
-@pytest.mark.parametrize(
-    "head", ["時間（s）,変位（mm）,荷重（N）", "時間［s］,変位［㎜］,荷重［N］"]
-)
-def test_wide_brackets_and_unit_signs_are_read(tmp_path, encoding, head):
-    write(tmp_path / "a_5bar.csv", head, loops())
+def test_wide_brackets_and_unit_signs_are_read(tmp_path):
+    write(tmp_path / "a_5bar.csv", "時間［s］,変位［㎜］,荷重［N］", loops())
     path = tmp_path / "a_5bar.csv"
-    path.write_bytes(path.read_text(encoding="utf-8").encode(encoding))
+    path.write_bytes(path.read_text(encoding="utf-8").encode("cp932"))
     said, _, seen = drafted(tmp_path)
     assert "FIXME" not in said
     assert "displacement -12 to 12 mm" in seen
-
-
-def test_a_comment_of_names_and_one_of_units(tmp_path):
-    rows = "".join(f"{t:.3f} {x:.4f} {f:.2f}\n" for t, x, f in zip(*loops(), strict=True))
-    (tmp_path / "a_5bar.dat").write_text("% Time Disp Force\n% s mm N\n" + rows)
-    _, text, seen = drafted(tmp_path)
-    assert 'displacement = { name = "Disp", unit = "mm" }' in text
-    assert "240 over 11.95 s" in seen
 
 
 def test_a_column_of_a_matrix_has_no_unit_in_its_name(tmp_path):
@@ -610,40 +525,15 @@ def test_a_column_of_a_matrix_has_no_unit_in_its_name(tmp_path):
 # Binary files are read in another process
 
 
-def packed(folder):
-    """The same record in each binary format."""
-    table = dict(zip(["t_s", "x_mm", "f_N"], loops(), strict=True))
-    pd.DataFrame(table).to_excel(folder / "a.xlsx", index=False)
-    savemat(folder / "a.mat", table)
-    with TdmsWriter(folder / "a.tdms") as writer:
-        writer.write_segment([ChannelObject("G", name, v) for name, v in table.items()])
-    return [folder / f"a.{form}" for form in ("xlsx", "mat", "tdms")]
-
-
-ROLES = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
-
-
-def test_a_process_with_threads_reads_the_same(tmp_path):
-    done = threading.Event()
-    for path in packed(tmp_path):
-        alone = mb.read_record(path, ROLES)
-        thread = threading.Thread(target=done.wait)
-        thread.start()
-        beside = mb.read_record(path, ROLES)
-        done.set()
-        thread.join()
-        done.clear()
-        np.testing.assert_array_equal(alone.force, beside.force)
-        np.testing.assert_allclose(alone.displacement * 25.4, loops()[1], atol=1e-9)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="a process is copied as on Linux")
 def test_a_reader_that_dies_or_never_ends_is_a_sentence(tmp_path, monkeypatch):
-    path = packed(tmp_path)[1]
+    path = tmp_path / "a.mat"
+    savemat(path, dict(zip(["t_s", "x_mm", "f_N"], loops(), strict=True)))
+    roles = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
     monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: os.kill(os.getpid(), signal.SIGSEGV))
     with pytest.raises(mb.MfdError, match=r"a\.mat is not a MATLAB file, v5 or v7\.3, that can be"):
-        mb.read_record(path, ROLES)
+        mb.read_record(path, roles)
     monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: time.sleep(60))
     monkeypatch.setattr("mfd_bayes.records.readers.child.SECONDS", 0.2)
     with pytest.raises(mb.MfdError, match=r"a\.mat takes more than 0\.2 s to read"):
-        mb.read_record(path, ROLES)
+        mb.read_record(path, roles)

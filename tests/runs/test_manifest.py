@@ -1,7 +1,6 @@
 """Run folders from others: hashes, links, ids that lead out of the folder, invalid manifests."""
 
 import json
-import math
 import os
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import open_run
 from tests.run_folders import PRIORS, RECORD
 
-STORED = ("tests/a/posterior.nc", "tests/c/record.nc", "priors.toml", "population.nc")
+STORED = ("tests/a/posterior.nc", "tests/c/record.nc", "population.nc")
 
 
 def read_all(folder):
@@ -29,13 +28,6 @@ def test_a_run_with_its_hashes_opens(out):
     assert (list(run.tests), list(run.held_out)) == (["a", "b"], ["c"])
     assert run.population.actuation_unit == run.actuation_unit == "ksi"
     assert read_all(out)
-
-
-def test_posteriors_are_read_when_they_are_asked_for(out, monkeypatch):
-    monkeypatch.setattr("mfd_bayes.runs.run.load_result", lambda *_: pytest.fail("it was read"))
-    run = open_run(out)
-    assert [span.name for span in run.tested] == ["stroke", "speed", "frequency", "actuation"]
-    assert run.predict(replace(run.held_out["c"], force=None), draws=20).draws.shape[0] == 20
 
 
 @pytest.mark.parametrize("name", STORED)
@@ -57,9 +49,7 @@ def test_a_file_that_is_missing_or_a_link_is_refused(out, tmp_path, name):
         read_all(out)
 
 
-@pytest.mark.parametrize(
-    "test_id", ["..", "../../x", "/etc", "a/b", ".hidden", "", "a\u202e", "x" * 200]
-)
+@pytest.mark.parametrize("test_id", ["..", "../../x", "/etc", "a\u202e"])
 def test_ids_lead_nowhere_else(out, change, test_id):
     def rename(manifest):
         manifest["tests"] = {test_id: manifest["tests"].pop("a"), **manifest["tests"]}
@@ -80,42 +70,23 @@ def test_a_listed_file_outside_the_folder_is_not_looked_at(out, change):
 @pytest.mark.parametrize(
     ("keys", "value"),
     [
-        (("tests",), []),
         (("tests",), {}),
-        (("tests", "a"), None),
         (("tests", "a", "role"), "both"),
-        (("tests", "a", "status"), 3),
         (("tests", "a", "conditions"), {"stroke": "long"}),
-        (("tests", "a", "measured"), {}),
         (("tests", "a", "measured", "energy"), [1.0] * 99),
-        (("settings",), {}),
         (("settings", "test", 0, "actuation"), "5 m"),
-        (("settings", "test", 0, "rol"), "validate"),
         (("settings", "test", 0, "after"), "x"),
-        (("settings", "laws"), ["power"]),
         (("settings", "laws", "Fc_fwd"), "cubic"),
         (("settings", "campaign", "area"), 1e300),
         (("effort", "r_hat"), "small"),
-        (("free_exponents",), {"Fc_fwd": [1.0]}),
         (("files",), {"population.nc": 3}),
-        (("keys",), []),
-        (("title",), None),
         (("seed",), -1),
-        (("seconds",), "long"),
-        (("finished",), 3),
-        (("verdicts",), {"campaign": ["fail"]}),
-        (("truth",), {"population": {}, "tests": {"a": {"Fc_fwd": "1"}}}),
         (("truth",), {"population": {}, "tests": {"elsewhere": {}}}),
-        (("crossvalidation",), {"by": "test"}),
         (("crossvalidation", "by"), "../x"),
         (("crossvalidation", "predictions", 0, "score", "coverage"), [0.5, 0.9]),
         (("comparison", "rows", 0, "cycles"), 1.5),
-        (("law_scores", 0, "levels"), [1.0]),
         (("law_scores", 0, "levels"), [1.0, 2.0, 3.0]),
-        (("law_scores", 0, "elpd"), 1e300),
-        (("dependence_scores", 0), "none"),
         (("warnings", 0, "message", "template"), "{nothing}"),
-        (("warnings", 0, "message"), "a sentence"),
     ],
 )
 def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value):
@@ -129,24 +100,11 @@ def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value
         open_run(out)
 
 
-@pytest.mark.parametrize(("number", "writer"), [(1, "0.1.0"), (99, "7.3"), ("two", None)])
+@pytest.mark.parametrize(("number", "writer"), [(1, "0.1.0"), ("two", None)])
 def test_a_folder_of_another_version_is_refused_in_one_sentence(out, change, number, writer):
     change(out, lambda manifest: manifest.update(format=number, versions={"mfd_bayes": writer}))
     with pytest.raises(StoreError, match=rf"format {number!r}.*reads format 2 only.*{writer}"):
         open_run(out)
-
-
-def test_figures_that_were_not_finite_are_read_as_such(out, change):
-    """They are null in JSON."""
-    change(out, lambda manifest: manifest["law_scores"][0].update(elpd=None))
-    assert math.isnan(read_manifest(out).law_scores[0].elpd)
-
-
-def test_a_sentence_does_not_repeat_what_a_stranger_wrote(out, change):
-    change(out, lambda manifest: manifest.update(title=["x" * 9000]))
-    with pytest.raises(StoreError) as caught:
-        open_run(out)
-    assert len(str(caught.value)) < 500
 
 
 def test_a_run_that_is_not_finished_says_how_to_finish_it(out, change):
@@ -191,10 +149,8 @@ FOLD = Fold("a", "test_1.json", ("a",), ("b",), "quick", 1)
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"key": {}}, "predictions"),
         ({"key": {}, "predictions": []}, "predictions"),
         ({"key": {}, "predictions": [{"part": "a", "test": "a", "score": {}}]}, "score"),
-        ({"key": [], "predictions": {}}, "key"),
     ],
 )
 def test_predictions_that_say_something_else_are_refused(out, content, words):
