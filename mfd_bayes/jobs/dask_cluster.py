@@ -46,12 +46,7 @@ _SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")
 
 
 def check_cluster(address: str) -> None:
-    """Refuse a scheduler that does not answer, or has a worker of other versions.
-
-    Raises
-    ------
-    FitError
-    """
+    """Refuse a scheduler that does not answer, or has a worker of other versions."""
     with _connected(address) as client, _losses(address):
         answers = client.run(differences, versions(), on_error="return")
     for worker, answer in answers.items():
@@ -73,13 +68,6 @@ def run_on_cluster(
 
     Jobs that have not ended when this ends, in whatever way, are cancelled. A job whose worker is
     lost begins again on another one from the same seed, as often as the scheduler allows.
-
-    Raises
-    ------
-    StoreError
-        When the files of a job cannot be written.
-    FitError
-        When the scheduler is lost, or a worker is not the same as this machine.
     """
     for job in jobs:
         observe(Step(job.id, State.WAITING))
@@ -249,24 +237,7 @@ def _in_a_line(error: BaseException) -> str:
 def work(
     job: Job, given: Mapping[str, bytes], expected: Mapping[str, str], topic: str
 ) -> dict[str, Any]:
-    """Do a job in a temporary folder, and return the files that it made.
-
-    Parameters
-    ----------
-    job : Job
-    given : mapping of str to bytes
-        Files that the job needs, by their paths in the run folder.
-    expected : mapping of str to str
-        Versions that this worker must have.
-    topic : str
-        Dask's name for the messages of progress.
-
-    Returns
-    -------
-    dict
-        "refused": why the job was not done, or ""; "status", "seconds", "error": as of an
-        `Outcome`; "files": content by name; "steps": the last steps.
-    """
+    """Do a job in a temporary folder, and return the files that it made."""
     worker = get_worker()
     found = differences(expected)
     if refused := _other_versions(worker.address, found) if found else limit_threads():

@@ -72,25 +72,14 @@ class Workplace:
 def run_jobs(
     jobs: Sequence[Job], out: Path, workplace: Workplace, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
-    """Outcomes of jobs in the order in which they end; the draws are the same on every machine.
-
-    Raises
-    ------
-    MfdError
-        When the result of a job cannot be written, or its processes or the cluster are lost.
-    """
+    """Outcomes of jobs in the order in which they end; the draws are the same on every machine."""
     if not workplace.scheduler:
         return run_in_processes(jobs, out, workplace.processes, observe)
     return _cluster().run_on_cluster(jobs, out, workplace.scheduler, observe)  # type: ignore[no-any-return]
 
 
 def check_workers(workplace: Workplace) -> None:
-    """Refuse a cluster that does not answer or has other versions, before anything is written.
-
-    Raises
-    ------
-    FitError
-    """
+    """Refuse a cluster that does not answer or has other versions, before anything is written."""
     if workplace.scheduler:
         if workplace.jobs:
             raise FitError("give either --jobs, for this machine, or --scheduler, for a cluster")
@@ -115,13 +104,6 @@ def run_in_processes(
 
     All are first said to be waiting. Where a process is killed, the jobs that were at work begin
     again in new processes, from the same seeds.
-
-    Raises
-    ------
-    StoreError
-        When a result cannot be written.
-    FitError
-        When processes are killed `ATTEMPTS` times at one job, or memory is too short for it.
     """
     for job in jobs:
         observe(Step(job.id, State.WAITING))

@@ -45,14 +45,6 @@ def several_processes(
 
     The figures are those of this process, bit for bit, and come in the order of the arguments.
     Where a process is lost, this one goes on alone.
-
-    Parameters
-    ----------
-    functions : sequence of callable
-        Of each test, such as its log likelihood, (n, D) coordinates to (n,); each process gets a
-        copy of all.
-    jobs : int
-        Number of processes.
     """
     if jobs < 2 or len(functions) < FEWEST:
         yield None

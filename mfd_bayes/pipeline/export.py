@@ -52,14 +52,7 @@ class Exported:
 
 
 def export(out: Path, request: Export) -> Exported:
-    """Write the samples of a new device.
-
-    Raises
-    ------
-    MfdError
-        When the run or the actuation cannot be used, the actuation lies far outside of what was
-        tested and is not asked for expressly, or the folder is not this command's.
-    """
+    """Write the samples of a new device."""
     folder = request.folder
     check_folder(folder, force=request.force)
     run = open_run(out)

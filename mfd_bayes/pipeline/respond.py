@@ -43,28 +43,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Query:
-    """What is asked of a building.
-
-    Attributes
-    ----------
-    building : Path
-    grounds : tuple of str
-        Files, each perhaps with ":0.01s" for its step and ":g" for its unit.
-    folder : Path
-        Of the page and the tables.
-    kind, draws, seed
-        As in `Run.respond`.
-    unit : str
-        Of the accelerations of files that do not say it.
-    scale : float, optional
-        Factor of every ground motion.
-    peak : str
-        Peak to which every ground motion is scaled instead, such as "0.3 g".
-    sweep : str
-        Such as 'actuation="500 psi to 1500 psi"'.
-    quantity, goal : str
-        What the sweep makes small: drift or acceleration; mean, q90 or passing.
-    """
+    """What is asked of a building."""
 
     building: Path
     grounds: tuple[str, ...]
@@ -106,14 +85,7 @@ class Answer:
 
 
 def prepare(out: Path, query: Query) -> Prepared:
-    """Run, building and ground motions of a query.
-
-    Raises
-    ------
-    MfdError
-        When the run, the building or a ground motion cannot be used, or the folder is not this
-        command's.
-    """
+    """Run, building and ground motions of a query."""
     check_folder(query.folder, force=query.force)
     if not query.sweep and (query.quantity, query.goal) != (Query.quantity, Query.goal):
         raise BuildingError("--minimise and --by say what a sweep makes small: give --sweep too")
@@ -150,13 +122,7 @@ def _grounds(query: Query) -> list[Ground]:
 
 
 def respond(prepared: Prepared, observe: Callable[[Step], None]) -> Answer:
-    """Response of a building with the device of a run; page and tables are written.
-
-    Raises
-    ------
-    MfdError
-        When every draw diverged, or something cannot be written.
-    """
+    """Response of a building with the device of a run; page and tables are written."""
     query, run = prepared.query, prepared.run
     system = SYSTEMS[run.system.name == "si"]
 
@@ -313,13 +279,7 @@ def _matters(response: Response, ground: int) -> list[str]:
 def write_response(
     folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: System
 ) -> None:
-    """Write page, tables and pictures; what an earlier response left beside them is removed.
-
-    Raises
-    ------
-    StoreError
-        When something cannot be written or removed.
-    """
+    """Write page, tables and pictures; what an earlier response left beside them is removed."""
     from mfd_bayes.reporting.figures import to_png
     from mfd_bayes.reporting.figures.response import figures_of
 

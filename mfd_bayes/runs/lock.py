@@ -79,13 +79,7 @@ class Owner:
 
 @contextmanager
 def alone_in(out: Path) -> Iterator[None]:
-    """Make the folder and keep other processes from working in it until the end.
-
-    Raises
-    ------
-    StoreError
-        When the folder cannot be made, or another process works in it, or may do so.
-    """
+    """Make the folder and keep other processes from working in it until the end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
