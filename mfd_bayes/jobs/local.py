@@ -29,11 +29,8 @@ from typing import Any
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Job, Outcome, State, Step
 
-ATTEMPTS = 3
-"""The run gives up when this many processes were killed at one job, as where memory is short."""
-
-WATCH = 0.1
-"""Seconds between looks at the news of other processes."""
+ATTEMPTS = 3  # so many processes may be killed at one job, as where memory is short
+WATCH = 0.1  # s between looks at the news of other processes
 
 LONGEST = 107 - len("/pymp-12345678/listener-12345678")
 """Most bytes of the path of the folder of the server's socket; Linux takes 107 in all."""
@@ -47,8 +44,8 @@ _ENVIRONMENT = {
 _TIDIED = "ignore:resource_tracker"
 """Where a signal ends this process, the tracker removes its semaphores; it need not say so."""
 
+# In a worker process: the run folder, and what sends a step to the parent.
 _WORKER: ContextVar[tuple[Path, Callable[[Step], Any]]] = ContextVar("_WORKER")
-"""In a worker process: the run folder, and what sends a step to the parent."""
 
 
 @dataclass(frozen=True)
@@ -140,17 +137,12 @@ def run_in_processes(
             for name in stopped:
                 observe(Step(name, State.WAITING))
         finally:
-            _end(pool)
-
-
-def _end(pool: ProcessPoolExecutor) -> None:
-    """Kill the processes of a pool; files that they have stored are whole."""
-    processes = list((pool._processes or {}).values())  # Python 3.14 has `kill_workers`
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.kill()
-    for process in processes:
-        process.join()
+            processes = list((pool._processes or {}).values())  # Python 3.14 has `kill_workers`
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:  # files that they have stored are whole
+                process.kill()
+            for process in processes:
+                process.join()
 
 
 def _begin(out: Path, news: Any) -> None:
@@ -197,7 +189,7 @@ def started_alike() -> Iterator[None]:
     """
     warnings = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), _TIDIED)))
     environment = _ENVIRONMENT | {"PYTHONWARNINGS": warnings}
-    before = {name: os.environ.get(name) for name in environment}
+    before = dict(os.environ)
     os.environ |= environment
     blocks = hasattr(signal, "pthread_sigmask")
     if blocks:
@@ -208,11 +200,9 @@ def started_alike() -> Iterator[None]:
     finally:
         if blocks:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in environment:
+            del os.environ[name]
+            os.environ |= {name: before[name]} if name in before else {}
 
 
 def follow_parent() -> None:
