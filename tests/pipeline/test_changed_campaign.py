@@ -16,6 +16,8 @@ from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
 from tests import run_folders
 
+pytestmark = pytest.mark.slow
+
 HEAD = """\
 [campaign]
 title = "A campaign that grows"
@@ -123,7 +125,6 @@ def samples_population(printed):
     return "population: done" in printed
 
 
-@pytest.mark.slow
 def test_the_draft_of_the_next_test_is_added_and_the_run_is_that_of_the_whole_campaign(
     lab, differing
 ):
@@ -143,7 +144,6 @@ def test_the_draft_of_the_next_test_is_added_and_the_run_is_that_of_the_whole_ca
     assert differing(lab) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tests", "laws", "kept", "again"),
     [
@@ -192,7 +192,6 @@ def on_machine(lab, without_figures, **environment):
     return [line for line in ended.stderr.splitlines() if "machine" in line]
 
 
-@pytest.mark.slow
 def test_a_run_knows_every_machine_that_has_computed_a_part_of_it(lab, without_figures):
     (machine,) = lab.manifest["machines"]
     if "openblas" not in str(machine) or platform.machine() != "x86_64":
