@@ -137,12 +137,12 @@ def run_in_processes(
             for name in stopped:
                 observe(Step(name, State.WAITING))
         finally:
-            processes = list((pool._processes or {}).values())  # Python 3.14 has `kill_workers`
+            workers = list((pool._processes or {}).values())  # Python 3.14 has `kill_workers`
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in processes:  # files that they have stored are whole
-                process.kill()
-            for process in processes:
-                process.join()
+            for worker in workers:  # files that they have stored are whole
+                worker.kill()
+            for worker in workers:
+                worker.join()
 
 
 def _begin(out: Path, news: Any) -> None:
