@@ -142,7 +142,8 @@ def _about(plan, predictions):
     law = {"quantity": "Fc_fwd", "elpd": 2.0, "se": 1.0, "weight": 0.5}
     compared = {"subject": "a", "cycles": 6, "elpd": 2.0, "elpd_se": 1.0, "p_loo": 3.0}
     compared |= {"worst_k": 0.5, "bad": 0.0, "unsettled": 0.0, "difference": 0.0}
-    compared |= {"difference_se": 0.0, "rrse": 0.1}
+    compared |= {"difference_se": 0.0, "rrse": 0.1, "log_evidence": 2.0}
+    compared |= {"log_evidence_se": 0.1, "evidence_k": 0.4, "evidence_trusted": True}
     return {
         "status": "finished",
         "finished": "2026-01-01T00:01:00+00:00",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
+from mfd_bayes.calibration.evidence import Evidence, join_evidence
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import fit_mixture
@@ -147,6 +148,7 @@ class _Score:
     squares: float  # sum of squares of the force minus its predicted median, kip²
     spread: float  # sum of squares of the force about its mean, kip²
     short: tuple[str, ...]  # tests whose sampling missed its targets
+    evidence: Evidence
 
 
 def compare_runs(runs: Mapping[str, Run]) -> Comparison:
@@ -179,6 +181,7 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
         _favour(total[best].validation, total[second].validation, (best, second), len(shared)),
         "The comparison is about another cycle of the same tests, not about another test.",
         _trust({model: total[model] for model in (best, second)}),
+        _evidence_sentence({model: score.evidence for model, score in total.items()}),
     ]
     lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
     if lost:
@@ -197,7 +200,8 @@ def _score(test: TestResult, effort: Effort) -> _Score:
     observed = np.asarray(test.trace.force)[posterior.first :]
     missed = observed - np.median(force, axis=0)[posterior.first :]
     short = () if _converged(posterior, facts, effort) else (test.id,)
-    return _Score(validation, float(missed @ missed), float(observed.size * observed.var()), short)
+    spread = float(observed.size * observed.var())
+    return _Score(validation, float(missed @ missed), spread, short, test.log_evidence())
 
 
 def _converged(posterior: Posterior, facts: Mapping[str, Any], effort: Effort) -> bool:
@@ -215,6 +219,7 @@ def _together(scores: Sequence[_Score]) -> _Score:
         sum(score.squares for score in scores),
         sum(score.spread for score in scores),
         tuple(name for score in scores for name in score.short),
+        join_evidence([score.evidence for score in scores]),
     )
 
 
@@ -239,6 +244,10 @@ def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
                 difference=less,
                 difference_se=error,
                 rrse=float(np.sqrt(score.squares / score.spread)),
+                log_evidence=score.evidence.value,
+                log_evidence_se=score.evidence.error,
+                evidence_k=score.evidence.pareto_k,
+                evidence_trusted=score.evidence.trusted,
             )
         )
     return rows
@@ -258,6 +267,21 @@ def _favour(
         f"The records {verb.format(*names)}: elpd higher by {more:.4g}, {errors:.1f} standard "
         f"errors over {where}{' (a rough estimate of the error, from so few)' if few else ''}."
     )
+
+
+def _evidence_sentence(evidence: Mapping[str, Evidence]) -> str:
+    """Sentence on the two models of largest log evidence, and on what it depends on."""
+    best, second = sorted(evidence, key=lambda model: -evidence[model].value)[:2]
+    more = evidence[best].value - evidence[second].value
+    error = float(np.hypot(evidence[best].error, evidence[second].error))
+    text = (
+        f"Log evidence of {best} is higher than that of {second} by {more:.4g} ± {error:.2g}. It "
+        "depends on the priors: a prior of one parameter that is twice as wide lowers it by up to "
+        "0.7 in each test."
+    )
+    if rough := [model for model in evidence if not evidence[model].trusted]:
+        text += f" Do not trust the log evidence of {', '.join(rough)}: k or error is too large."
+    return text
 
 
 def _trust(scores: Mapping[str, _Score]) -> str:

@@ -84,7 +84,8 @@ _COLUMNS = {
     "comparison": (
         "subject:test model cycles elpd elpd_se p_loo worst_k:worst_pareto_k bad:share_bad_k "
         "unsettled:share_unsettled difference:elpd_difference difference_se:elpd_difference_se "
-        "rrse:rrse_in_sample"
+        "rrse:rrse_in_sample log_evidence log_evidence_se evidence_k:evidence_pareto_k "
+        "evidence_trusted"
     ),
     "truth": f"subject:test name:quantity unit truth {_INTERVAL} inside informed",
     "prediction": "name:quantity unit mean sd lower median upper measured note",
