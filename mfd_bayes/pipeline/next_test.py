@@ -26,15 +26,13 @@ from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text, write_bytes, write_text
 
-SHOWN = 10
-"""Candidates that are shown on a terminal."""
-
+SHOWN = 10  # candidates on a terminal
 _LARGEST = 2**20  # bytes of a file of candidates
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked about the next test."""
+    """What is asked about the next test; the options of the command."""
 
     goal: str = ""
     candidates: str = ""
@@ -55,7 +53,9 @@ class Recommendation:
     advice: Advice
     sentence: str
     together: list[str]
+    """The best two and three tests together."""
     rows: list[tuple[str, ...]]
+    """Cells of the first candidates."""
     files: list[Path]
 
 
