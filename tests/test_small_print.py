@@ -11,7 +11,7 @@ from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.summary import inspect_record
 from mfd_bayes.store.files import read_json
-from mfd_bayes.units import factor, parse_actuation, parse_quantity, percent
+from mfd_bayes.units import parse_actuation, parse_quantity, percent
 
 TEST = '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n'
 TIME = np.arange(201) / 50
@@ -37,11 +37,6 @@ def refusal(home, text, name="campaign.toml"):
     with pytest.raises(CampaignError) as caught:
         load_campaign(home / name)
     return str(caught.value)
-
-
-def test_a_campaign_that_windows_marked_as_utf_8_is_read(home):
-    (home / "campaign.toml").write_text(TEST, encoding="utf-8-sig")
-    assert [test.id for test in load_campaign(home / "campaign.toml").tests] == ["a"]
 
 
 def test_one_bracket_for_two_is_said(home):
@@ -93,17 +88,6 @@ def test_digits_of_other_scripts_are_named_by_line_and_column(home, cell):
 def test_an_angle_is_no_rate(text):
     with pytest.raises(UnitError, match="has an angle"):
         parse_quantity(text, "rate")
-
-
-@pytest.mark.parametrize(("text", "value"), [("64 1/s", 64), ("1 kHz", 1000)])
-def test_a_rate_is_one(text, value):
-    assert parse_quantity(text, "rate") == value
-
-
-@pytest.mark.parametrize("unit", ["mm/rad/s"])
-def test_an_angle_is_nowhere_taken_for_one(unit):
-    with pytest.raises(UnitError, match="has an angle"):
-        factor(unit, "velocity")
 
 
 def test_one_column_for_two_roles_is_refused(home):

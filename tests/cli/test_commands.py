@@ -147,33 +147,6 @@ def test_a_record_that_holds_too_little_is_refused(folder, changed, words):
     assert_refused(folder, *words, arguments=("--dry-run",))
 
 
-def test_time_that_does_not_increase_is_named_by_line(folder):
-    edit_line(folder, 30, "0.1,0.5,0.5")
-    assert_refused(folder, "p500.csv", "line 30", "time", "does not increase")
-
-
-@pytest.mark.parametrize("content", ["", "# only a remark\n"])
-def test_an_empty_file_is_refused(folder, content):
-    (folder / "p500.csv").write_text(content)
-    assert_refused(folder, "p500.csv", "empty")
-
-
-def test_a_missing_column_is_named_with_those_there_are(folder):
-    write_csv(folder / "p500.csv", signals(), "time_s,displacement_in,load")
-    assert_refused(folder, "p500.csv", "'force_kip'", "time_s, displacement_in, load")
-
-
-def test_a_record_that_is_used_twice_is_a_warning(folder):
-    columns = 'columns.displacement = { name = "displacement_mm", unit = "mm" }\n'
-    append(folder, ENTRY.replace("p500", "again"), columns)
-    table, head = signals(), "time_s,displacement_mm,force_kip"
-    write_csv(folder / "again.csv", table * (1, 25.4, 1), head)
-    assert "again: same record as p500" in accepted(folder)
-    table[:, 2] *= 1.1 + 0.1 * np.sin(table[:, 0])
-    write_csv(folder / "again.csv", table * (1, 25.4, 1), head)
-    assert "same record" not in accepted(folder)
-
-
 def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
     assert "p500 (201 samples)" in accepted(folder)
     table = signals()
@@ -217,19 +190,6 @@ def test_a_fault_in_the_campaign_is_named(folder, old, new, words):
     assert_refused(folder, *words)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("[laws]", '[laws]\nFc_fwd = "power"\nFs_fwd = "power"'),
-        ('role = "calibrate"', 'session = "Monday"'),
-        ("[laws]", '[dependence]\nFc_fwd = ["velocity"]\nd2 = ["velocity", "amplitude"]'),
-    ],
-)
-def test_laws_sessions_and_dependences_are_accepted(folder, old, new):
-    change(folder, old, new)
-    accepted(folder)
-
-
 @pytest.mark.parametrize("way", ["dots", "link"])
 def test_a_file_outside_the_campaigns_folder_is_refused(folder, way):
     outside = folder.parent / "p500.csv"
@@ -251,15 +211,6 @@ def test_a_campaign_file_that_is_not_there_is_named_with_one_like_it(folder, tmp
     assert_refused(folder, "campaign.toml", "No such file")
 
 
-def test_a_dry_run_says_what_a_test_at_zero_does_not_tell(folder):
-    append(folder, ENTRY.replace('"p500"', '"idle"').replace("500 psi", "0 psi"))
-    (line,) = [x for x in accepted(folder).splitlines() if x.startswith("warning: laws: ")]
-    assert "from idle nothing is learned about Fc_fwd (proportional), Fc_bwd (prop" in line
-    friction = "".join(f'F{kind}_{side} = "affine"\n' for kind in "cs" for side in ("fwd", "bwd"))
-    change(folder, "[laws]", f"[laws]\n{friction}")
-    assert "warning: laws" not in accepted(folder)
-
-
 # --- priors
 
 
@@ -270,11 +221,6 @@ def own_priors(folder, old, new, end=None):
     assert old in text
     (folder / "own.toml").write_text(text.replace(old, new, 1))
     change(folder, 'priors = "mfd"', 'priors = "own.toml"')
-
-
-def test_priors_of_the_users_own_are_accepted(folder):
-    own_priors(folder, "80 kip/in", "90 kip/in")
-    accepted(folder)
 
 
 @pytest.mark.parametrize(
@@ -290,11 +236,6 @@ def test_priors_of_the_users_own_are_accepted(folder):
 def test_a_fault_in_the_priors_is_named(folder, old, new, words):
     own_priors(folder, old, new)
     assert_refused(folder, "own.toml", *words)
-
-
-def test_a_missing_prior_is_named(folder):
-    own_priors(folder, "[parameters.k3]", "", "[parameters.d2]")
-    assert_refused(folder, "own.toml", "k3")
 
 
 # --- run folders
@@ -365,16 +306,6 @@ def test_init_writes_a_campaign_that_a_dry_run_accepts(folder):
     accepted(folder)
 
 
-def test_init_says_what_is_missing_and_so_does_the_campaign(folder):
-    (folder / "campaign.toml").unlink()
-    (folder / "p500.csv").rename(folder / "first.csv")
-    outcome = here("init", folder)
-    assert outcome.exit_code == 0, outcome.output
-    assert "FIXME: first: add actuation" in outcome.stdout
-    assert "warning: " in outcome.stdout
-    assert_refused(folder, "'first'.actuation is missing", arguments=("--dry-run",))
-
-
 def test_init_keeps_an_existing_campaign_and_refuses_a_folder_without_tests(folder, tmp_path):
     before = contents(folder)
     assert "--force" in sentence_of(here("init", folder))
@@ -429,25 +360,6 @@ def test_inspect_warns_of_what_would_spoil_a_fit(folder, tmp_path):
     assert here("inspect", tmp_path / "quake.csv", "-o", tmp_path / "quake").exit_code == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.csv", "t,x\n0,1\n1,2\n", ("no column for time", "t, x", "rename it")),
-        ("a.xls", "x", ("'.xls'", ".xlsx")),
-        ("a.xlsx", "PK", ("a.xlsx", "not an Excel workbook")),
-        ("a.toml", "[campaign", ("a.toml", "not valid TOML")),
-        ("", None, ("is a folder",)),
-    ],
-)
-def test_inspect_refuses_what_it_cannot_read(tmp_path, name, content, words):
-    if content is not None:
-        (tmp_path / name).write_text(content)
-    sentence = sentence_of(here("inspect", tmp_path / name, "-o", tmp_path / "look"))
-    for word in words:
-        assert word in sentence
-    assert not (tmp_path / "look").exists()
-
-
 def test_prior_check_draws_what_the_priors_allow_and_refuses_what_it_cannot(folder, tmp_path):
     outcome = here("prior-check", folder / "campaign.toml", "-o", tmp_path / "look")
     assert outcome.exit_code == 0, outcome.output
@@ -481,12 +393,6 @@ def test_what_cannot_be_left_out_is_refused(folder, by, entries, words):
     if "session" in "".join(entries):
         change(folder, 'actuation = "500 psi"', 'actuation = "500 psi"\nsession = "Monday"')
     assert_refused(folder, *words, command="crossvalidate", arguments=("--by", by))
-
-
-@pytest.mark.parametrize("models", ["three_stage", "lugre,maxwell"])
-def test_models_to_compare_are_two_that_are_known(folder, models):
-    words = ("--models", "three_stage, lugre, bouc_wen")
-    assert_refused(folder, *words, command="compare", arguments=("--models", models))
 
 
 def test_what_cannot_be_compared_is_refused(folder):

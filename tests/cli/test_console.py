@@ -84,8 +84,3 @@ def test_the_end_has_at_most_ten_lines_of_a_hundred_columns(capsys):
         assert max(map(len, lines)) <= WIDTH == 100
         assert lines[-1] == "look next at out/report.html"
         assert ("more, and every check" in lines[-2]) == (count == 50)
-
-
-def test_quiet_ends_with_the_verdict_alone(capsys, tmp_path):
-    print_end(view_of(3, bad=[1]), tmp_path, quiet=True)
-    assert capsys.readouterr().out == "NOT USABLE: It is so.\n"

@@ -1,10 +1,8 @@
 """The progress of a long command, in lines and on a terminal."""
 
-import math
 import os
 import re
 import select
-import signal
 import struct
 import subprocess
 import sys
@@ -12,7 +10,7 @@ import time
 
 import pytest
 
-from mfd_bayes.cli.progress import line_of, watch
+from mfd_bayes.cli.progress import watch
 from mfd_bayes.jobs.job import Progress, Step
 
 SAMPLED = Progress(1200, 2400, 1.0123, 432.1, 10.0, 0.5)
@@ -48,18 +46,6 @@ def test_without_a_terminal_steps_are_lines_and_quiet_prints_only_what_must_be_k
     ]
     out, err = capsys.readouterr()
     assert (out.splitlines(), err.splitlines()) == (([], ALARMS) if quiet else (lines, []))
-
-
-def test_a_line_says_which_target_is_missing_and_nothing_that_is_not_measured():
-    early = Progress(240, 2400, math.nan, math.nan, 10.0, 0.5)
-    assert line_of(Step("a", "sampling", early)) == (
-        "a: sampling, 240 steps, 24 steps/s, at most 90 s left"
-    )
-    short = Progress(240, 2400, 1.003, 735.0, 10.0, 0.5, "ESS of k3 of 800")
-    assert "R-hat 1.003, ESS 735" in line_of(Step("a", "sampling", short))
-    assert "needs ESS of k3 of 800" in line_of(Step("a", "sampling", short))
-    stuck = Progress(240, 2400, math.nan, 432.1, 10.0, 0.5)  # a quantity that never moved
-    assert "R-hat nan, ESS 432" in line_of(Step("a", "sampling", stuck))
 
 
 def test_after_a_silence_a_line_says_what_is_at_work_and_what_is_missing(capsys, monkeypatch):
@@ -204,14 +190,6 @@ def test_ctrl_c_leaves_the_bars_and_says_how_to_resume(terminal):
     assert re.sub(r"\s+", " ", words).strip() == (
         "mfd-bayes: interrupted; what is finished is kept, go on with: mfd-bayes go on"
     )
-
-
-def test_sigterm_is_named_in_the_last_line(terminal):
-    calibration = terminal(last=60.0)
-    calibration.read(until="sampling")
-    calibration.process.send_signal(signal.SIGTERM)
-    assert "interrupted by SIGTERM" in calibration.read().rpartition("\x1b[?25h")[2]
-    assert calibration.process.wait(timeout=10) == 143
 
 
 def test_quiet_draws_nothing_and_a_terminal_without_a_cursor_gets_lines(terminal):

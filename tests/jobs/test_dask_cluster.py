@@ -246,15 +246,6 @@ def test_a_test_whose_worker_is_killed_begins_again(address, tasks, reference, t
     assert stored(tmp_path)[name] == stored(reference)[name]
 
 
-def test_a_test_whose_workers_are_always_killed_is_given_up_alone(address, tasks, tmp_path):
-    observe, seen = kill_worker(address, 2)
-    (outcome,) = on_cluster(tasks[1:], tmp_path, address, observe)
-    assert outcome.status == "failed"
-    assert outcome.error.startswith("its workers were lost 2 times, the last one tcp://127")
-    assert seen[-1].stage == "failed"
-    assert not list(tmp_path.iterdir())
-
-
 def begun(campaign, out, address, folder):
     """The process of the command, once the cluster has begun its tests."""
     log = folder / "printed.txt"
@@ -337,11 +328,6 @@ def test_a_scheduler_that_does_not_answer_is_refused_at_once(campaign, tmp_path,
     assert time.monotonic() - began < 60.0
     refused(outcome, *words)
     assert not out.exists()
-
-
-def test_a_run_takes_either_a_cluster_or_processes_of_this_machine(campaign, tmp_path):
-    outcome = CliRunner().invoke(app, command(campaign, tmp_path / "o", "tcp://x:1", "--jobs", "2"))
-    refused(outcome, "either --jobs", "or --scheduler")
 
 
 @pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "Python"])

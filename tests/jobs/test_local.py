@@ -61,12 +61,6 @@ def test_a_killed_process_is_said_in_one_sentence_and_its_job_begins_again(tmp_p
     assert all("killed" in note and note.endswith(": a") for note in notes)
 
 
-def test_a_job_whose_processes_are_always_killed_ends_the_run(tmp_path):
-    with pytest.raises(FitError, match=r"killed 3 times at a: .*fewer --jobs.*--resume"):
-        work(Work("a", kills=9), out=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 3
-
-
 def test_processes_of_the_caller_live_on_and_those_of_the_jobs_do_not(tmp_path):
     with started_alike(), ProcessPoolExecutor(1, context()) as pool:
         theirs = pool.submit(os.getpid).result()
@@ -88,13 +82,6 @@ def test_a_full_disk_or_memory_is_said_in_a_sentence(tmp_path, capfd, name, kind
     with pytest.raises(kind, match=sentence):
         work(Work(name), out=tmp_path)
     assert capfd.readouterr().err == ""
-
-
-def test_processes_have_one_thread_whatever_this_one_has(monkeypatch):
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
-    with started_alike(), ProcessPoolExecutor(1, context()) as pool:
-        assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
-    assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
 
 
 # --- the server that processes are forked from

@@ -1,7 +1,5 @@
 """Extreme numbers in a record give a verdict or a one-sentence error."""
 
-import datetime
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.errors import MfdError
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.record import read_record
-from mfd_bayes.records.trace import LARGEST, Trace
 
 TIME = np.arange(200) / 50
 MOTION = np.sin(np.pi * TIME)
@@ -62,15 +59,6 @@ def test_a_record_that_cannot_be_used_is_refused(tmp_path, case):
         plan(tmp_path)
 
 
-@pytest.mark.parametrize(("column", "value"), [("time_s", np.inf), ("pressure_psi", np.nan)])
-def test_what_is_not_finite_is_named_by_line_and_column(tmp_path, column, value):
-    columns = dict(zip(NAMES, (TIME, MOTION, FORCE, np.full(200, 500.0)), strict=True))
-    path = write(tmp_path, **{column: with_value(columns[column], 41, value)})
-    roles = dict(zip(("time", "displacement", "force", "actuation"), NAMES, strict=True))
-    with pytest.raises(MfdError, match=f"line 43 of .*{column}"):
-        read_record(path, roles)
-
-
 @pytest.mark.parametrize("scale", [1e-12, 1e9])
 @pytest.mark.parametrize("model", ["lugre", "three_stage", "bouc_wen", "backlash"])
 def test_a_force_of_any_size_that_is_taken_has_a_likelihood(tmp_path, scale, model):
@@ -96,15 +84,6 @@ def test_no_actuation_and_an_endless_one_are_refused(tmp_path, actuation, words)
         plan(tmp_path, actuation)
 
 
-@pytest.mark.parametrize("stroke", [1e-6, 1e3])
-def test_a_stroke_within_the_gap_or_far_beyond_has_a_likelihood(tmp_path, stroke):
-    write(tmp_path, displacement_in=stroke * MOTION)
-    (task,) = plan(tmp_path, model="three_stage").tasks
-    posterior = Posterior(task.trace, task.priors)
-    drawn = posterior.draw_prior(np.random.default_rng(1), 50)
-    assert np.any(np.isfinite(posterior.log_prob(posterior.coordinates(drawn))))
-
-
 def test_a_million_samples_are_read_thinned_and_have_a_likelihood(tmp_path):
     time = np.arange(1_000_000) / 1000
     rows = np.column_stack([time, np.sin(0.2 * np.pi * time), np.cos(0.2 * np.pi * time)])
@@ -118,12 +97,3 @@ def test_a_million_samples_are_read_thinned_and_have_a_likelihood(tmp_path):
     posterior = Posterior(trace)
     drawn = posterior.draw_prior(np.random.default_rng(1), 2)
     assert not np.any(np.isnan(posterior.log_prob(posterior.coordinates(drawn))))
-
-
-def test_times_since_1970_and_no_further(tmp_path):
-    now = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC).timestamp()
-    record = read_record(write(tmp_path, time_s=now + TIME))
-    assert record.rate == pytest.approx(50.0, rel=1e-3)
-    Trace.from_arrays(TIME, LARGEST * MOTION)
-    with pytest.raises(MfdError, match="too large"):
-        Trace.from_arrays(TIME, 2 * LARGEST * MOTION)

@@ -112,18 +112,3 @@ def test_a_motion_without_a_force_is_refused(ask, tmp_path):
     assert "--given '0 s to 1 s' needs a column of the force in" in found.stderr
     sine = ask("--sine", "1 in, 0.5 Hz, 3 cycles", "--given", "0 s to 1 s")
     assert "--compare, --given and --rate need a --motion file" in sine.stderr
-
-
-def test_a_run_is_followed(out, record):
-    run = mb.open_run(out)
-    trace = mb.read_record(record).trace()
-    forecaster = run.follow(1.2, amplitude=1.0, velocity=3.0, draws=100, refresh=False)
-    part = slice(0, 60)
-    forecaster.update(trace.time[part], trace.displacement[part], None, trace.force[part])
-    later = mb.Trace.from_arrays(trace.time[60:], trace.displacement[60:])
-    band = forecaster.band(later)
-    assert band.draws.shape == (100, later.samples)
-    with pytest.raises(mb.MfdError, match="the planned actuation must be a finite number"):
-        run.follow(-1.0)
-    with pytest.raises(mb.MfdError, match="the planned velocity"):
-        run.follow(1.0, velocity=0.0)

@@ -148,30 +148,6 @@ def test_a_harmonic_motion_is_predicted_into_a_new_folder(home):
     assert {path.name for path in bands.parent.iterdir()} == {"bands.csv", "bands_derived.csv"}
 
 
-@pytest.mark.parametrize("command", ["inspect", "prior-check"])
-def test_pictures_replace_pictures_by_force_alone(home, command):
-    looks, campaign = home / "looks", home / "campaign.toml"
-    outcome = here(command, campaign, "-o", looks)
-    assert outcome.exit_code == 0, outcome.output
-    (picture,) = looks.iterdir()
-    picture.write_bytes(b"\x89PNG of a camera")
-    refused(here(command, campaign, "-o", looks), "--force")
-    assert picture.read_bytes() == b"\x89PNG of a camera"
-    assert here(command, campaign, "-o", looks, "--force").exit_code == 0
-    picture.unlink()
-    os.mkfifo(picture)
-    refused(here(command, campaign, "-o", looks, "--force"), "a device or a pipe")
-    assert picture.is_fifo()
-
-
-def test_a_comparison_does_not_replace_a_table(home):
-    (home / "models").mkdir()
-    shutil.copy(home / "mine.csv", home / "models" / "comparison.csv")
-    before = state(home)
-    refused(here("compare", home / "campaign.toml", "-o", home / "models"), "--force")
-    assert state(home) == before
-
-
 @pytest.mark.parametrize("name", ["tests/m.csv", "figures/campaign.toml", "campaign.toml"])
 def test_a_run_is_not_replaced_with_its_inputs_in_it(home, name):
     place = home / "out" / name

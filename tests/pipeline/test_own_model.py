@@ -177,16 +177,6 @@ def test_every_command_takes_its_run(finished, tmp_path):
     assert "storey drift" in said("respond", out, *building, "--draws", 10, "-o", tmp_path / "r")
 
 
-def test_only_the_copy_that_the_run_has_written_is_run(finished, tmp_path):
-    out = shutil.copytree(finished[0], tmp_path / "run")
-    mb.open_run(out)  # the control
-    with (out / "model.py").open("a") as file:
-        file.write("\nraise SystemExit\n")
-    assert "model.py is not what this run wrote" in said("check", out, code=2)
-    (out / "model.py").unlink()
-    assert "model.py" in said("check", out, code=2)
-
-
 @pytest.mark.slow
 def test_it_is_compared_with_models_that_have_other_parameters(folder, tmp_path):
     text = "\n".join(

@@ -74,22 +74,6 @@ def test_far_outside_what_was_tested_it_refuses_without_extrapolate(ask, tested,
     assert "# warning: the frequency, 2 Hz" in (tmp_path / "bands.csv").read_text()
 
 
-def test_fifty_kip_are_not_three_hundred_pounds(ask, tmp_path, tested):
-    motion = written(tmp_path / "slow.csv", 0.5 * tested["stroke"].highest, 0.5)
-    refused = ask("--motion", motion, "--actuation", "50 MPa")
-    assert refused.exit_code == 2
-    assert "the actuation, 7252 psi, lies far outside" in refused.stderr
-    metric = ask("--motion", motion, "--actuation", "7252 psi", "--units", "si")
-    assert "the actuation, 50 MPa, lies far outside the tested range, 3.4" in metric.stderr
-
-
-@pytest.mark.usefixtures("small_pictures")
-def test_inside_what_was_tested_nothing_is_said(ask, tested, tmp_path):
-    inside = ask("--motion", written(tmp_path / "slow.csv", 0.5 * tested["stroke"].highest, 0.5))
-    assert inside.exit_code == 0, inside.output
-    assert "tested range" not in inside.stderr + (tmp_path / "bands.csv").read_text()
-
-
 def test_the_tested_range_is_in_the_report(out):
     table = pd.read_csv(out / "tested_range.csv").set_index("condition")
     assert list(table.index) == ["stroke", "speed", "frequency", "actuation"]
@@ -217,27 +201,6 @@ def test_a_measurement_outside_the_prediction_is_said_in_a_sentence(ask, tmp_pat
     assert "does not agree" not in right
 
 
-@pytest.mark.usefixtures("small_pictures")
-def test_a_band_without_noise_is_compared_with_a_warning(ask, tmp_path, tested):
-    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5, 0.0 * TIME)
-    assert "need --kind observation" in ask("--motion", motion, "--compare").stdout
-
-
-def test_compare_needs_a_force(ask, tmp_path, tested):
-    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
-    outcome = ask("--motion", motion, "--compare")
-    assert outcome.exit_code == 2
-    assert "column of the force" in outcome.stderr
-
-
-@pytest.mark.usefixtures("small_pictures")
-def test_a_motion_is_thinned_where_it_is_asked_for(ask, tmp_path, tested):
-    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
-    assert ask("--motion", motion, "--rate", "50 Hz").exit_code == 0
-    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
-    np.testing.assert_allclose(np.diff(table["time_s"]), 0.02, rtol=1e-6)
-
-
 def test_a_prediction_is_given_in_the_other_system_of_units(ask, tmp_path):
     tables = {}
     for units in ("us", "si"):
@@ -345,13 +308,6 @@ def test_a_report_is_asked_for_in_other_units_and_forms(tmp_path):
     CliRunner().invoke(app, ["report", str(out), "--units", "si", "--excel"])
     assert "N/mm" in (out / "parameters.csv").read_text()
     assert (out / "tables.xlsx").is_file()
-
-
-@pytest.mark.parametrize("option", ["--design", "--explain"])
-def test_what_is_of_one_model_is_not_asked_of_several(ask, out, option):
-    refused = ask("--sine", "1 in, 0.5 Hz, 2 cycles", "--with", out, option)
-    assert refused.exit_code == 2
-    assert f"{option} cannot be combined with --with" in refused.stderr
 
 
 def test_a_sine_in_customary_units_needs_no_library_that_is_slow_to_load(out, tmp_path):

@@ -7,9 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.prior_files import find_priors
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 
 HEAD = '[campaign]\nmodel = "lugre"\nnoise = "iid"\nrate = "32 Hz"\n'
@@ -37,15 +35,6 @@ def write_campaign(folder, signs, extra=""):
 
 
 WORDS = "t1: the force does negative work"
-
-
-def test_inspect_of_a_campaign_compares_its_tests(tmp_path):
-    path = write_campaign(tmp_path, (1, 1, 1, 1))
-    assert "duplicate" not in here("inspect", path, "-o", tmp_path).stdout
-    (tmp_path / "t3.csv").write_bytes((tmp_path / "t0.csv").read_bytes())
-    outcome = here("inspect", path, "-o", tmp_path, "--force")
-    assert outcome.exit_code == 0
-    assert "duplicate: same record as t0: it would count twice" in outcome.stdout
 
 
 def test_what_the_dry_run_says_is_what_the_plan_of_a_calibration_holds(tmp_path):
@@ -144,14 +133,3 @@ def test_a_law_that_the_model_lacks_is_told(tmp_path, laws, lacking):
     printed = here("calibrate", path, "--dry-run").stdout
     assert lacking in printed
     assert ("warning: laws: [laws] names" in printed) == bool(lacking)
-
-
-def test_a_fixed_noise_is_refused_before_anything_is_calibrated(tmp_path):
-    path = write_campaign(tmp_path, (1, 1), 'priors = "own.toml"\n')
-    own = find_priors("mfd").read_text()
-    begin = own.index("[parameters.noise_sd]")
-    end = own.index("\n[", begin)
-    fixed = '[parameters.noise_sd]\nfamily = "fixed"\nvalue = "0.02 kip"\nreason = "known"\n'
-    (tmp_path / "own.toml").write_text(own[:begin] + fixed + own[end:])
-    with pytest.raises(CampaignError, match=r"noise_sd is fixed in own\.toml"):
-        plan_campaign(path, Options(effort="quick"))

@@ -10,7 +10,6 @@ from datetime import datetime, timedelta
 import numpy as np
 import pandas as pd
 import pytest
-from nptdms import ChannelObject, TdmsWriter
 from openpyxl import Workbook
 from scipy.io import savemat
 from typer.testing import CliRunner
@@ -117,29 +116,6 @@ def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path, columns, test):
     assert "240 over 11.95 s" in command("inspect", tmp_path / "c.toml")
 
 
-@pytest.mark.parametrize(
-    ("columns", "said"),
-    [
-        ('rate = "20"', "'20' has no unit"),
-        ('rate = "20 Hz"\ntime = { name = "t" }', "either by its column or by a rate"),
-        ('time = { name = "t", sign = -1 }', "unknown key 'sign'"),
-    ],
-)
-def test_what_is_no_rate_is_refused(tmp_path, columns, said):
-    write(tmp_path / "a.csv", "Displacement (mm),Force (N)", loops()[1:])
-    (tmp_path / "c.toml").write_text(CAMPAIGN.format(columns=columns, test=""))
-    assert said in command("inspect", tmp_path / "c.toml", code=2)
-
-
-def test_a_record_is_read_at_a_rate(tmp_path):
-    time, *columns = loops()
-    write(tmp_path / "a.csv", "x_mm,f_N", columns)
-    given = {"time": Source(rate="20 Hz"), "displacement": "x_mm", "force": "f_N"}
-    record = mb.read_record(tmp_path / "a.csv", columns=given, fit="2 s to 8 s")
-    np.testing.assert_allclose(record.time, time, atol=1e-12)
-    assert record.trace().time[[0, -1]] == pytest.approx([2.0, 8.0])
-
-
 # The sign of a column
 
 
@@ -187,16 +163,6 @@ def test_the_warning_of_negative_work_names_the_key(tmp_path):
     assert "force sign" not in command("inspect", campaign)
     campaign.write_text(turned.replace("sign = -1", "sign = 2"))
     assert "sign in" in command("inspect", campaign, code=2)
-
-
-def test_a_sign_turns_the_column_before_anything_is_taken_off(tmp_path):
-    time, x, force = loops()
-    write(tmp_path / "a.csv", "t_s,x_mm,f_N", [time, -x, -(force + 30.0)])
-    plain = {"time": "t_s", "displacement": Source("x_mm", sign=-1)}
-    turned = Source("f_N", sign=-1, tare="-30 N")
-    record = mb.read_record(tmp_path / "a.csv", columns=plain | {"force": turned})
-    np.testing.assert_allclose(record.force, force / 4448.2216, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(record.displacement, x / 25.4, rtol=1e-9)
 
 
 # Actuation in any unit
@@ -257,11 +223,6 @@ def test_actuations_of_one_kind_may_differ_in_unit_and_others_are_refused(tmp_pa
     assert "that of test 'r1' is a pressure" in said
 
 
-def test_a_measured_current_is_an_actuation(tmp_path):
-    said = command("inspect", actuated(tmp_path, '{ name = "drive_A" }'))
-    assert " actuation 1.5 A (mean of a history)" in said
-
-
 @pytest.mark.parametrize(
     ("name", "above", "level", "doubt"),
     [
@@ -279,18 +240,6 @@ def test_init_drafts_the_current_of_a_test(tmp_path, name, above, level, doubt):
     said, text, _ = drafted(tmp_path)
     assert f'actuation = "{level}"' in text
     assert (doubt in said) if doubt else ("unsure" not in said)
-
-
-def test_init_drafts_a_column_of_current(tmp_path):
-    columns = [*loops(), np.full(240, 0.8)]
-    write(tmp_path / "a.csv", "Time (s),Displacement (mm),Force (N),Current (A)", columns)
-    said, text, _ = drafted(tmp_path)
-    assert "actuation = \"0.8 A\"  # of column 'Current (A)'" in text
-    assert "FIXME" not in said
-    (tmp_path / "a.csv").rename(tmp_path / "a_500psi.csv")
-    (tmp_path / "campaign.toml").unlink()
-    command("init", tmp_path, "--force")
-    assert 'actuation = "500 psi"' in (tmp_path / "campaign.toml").read_text()
 
 
 @pytest.mark.slow
@@ -412,16 +361,6 @@ def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path, cell):
     assert mb.read_record(tmp_path / "a.csv", roles, fit="0 s to 8 s").time.size == 200
 
 
-def test_stamps_that_are_too_coarse_ask_for_the_rate(tmp_path):
-    _, *columns = loops()
-    head = "Timestamp,Displacement (mm),Force (N)"
-    write(tmp_path / "a_5bar.csv", head, [stamps("%H:%M:%S"), *columns])
-    said = command("init", tmp_path)
-    assert "time stamps of 'Timestamp' are equal in several rows, about 20 in a second" in said
-    with pytest.raises(mb.MfdError, match=r'too coarse, write rate = "100 Hz"'):
-        mb.read_record(tmp_path / "a_5bar.csv", {"time": "Timestamp", "displacement": 2})
-
-
 @pytest.mark.parametrize("kind", ["moments", "clock"])
 def test_dates_of_a_workbook_are_a_time(tmp_path, kind):
     time, x, force = loops()
@@ -437,20 +376,6 @@ def test_dates_of_a_workbook_are_a_time(tmp_path, kind):
     book.save(tmp_path / "a_5bar.xlsx")
     _said, text, seen = drafted(tmp_path)
     assert 'time = { name = "Time", unit = "s" }' in text
-    assert "240 over 11.95 s" in seen
-
-
-def test_a_channel_of_moments_is_a_time(tmp_path):
-    time, x, force = loops()
-    moments = np.datetime64(BEGIN, "us") + (1e6 * time).astype("m8[us]")
-    channels = [
-        ChannelObject("G", n, v)
-        for n, v in zip(["Clock", "Disp (mm)", "Load (N)"], [moments, x, force], strict=True)
-    ]
-    with TdmsWriter(tmp_path / "a_5bar.tdms") as writer:
-        writer.write_segment(channels)
-    _said, text, seen = drafted(tmp_path)
-    assert 'time = { name = "Clock", unit = "s" }' in text
     assert "240 over 11.95 s" in seen
 
 

@@ -2,14 +2,13 @@
 
 import json
 import shutil
-from contextlib import suppress
 from dataclasses import replace
 
 import pytest
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline.report import report
-from mfd_bayes.runs.folder import Existing, check_links, discard, prepare_folder
+from mfd_bayes.runs.folder import Existing, discard, prepare_folder
 from mfd_bayes.runs.manifest import with_keys
 from mfd_bayes.runs.run import open_run
 
@@ -93,18 +92,6 @@ def test_what_does_not_rest_on_a_change_is_kept(
     assert (resumed.manifest.comparison is not None) == (tests == "ab")
 
 
-def test_another_record_or_role_has_its_test_sampled_again(plan, out):
-    (file,) = {test.file for test in plan.manifest.settings.test}
-    inputs = {**plan.manifest.inputs, file: "1" * 64}
-    resume(replace(plan, manifest=plan.manifest.changed(inputs=inputs)), out)
-    assert stored(out) == ("", False)
-
-
-def test_a_comparison_is_not_kept_where_a_posterior_is_lost(plan, out):
-    (out / "tests/a/posterior.nc").unlink()  # which is sampled again
-    assert resume(plan, out).manifest.comparison is None
-
-
 @pytest.mark.parametrize(
     ("how", "words"),
     [
@@ -178,12 +165,3 @@ def test_a_link_in_place_of_a_folder_is_removed_and_not_what_it_leads_to(out):
     discard(out)
     assert [path.name for path in out.iterdir()] == ["kept"]
     assert (out / "kept" / "notes.txt").read_text() == "mine"
-
-
-def test_links_within_the_folder_pass_and_those_in_a_circle_end(out):
-    (out / "figures").symlink_to(out / "tests")
-    check_links(out)
-    (out / "figures").unlink()
-    (out / "figures").symlink_to(out / "figures")
-    with suppress(StoreError):  # Python before 3.13 detects the circle
-        check_links(out)

@@ -17,7 +17,6 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline import report
 from mfd_bayes.runs import lock
 from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.lock import OWNER, alone_in
@@ -142,11 +141,6 @@ def test_without_locks_only_a_living_owner_is_refused(out, monkeypatch, alive):
             pass
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    assert "cannot make the run folder" in refused(tmp_path / "file" / "out")
-
-
 # --- everything that writes into a run folder takes the lock; what reads notices a change
 
 WRITERS = {
@@ -195,34 +189,6 @@ def test_every_command_that_writes_into_a_run_takes_its_lock(run_folder, name):
     after = {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()}
     after.pop(run_folder / OWNER, None)  # of the owner, who was killed
     assert after == before
-
-
-def is_locked(out):
-    """Whether a folder is locked; a second opening of it has no part in a lock of the first."""
-    folder = os.open(out, os.O_RDONLY)
-    try:
-        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(folder)
-    return False
-
-
-@pytest.mark.usefixtures("no_figures")
-def test_a_report_keeps_its_lock_to_the_end(run_folder):
-    locked = []
-    assert not is_locked(run_folder)
-    report.report(run_folder, lambda _: locked.append(is_locked(run_folder)), jobs=1)
-    assert len(locked) >= 3
-    assert all(locked)
-    assert not is_locked(run_folder)
-
-
-def test_a_report_of_what_is_no_run_makes_no_folder(tmp_path):
-    outcome = CliRunner().invoke(app, ["report", str(tmp_path / "none")])
-    assert outcome.exit_code == 2
-    assert list(tmp_path.iterdir()) == []
 
 
 def change(out):

@@ -10,7 +10,7 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.errors import NotThereError
-from mfd_bayes.planning.candidate import Candidate, Limits
+from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.runs.run import open_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"
@@ -72,13 +72,6 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
             run.tests[wrong]
 
 
-@pytest.mark.parametrize("wrong", [None, "p500_f0.5"])
-def test_motions_are_traces(run, wrong):
-    for ask in (run.predict, run.departures):
-        with pytest.raises(mb.MfdError, match="trace must be a Trace"):
-            ask(wrong)
-
-
 @pytest.mark.parametrize(
     ("options", "name"),
     [
@@ -131,14 +124,6 @@ def test_a_run_that_cannot_be_used_is_said(run, trace):
     assert run.caution == ""
 
 
-@pytest.mark.parametrize("actuation", [None, -1.0])
-def test_options_of_a_followed_test_are_checked(run, actuation):
-    with pytest.raises(mb.MfdError, match="the planned actuation must be a finite number"):
-        run.follow(actuation)
-    with pytest.raises(mb.MfdError, match="refresh must be True or False, got 'no'"):
-        run.follow(0.5, refresh="no")
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -151,13 +136,6 @@ def test_options_of_a_followed_test_are_checked(run, actuation):
 def test_what_is_asked_about_the_next_test_is_checked(run, options, words):
     with pytest.raises(mb.MfdError, match=words):
         run.next_test(**options)
-
-
-def test_one_candidate_needs_no_list(run):
-    candidate = Candidate(0.8, 0.5, 1.0)
-    alone, listed = (run.next_test("slip", c, draws=200) for c in (candidate, [candidate]))
-    assert alone["reduction"] == listed["reduction"]
-    assert [row.candidate for row in alone] == [candidate]
 
 
 @pytest.mark.parametrize(
@@ -173,13 +151,3 @@ def test_options_of_a_response_are_checked(run, options, words):
         run.respond("none.toml", "none.AT2", **options)
     with pytest.raises(TypeError, match=r"respond\(\) got an unexpected keyword .*'probability'"):
         run.respond("none.toml", "none.AT2", probability=0.9)
-
-
-@pytest.mark.parametrize("runs", [None, "ab", ["out", "other"]])
-def test_an_average_is_of_runs(run, runs):
-    words = "runs must be two or more runs, as open_run opens them"
-    for wrong in (runs, run):
-        with pytest.raises(mb.MfdError, match=words):
-            mb.ModelAverage(wrong)
-    with pytest.raises(mb.MfdError, match="needs at least two runs, got 1"):
-        mb.ModelAverage(one for one in [run])
