@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from benchmarks.anylab.run import complete
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline.plan import Options, plan_campaign
