@@ -142,7 +142,7 @@ def _store(
     with _losses(address):
         error = future.exception()
         answer = None if error else future.result()
-    if error:
+    if answer is None:
         reason = _in_a_line(error)
         if isinstance(error, KilledWorker):
             reason = (
