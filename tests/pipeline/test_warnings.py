@@ -123,7 +123,7 @@ def test_what_the_calibration_does_not_do_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("laws", "lacking"),
     [
-        ('Fs_fwd = "power"', "names Fs_fwd, which the model bouc_wen does not"),
+        ('sigma0 = "power"', "names sigma0, which the model bouc_wen does not"),
         ('Fy_fwd = "affine"', ""),
     ],
 )
