@@ -17,13 +17,10 @@ Density = Callable[[Array], Array]  # log density of points (n, dim), (n,)
 
 # least squares: most steps; least relative gain of a good step; refused steps that end a start
 STEPS, TOLERANCE, REFUSED = 100, 1e-6, 8
-
 MOST = 4_000_000  # most numbers of residuals that are computed together
 LOWEST = -1e15  # log density where there is none, for what takes differences
 DISTINCT = 0.05  # least distance of two least-squares results, in prior standard deviations
-
-# least-squares results whose log posterior is this far below the best one are dropped
-HOPELESS = 400.0
+HOPELESS = 400.0  # least-squares results are dropped whose log posterior is so far below the best
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +50,7 @@ def find_modes(
     """Distinct modes, best first.
 
     From many prior draws, those that fit well and differ most are chosen; least squares on
-    residual and prior starts from each, then BFGS on the log posterior from each distinct
-    result.
+    residual and prior starts from each, then BFGS on the log posterior from each distinct result.
     """
     mean, sd = prior_scale(posterior, rng)
     begin = _starting_points(posterior, rng, starts, candidates)
@@ -68,10 +64,17 @@ def find_modes(
             ends.append(fits[i])
     modes: list[Mode] = []
     for end in ends:
-        mode = climb(posterior.log_prob, end, np.diag(sd), sd, modes)
-        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
-            modes.append(mode)
+        modes = distinct([*modes, climb(posterior.log_prob, end, np.diag(sd), sd, modes)])
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
+
+
+def distinct(modes: Sequence[Mode]) -> list[Mode]:
+    """Modes of which none is near one before it."""
+    kept: list[Mode] = []
+    for mode in modes:
+        if not any(other.is_near(mode.q, mode.log_prob) for other in kept):
+            kept.append(mode)
+    return kept
 
 
 def prior_scale(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
