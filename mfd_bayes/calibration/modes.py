@@ -138,7 +138,8 @@ def climb(
 ) -> Mode:
     """Mode that BFGS reaches from a point, (dim,), in coordinates along `axes`.
 
-    Where it comes near one of the known `modes`, and is not higher, it ends there.
+    The density is about as wide as 1 along each column of the axes, (dim, dim); `sd` (dim,) are
+    the prior's. Where it comes near one of the known `modes`, and is not higher, it ends there.
     """
     from scipy.optimize import OptimizeResult, minimize  # which takes long to import
 
@@ -192,8 +193,10 @@ def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
 
 
 def least_squares(residual: Callable[[Array, Rows], Array], begin: Array, reach: float) -> Array:
-    """Points with the least sum of squares of residuals and coordinates, one from each start.
+    """Points (m, d) with the least sum of squares of residuals and coordinates, one a start.
 
+    `residual` takes points (n, d) and the numbers of their starts (n,), and gives (n, T); no
+    coordinate goes beyond ± `reach`.
     Damped Gauss-Newton steps (Levenberg, Marquardt) of all starts at once: a force costs half as
     much a vector where many are computed together.
     """
