@@ -19,7 +19,7 @@ from scipy import stats
 from scipy.special import ndtri
 
 import mfd_bayes as mb
-from benchmarks.common.data import data_folder
+from benchmarks.common import data_folder
 from mfd_bayes.calibration.prior_files import PriorFile
 from mfd_bayes.calibration.priors import Prior
 

@@ -29,7 +29,7 @@ import numpy as np
 import pandas as pd
 
 import mfd_bayes as mb
-from benchmarks.common.data import PROJECT, add_data_option
+from benchmarks.common import PROJECT, data_folder
 
 FILE = Path(__file__).with_name("golden.npz")
 MODELS = {
@@ -286,23 +286,7 @@ def building(run: mb.Run, home: Path, data: Path) -> Arrays:
     return found
 
 
-def mistakes(data: Path) -> Arrays:
-    """In how many of three places each planted mistake is named, by command."""
-    if not (data / "brfd").is_dir():
-        return {}
-    words = [sys.executable, "-m", "benchmarks.mistakes.run", "--data", str(data)]
-    told = subprocess.run(words, capture_output=True, text=True, cwd=PROJECT, check=False).stdout
-    heads, rows = (told.splitlines()[i].split()[1:] for i in (1,)), told.splitlines()[2:]
-    found: Arrays = {"mistakes/commands": np.array(next(heads))}
-    for line in rows:
-        name, *counts = line[:28].strip(), *line[28:].split()
-        if counts and all("/" in count for count in counts):
-            found[f"mistakes/{name}"] = np.array([int(c.split("/")[0]) for c in counts])
-    found["mistakes/false_alarms"] = np.array(sum(line.startswith("false alarm") for line in rows))
-    return found
-
-
-PARTS = {part.__name__: part for part in (forces, steps, densities, draws, demo, mistakes)}
+PARTS = {part.__name__: part for part in (forces, steps, densities, draws, demo)}
 
 
 def difference(new: np.ndarray, old: np.ndarray) -> float:
@@ -323,7 +307,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add_data_option(parser)
+    parser.add_argument("--data", type=Path, default=data_folder(), help="holds brfd/")
     parser.add_argument("--check", action="store_true", help="compare, and write nothing")
     parser.add_argument("--only", default=",".join(PARTS), help="some parts, with commas between")
     parser.add_argument("--tolerance", type=float, default=1e-9, help="largest difference, 1e-9")
