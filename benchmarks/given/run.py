@@ -56,8 +56,8 @@ def row(name: str, trace: mb.Trace, band: Band) -> str:
 def score(source: mb.Run | mb.ModelAverage, run: mb.Run, draws: int) -> None:
     """Rows of the records that the run left out, predicted by it or by several."""
     print(HEAD)
-    for name, (end, *_) in RECORDS.items():
-        trace = run.held_out[name]
+    for name, trace in run.held_out.items():
+        end = RECORDS[name][0]
         bands = [
             source.predict(trace, "observation", draws=draws, given=given)
             for given in (None, (float(trace.time[0]), end))

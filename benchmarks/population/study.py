@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import EFFORTS, Effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.bands import Forecast, Predictor

@@ -92,7 +92,7 @@ def speed(ground, draws, jobs):
     used, clock = spent() - begun, time.perf_counter() - clock
     print(f"\n{draws} draws x 6 storeys x 6 dampers x {ground.acceleration.size} samples", end="")
     print(
-        f"{jobs} jobs\nprocessor {used:.0f} s, clock {clock:.0f} s, load {os.getloadavg()[1]:.1f}"
+        f", {jobs} jobs\nprocessor {used:.0f} s, clock {clock:.0f} s, load {os.getloadavg()[1]:.1f}"
     )
     print(f"not settled within 1 %: {int(found.unsettled.sum())}; ran away: {found.unstable.sum()}")
     print(f"largest energy not accounted for: {found.imbalance.max():.1e} of the input")

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft.columns import by_loop
 from mfd_bayes.cli.commands import app
