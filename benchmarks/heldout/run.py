@@ -7,8 +7,8 @@ calibrates the sessions of the band brake (half an hour each on two cores) and p
 left out: the 36 lb harmonic tests, each in turn, and the earthquakes from all of them; of the 2022
 session each tension in turn, and each test whose tension another test has too. --kinds: kinds of
 motion; the 30 lb tests and the earthquakes from all 36 lb tests. --quick: three tests of one
-tension and an earthquake, with little effort, two minutes. Calibrated runs stay in --out: delete it when records or
-code have changed. Exit status 1: a limit was missed. Real records come from --data.
+tension and an earthquake, with little effort, two minutes. Calibrated runs stay in --out: delete it
+when records or code have changed. Exit status 1: a limit was missed. Records come from --data.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
