@@ -27,7 +27,7 @@ from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
 from mfd_bayes.evaluation.properties import cycles_of, measured_of, peak_factors
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.records.measured import mean_of
+from mfd_bayes.records.loops import mean_of
 from mfd_bayes.runs.run import Run, open_run
 
 DRAWS = 800

@@ -39,7 +39,7 @@ from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import calibrate_test, load_result
 from mfd_bayes.evaluation.properties import is_missed, properties_of
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.records.measured import measured_cycles
+from mfd_bayes.records.loops import measured_cycles
 
 TENSIONS = (25, 35, 70, 80)
 EVERY = ",".join(sorted(NOISES, key=lambda name: (name != "ou", name != "staged", name)))
