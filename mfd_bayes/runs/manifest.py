@@ -17,14 +17,14 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.records.measured import MeasuredCycles
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.lock import other_owner
 from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST, POPULATION, folder_of
 from mfd_bayes.runs.scores import CampaignCrossValidation, Comparison
