@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from mfd_bayes.calibration.prior_files import load_priors
 
 import mfd_bayes as mb
 from benchmarks.accept.simulated import CYCLES, production_test, set_scatter
 from benchmarks.common import data_folder
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.evaluation.acceptance import (
     Acceptance,
     Level,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import design_of
