@@ -96,16 +96,14 @@ class Expected:
         """As the calibrated tests show it: where they lie, and how far they scatter about it.
 
         Mean and variance of their standardised values are estimated with a prior of 0 and 1 that
-        is worth `FREEDOM` tests; few tests leave Student's t for a normal distribution.
+        is worth `FREEDOM` tests. How well the scatter is known is in the draws already.
         """
-        rng, scale, shift = np.random.default_rng(1), {}, {}
-        count = max((u.size for u in surprises.values()), default=0)
-        tail = rng.chisquare(FREEDOM + count, len(self.device["loop"])) / (FREEDOM + count)
+        scale, shift = {}, {}
         for name in self.device:
             u = surprises.get(name, np.empty(0))
             shift[name] = float(u.sum()) / (FREEDOM + u.size)
             squares = FREEDOM + float(np.sum((u - shift[name]) ** 2))
-            scale[name] = np.sqrt(squares / (FREEDOM + u.size) / tail)
+            scale[name] = np.sqrt(squares / (FREEDOM + u.size))
 
         def wider(draws: Mapping[str, Array]) -> dict[str, Array]:
             found = {}
