@@ -31,7 +31,7 @@ from mfd_bayes.evaluation.views import (
     Row,
     ScoreRow,
 )
-from mfd_bayes.records.measured import MeasuredCycles
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.verdict import Verdict
 
 Array = NDArray[np.float64]

@@ -18,10 +18,10 @@ from mfd_bayes.evaluation.scores import spread_of
 from mfd_bayes.evaluation.views import DerivedRow
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
-from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.measured import (
+from mfd_bayes.records.loops import (
     MeasuredCycles,
     cycle_values,
+    find_loops,
     mean_of,
     measured_cycles,
 )

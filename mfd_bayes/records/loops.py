@@ -1,16 +1,29 @@
-"""The full loops of a record: amplitude, period, energy, mean force, and their drift."""
+"""Loops of a record: size and energy, what is read off them, and the values of the standards.
+
+With D+ and D- the largest and the smallest displacement of a cycle and F+ and F- the forces there,
+
+    K_eff = (F+ - F-) / (D+ - D-),    beta_eff = (2/pi) E / (K_eff (D+ - D-)^2),    E = ∮ F dx
+
+(ASCE/SEI 7, chapters 17 and 18; EN 15129 has the same damping as E / (2 pi K_eff d^2), with d half
+of the stroke). Zero displacement is the middle of the cycle's stroke, whatever zero the sensor has.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.records.motion import Array, turning_points
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.spikes import without_spikes
 from mfd_bayes.records.trace import Trace
 
-STRONG = 0.95  # a loop is strong from this share of the largest amplitude on; others ramp in or out
+STRONG = 0.95  # a loop is strong from this share of the largest amplitude; others ramp in or out
 TURN = 0.1  # for shapes a motion turns when it goes back by this share of its range
 FEWEST = 3  # fewest strong loops for which a drift is computed
 
@@ -19,28 +32,17 @@ FEWEST = 3  # fewest strong loops for which a drift is computed
 class Loops:
     """Full loops, each from one of `Trace.cycle_turns` to the second after it.
 
-    Attributes
-    ----------
-    bounds : (L + 1,), int
-        Samples at which the loops begin, and at which the last one ends; empty without a loop.
-    period : (L,), s
-    amplitude : (L,), in
-        Half the peak-to-peak displacement.
-    middle : (L,), in
-        Middle between the largest and the smallest displacement.
-    energy : (L,), kip·in, or None
-        Dissipated energy, ∮ F dx, by the trapezoidal rule; None without a force.
-    offset : (L,), kip, or None
-        Mean of both half cycles' mean forces ∫ F dx / ∫ dx: from the load cell's zero, dead weight,
-        and the difference between the two directions of the device.
+    `bounds` (L + 1,) are the samples at which loops begin, and at which the last one ends. The
+    `offset` (L,) is the mean of both half cycles' mean forces ∫ F dx / ∫ dx: from the load cell's
+    zero, dead weight, and the difference between the two directions of the device.
     """
 
     bounds: NDArray[np.intp]
-    period: Array
-    amplitude: Array
-    middle: Array
-    energy: Array | None
-    offset: Array | None
+    period: Array  # s
+    amplitude: Array  # in; half the peak-to-peak displacement
+    middle: Array  # in; between the largest and the smallest displacement
+    energy: Array | None  # kip·in, ∮ F dx; None without a force
+    offset: Array | None  # kip
 
     @property
     def strong(self) -> NDArray[np.bool_]:
@@ -123,3 +125,376 @@ def follows(motion: Array, force: Array) -> float:
     if not np.ptp(way[inside]) > 0.0 or not np.ptp(force[inside]) > 0.0:
         return 0.0
     return abs(float(np.corrcoef(way[inside], force[inside])[0, 1]))
+
+
+SLIP = (0.5, 0.95)  # shares of a stroke between which the damper slips
+RISE = (0.2, 0.8)  # shares of the plateau between which the force builds up after the gap
+UNLOADING = (0.8, 0.2)  # shares of the slip force between which the slope after a turn is read
+_FASTEST = 0.9  # quantile of the speed that is the speed of a record
+_FALLBACK = 0.05  # of the stroke: length of a build-up that cannot be read
+
+
+@dataclass(frozen=True)
+class LoopFeatures:
+    """What a person reads off the full strokes of a loop; NaN where it cannot be read.
+
+    A stroke is the way from one of `Trace.cycle_turns` to the next; full strokes are those of at
+    least `STRONG` of the longest. Every figure but the energy is the median over full strokes.
+    """
+
+    plateau_fwd: float  # kip; slip force: the median over the part `SLIP` of a stroke
+    plateau_bwd: float
+    slope: float  # kip/in, of the build-up, between the shares `RISE` of the plateau
+    gap: float  # in; travel after a turn at which the line of the build-up meets the plateau
+    energy: float  # kip*in, of a cycle at full stroke, their mean
+
+    @property
+    def plateau(self) -> float:
+        """Mean of the slip forces of both directions, kip; free of the load cell's offset."""
+        return 0.5 * (self.plateau_fwd + self.plateau_bwd)
+
+
+@dataclass(frozen=True, eq=False)
+class Strokes:
+    """What each of the S strokes of a motion shows of forces (n, T), (n, S) each, as LoopFeatures.
+
+    NaN where nothing is seen; `sign` (S,) is its direction, `full` (S,) whether it is a full one.
+    """
+
+    sign: Array
+    full: NDArray[np.bool_]
+    plateau: Array  # kip
+    slope: Array  # kip/in
+    gap: Array  # in
+
+    def slip(self, sign: float) -> Array:
+        """Slip force in a direction, (n,), kip: the median plateau of its full strokes."""
+        return _median(self.plateau[:, self.full & (self.sign == sign)])
+
+
+def stroke_estimates(trace: Trace, force: Array) -> Strokes:
+    """What is read off each stroke of a motion under forces (n, T), kip."""
+    x, turns = trace.displacement, trace.cycle_turns
+    first, last = turns[:-1], turns[1:]
+    way = x[last] - x[first]
+    full = np.abs(way) >= STRONG * np.max(np.abs(way), initial=0.0)
+    nothing = np.full((len(force), first.size), np.nan)
+    strokes = Strokes(np.sign(way), full, nothing, nothing.copy(), nothing.copy())
+    spans = list(zip(first.tolist(), last.tolist(), strokes.sign.tolist(), strict=True))
+    for k, (a, b, sign) in enumerate(spans):
+        share = (x[a : b + 1] - x[a]) / (x[b] - x[a])
+        inside = (share >= SLIP[0]) & (share <= SLIP[1])
+        if inside.any():
+            strokes.plateau[:, k] = sign * np.median(force[:, a : b + 1][:, inside], axis=1)
+    slip = {sign: strokes.slip(sign) for sign in (1.0, -1.0)}
+    for k, (a, b, sign) in enumerate(spans):
+        travel = np.abs(x[a : b + 1] - x[a])
+        strokes.slope[:, k], strokes.gap[:, k] = _rise(
+            sign * force[:, a : b + 1], travel, slip[sign]
+        )
+    return strokes
+
+
+def loop_estimate(trace: Trace, offset: float = 0.0) -> LoopFeatures:
+    """What a record shows less the offset of its load cell, kip.
+
+    A motion without a full stroke, or without a force, has none: all are NaN.
+    """
+    nan = float("nan")
+    if trace.force is None or trace.cycle_turns.size < 2:
+        return LoopFeatures(nan, nan, nan, nan, nan)
+    strokes = stroke_estimates(trace, trace.force[None] - offset)
+    slope, gap = (float(_median(v[:, strokes.full])[0]) for v in (strokes.slope, strokes.gap))
+    loops = find_loops(trace)
+    energy = np.asarray(loops.energy)[loops.strong]
+    mean = float(energy.mean()) if energy.size else nan
+    return LoopFeatures(float(strokes.slip(1.0)[0]), float(strokes.slip(-1.0)[0]), slope, gap, mean)
+
+
+def asymmetry(trace: Trace) -> Array:
+    """How far the loop is from the same in both directions, along a stroke, (P,), kip.
+
+    The mean of the forward force and of the backward force, less its own mean: a record with both
+    signs swapped has the opposite. NaN without full strokes in both directions.
+    """
+    along = np.linspace(0.02, 0.98, 60)
+    force, sides = np.asarray(trace.force), []
+    for sign in (1, -1):
+        curves = []
+        for first, last, way in _strokes(trace):
+            x = trace.displacement[first : last + 1]
+            travel = np.maximum.accumulate((x - x[0]) / (x[-1] - x[0]))
+            if way == sign:
+                curves.append(np.interp(along, travel, force[first : last + 1]))
+        sides.append(np.median(curves, axis=0) if curves else np.full(along.size, np.nan))
+    mean = 0.5 * (sides[0] + sides[1])
+    return np.asarray(mean - mean.mean())
+
+
+def _strokes(trace: Trace) -> list[tuple[int, int, int]]:
+    """First and last sample, and direction, of every full stroke."""
+    x = trace.displacement
+    strokes = [(int(a), int(b), 1 if x[b] > x[a] else -1) for a, b in pairwise(trace.cycle_turns)]
+    longest = max((abs(x[b] - x[a]) for a, b, _ in strokes), default=0.0)
+    return [s for s in strokes if abs(x[s[1]] - x[s[0]]) >= STRONG * longest]
+
+
+def _rise(force: Array, travel: Array, slip: Array) -> tuple[Array, Array]:
+    """Slope of the build-up, kip/in, and travel at which it meets the slip force, in, (n,) each.
+
+    Of forces (n, m) in the direction of the motion, over the travel (m,) of one stroke.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(slip[:, None] > 0.0, force / slip[:, None], np.nan)
+        top = np.argmax(share >= RISE[1], axis=1)
+        below = (share <= RISE[0]) & (np.arange(travel.size) < top[:, None])
+        bottom = travel.size - 1 - np.argmax(below[:, ::-1], axis=1)
+        bottom[~below.any(axis=1)] = 0
+        low, high = (
+            _crossing(share, travel, at, level)
+            for at, level in ((bottom, RISE[0]), (np.maximum(top - 1, 0), RISE[1]))
+        )
+        good = below.any(axis=1) & (high > low)
+        slope = np.where(good, (RISE[1] - RISE[0]) * slip / (high - low), np.nan)
+        return slope, np.asarray(high + (1.0 - RISE[1]) * slip / slope)
+
+
+def _crossing(share: Array, travel: Array, at: NDArray[np.intp], level: float) -> Array:
+    """Travel, (n,), at which shares (n, m) cross a level between samples `at` and `at` + 1."""
+    rows, behind = np.arange(len(share)), np.minimum(at + 1, travel.size - 1)
+    before, after = share[rows, at], share[rows, behind]
+    part = np.where(after > before, (level - before) / (after - before), 0.0)
+    return np.asarray(travel[at] + part * (travel[behind] - travel[at]))
+
+
+def _median(values: Array) -> Array:
+    """Median over the last axis of values (n, S) that are known, (n,); NaN where none is."""
+    if not values.shape[-1]:
+        return np.full(len(values), np.nan)
+    known = np.ma.masked_invalid(values)
+    return np.asarray(np.ma.median(known, axis=-1).filled(np.nan))  # type: ignore[no-untyped-call]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What a record shows of its device, internal units; all positive but the offset."""
+
+    force: float  # slip force: the plateau of the loop, else half the range of the force
+    unloading: float  # slope of the force right after a turn
+    build_up: float  # slope at which the force comes back
+    length: float  # travel from a turn until the force has come back, the gap included
+    stroke: float  # from one end of the motion to the other
+    speed: float
+    noise: float  # standard deviation of what differs from sample to sample
+    offset: float  # middle of the plateaus of both directions
+
+
+def scales_of(trace: Trace) -> Scales | None:
+    """Scales of one record; None where it has no force or no motion."""
+    trace = without_spikes(trace)
+    force = trace.force
+    if force is None or not np.ptp(force) > 0.0 or not np.ptp(trace.displacement) > 0.0:
+        return None
+    loops = find_loops(trace)
+    known = loops.offset is not None and loops.offset.size
+    offset = float(np.median(np.asarray(loops.offset))) if known else float(np.mean(force))
+    read = loop_estimate(trace, offset)
+    slip = _positive(read.plateau, 0.5 * float(np.ptp(force)))
+    # White noise whose second differences have the size of these.
+    noise = float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))
+    length = _positive(read.gap, _FALLBACK * float(np.ptp(trace.displacement)))
+    return Scales(
+        force=slip,
+        unloading=_positive(_unloading(trace, np.asarray(force) - offset, slip), slip / length),
+        build_up=_positive(read.slope, slip / length),
+        length=length,
+        stroke=float(np.ptp(trace.displacement)),
+        speed=_positive(float(np.quantile(np.abs(trace.velocity), _FASTEST)), 1e-9),
+        noise=_positive(noise, 1e-3 * slip),
+        offset=offset,
+    )
+
+
+def middle(scales: Iterable[Scales]) -> Scales:
+    """Scales in the middle of several records: the median of each."""
+    several = list(scales)
+    return Scales(
+        **{f.name: float(np.median([getattr(s, f.name) for s in several])) for f in fields(Scales)}
+    )
+
+
+def _positive(value: float, other: float) -> float:
+    return value if np.isfinite(value) and value > 0.0 else other
+
+
+def _unloading(trace: Trace, force: Array, slip: float) -> float:
+    """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
+    x = trace.displacement
+    slopes = []
+    for first, last, sign in _strokes(trace):
+        share = -sign * force[first : last + 1] / slip  # falls from 1 after the turn
+        below = [int(np.argmax(share <= level)) for level in UNLOADING]
+        travel = abs(x[first + below[1]] - x[first + below[0]])
+        drop = share[below[0]] - share[below[1]]
+        if share[0] > UNLOADING[0] and travel > 0.0 < drop:
+            slopes.append(drop * slip / travel)
+    return float(np.median(slopes)) if slopes else float("nan")
+
+
+UNITS: Mapping[str, str] = {
+    "slip_fwd": "kip",
+    "slip_bwd": "kip",
+    "peak_fwd": "kip",
+    "peak_bwd": "kip",
+    "effective_stiffness": "kip/in",
+    "effective_damping": "1",
+    "energy": "kip*in",
+    "c_eq": "kip*s/in",
+    "build_up_slope": "kip/in",
+    "gap": "in",
+}
+"""Internal unit of the values of a cycle, in the order of tables."""
+
+FORMULAS: Mapping[str, str] = {
+    "slip_force": "force at zero displacement, in the direction of the motion; zero displacement "
+    "is the middle of the stroke",
+    "peak_force": "largest force of the cycle in the direction of the motion",
+    "effective_stiffness": "K_eff = (|F+| + |F-|) / (|D+| + |D-|), F+ and F- at the largest and "
+    "the smallest displacement D+ and D- (ASCE/SEI 7, 17.2.8)",
+    "effective_damping": "beta_eff = (2/pi) E_loop / (K_eff (|D+| + |D-|)^2) (ASCE/SEI 7, 17.2.8)",
+    "energy": "E_loop, the area of the loop: the integral of F dx over the cycle",
+    "c_eq": "E_loop over the integral of v^2 dt over the cycle",
+    "build_up_slope": "slope of the force after the gap, from 20 % to 80 % of the slip force; mean "
+    "of both strokes",
+    "gap": "travel after a turn at which the line of the build-up, from 20 % to 80 % of the slip "
+    "force, meets the slip force; mean of both strokes",
+}
+"""How each value is computed, in words, by quantity."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCycles:
+    """Measured values of the L full cycles of a record, (L,) each, in internal units (`UNITS`).
+
+    They are of the record's own samples: no model, no filter, and no offset is taken off. Forces
+    are positive in the direction of the motion.
+    """
+
+    time: Array  # s, at which each cycle begins
+    stroke: Array  # in, from the smallest to the largest displacement
+    frequency: Array  # Hz
+    full_stroke: NDArray[np.bool_]  # at least 95 % of the largest stroke; others ramp in or out
+    slip_fwd: Array  # force at zero displacement
+    slip_bwd: Array
+    peak_fwd: Array
+    peak_bwd: Array
+    effective_stiffness: Array
+    effective_damping: Array
+    energy: Array
+    c_eq: Array  # equivalent viscous damping coefficient
+    build_up_slope: Array  # this and the gap are NaN where they cannot be read off
+    gap: Array
+    offset: Array  # kip; would make the mean force of both directions equal; it is not applied
+    largest_fwd: float  # kip, of all samples, also of those in no full cycle; so are the next two
+    largest_bwd: float
+    total_energy: float
+
+    def of_test(self) -> dict[str, float]:
+        """One value of each quantity: the largest peak, of others the mean at full stroke."""
+        means = {name: float(mean_of(getattr(self, name), self.full_stroke)) for name in UNITS}
+        return means | {"peak_fwd": self.largest_fwd, "peak_bwd": self.largest_bwd}
+
+    def to_content(self) -> dict[str, tuple[float, ...]]:
+        """The values as plain numbers by name, for JSON."""
+        values = ((field.name, getattr(self, field.name)) for field in fields(self))
+        return {name: tuple(np.atleast_1d(value).astype(float).tolist()) for name, value in values}
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Sequence[float]]) -> MeasuredCycles:
+        """The values from `to_content`; ValueError where some are missing."""
+        if missing := [f.name for f in fields(cls) if f.name not in content]:
+            raise ValueError(f"{missing[0]} is missing")
+        values: dict[str, Any] = {f.name: np.array(content[f.name]) for f in fields(cls)}
+        whole = ("largest_fwd", "largest_bwd", "total_energy")
+        cycles = values["time"].size
+        if wrong := [n for n, v in values.items() if v.size != (1 if n in whole else cycles)]:
+            raise ValueError(f"{wrong[0]} has {values[wrong[0]].size} values")
+        values["full_stroke"] = values["full_stroke"] > 0.0
+        for name in whole:
+            values[name] = float(values[name][0])
+        return cls(**values)
+
+
+def measured_cycles(record: Record | Trace) -> MeasuredCycles | None:
+    """Measured values of every full cycle of a record in its fit window; None without a force.
+
+    Spikes, which `inspect` names, count for nothing. Of a trace, its own samples are taken.
+    """
+    trace = without_spikes(record.trace() if isinstance(record, Record) else record)
+    if trace.force is None:
+        return None
+    force, loops = trace.force[None], find_loops(trace)
+    values = {name: value[0] for name, value in cycle_values(trace, force).items()}
+    return MeasuredCycles(
+        time=trace.time[loops.bounds[:-1]],
+        stroke=2.0 * loops.amplitude,
+        frequency=1.0 / loops.period,
+        full_stroke=loops.strong,
+        offset=np.asarray(loops.offset),
+        largest_fwd=float(force.max()),
+        largest_bwd=float(-force.min()),
+        total_energy=float(np.trapezoid(force[0], trace.displacement)),
+        **values,
+    )
+
+
+def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
+    """Values of every full cycle of a motion under forces (n, T), kip: (n, L) each, by name."""
+    loops, x = find_loops(trace), trace.displacement
+    n, count = len(force), max(loops.bounds.size - 1, 0)
+    values = {name: np.full((n, count), np.nan) for name in UNITS}
+    if not count:
+        return values
+    strokes = stroke_estimates(trace, force)
+    turns = trace.cycle_turns[: 2 * count + 1]
+    for cycle, (begin, end) in enumerate(pairwise(loops.bounds.tolist())):
+        kept = slice(begin, end + 1)
+        f, motion = force[:, kept], x[kept]
+        high, low = begin + int(motion.argmax()), begin + int(motion.argmin())
+        stroke = x[high] - x[low]
+        stiffness = (force[:, high] - force[:, low]) / stroke
+        stiffness[stiffness == 0.0] = np.nan
+        energy = np.trapezoid(f, motion, axis=1)
+        values["peak_fwd"][:, cycle], values["peak_bwd"][:, cycle] = f.max(axis=1), -f.min(axis=1)
+        values["effective_stiffness"][:, cycle] = stiffness
+        values["effective_damping"][:, cycle] = 2.0 / np.pi * energy / (stiffness * stroke**2)
+        values["energy"][:, cycle] = energy
+        values["c_eq"][:, cycle] = energy / np.trapezoid(
+            trace.velocity[kept] ** 2, trace.time[kept]
+        )
+        halves = turns[2 * cycle : 2 * cycle + 3].tolist()
+        for first, last in pairwise(halves):
+            sign = 1.0 if x[last] > x[first] else -1.0
+            side = "slip_fwd" if sign > 0.0 else "slip_bwd"
+            values[side][:, cycle] = sign * _at(x, force, first, last, 0.5 * (x[high] + x[low]))
+        both = slice(2 * cycle, 2 * cycle + 2)
+        for name, read in (("build_up_slope", strokes.slope), ("gap", strokes.gap)):
+            values[name][:, cycle] = mean_of(read[:, both])
+    return values
+
+
+def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
+    """Mean of values (…, L) that are known, of some cycles or of all, (…); NaN where none is."""
+    known = np.isfinite(values) if kept is None else np.isfinite(values) & kept
+    count, total = known.sum(axis=-1), np.where(known, values, 0.0).sum(axis=-1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _at(x: Array, force: Array, first: int, last: int, level: float) -> Array:
+    """Forces, (n,), where the motion first crosses a displacement between two turns."""
+    away = (x[first : last + 1] - level) * (1.0 if x[last] > x[first] else -1.0)
+    after = first + int(np.argmax(away >= 0.0))
+    if after == first:
+        return force[:, first]
+    share = (level - x[after - 1]) / (x[after] - x[after - 1])
+    return np.asarray(force[:, after - 1] + share * (force[:, after] - force[:, after - 1]))

@@ -30,7 +30,7 @@ from mfd_bayes.evaluation.views import (
     TRADE_OFFS,
     Row,
 )
-from mfd_bayes.records.measured import measured_cycles
+from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
 
 FOUND = Identifiability(
