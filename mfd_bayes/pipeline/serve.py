@@ -150,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.path == "/Evaluate":
             return {"output": served.evaluate(content.get("input"))}
         no = dict.fromkeys(("Gradient", "ApplyJacobian", "ApplyHessian"), False)
-        answers = {
+        answers: dict[str, dict[str, Any]] = {
             "/InputSizes": {"inputSizes": [len(served.inputs)]},
             "/OutputSizes": {"outputSizes": [len(served.outputs)]},
             "/ModelInfo": {"support": {"Evaluate": True} | no},
