@@ -12,7 +12,7 @@ import pandas as pd
 from scipy import optimize, signal
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.record import read_record

@@ -11,7 +11,7 @@ import numpy as np
 
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of
 from mfd_bayes.planning.goal import Goal, parse_goal

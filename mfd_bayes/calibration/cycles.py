@@ -33,24 +33,7 @@ def derive_from_parameters(
     pressure: float = float("nan"),
     area: float | None = None,
 ) -> dict[str, Array]:
-    """Gap width and self-energizing factors by name, (n,) each; unknown ones are left out.
-
-    Parameters
-    ----------
-    values : mapping of str to (n,)
-        Draws of the model's parameters.
-    pressure : float, ksi
-        Actuation level of the draws.
-    area : float, in², or None
-        Area of the actuator. Without it, or without pressure, there are no factors.
-
-    Returns
-    -------
-    dict
-        `gap_width`, in, the travel from slip to slip; `C_fwd` and `C_bwd`,
-        C = F_c/(p A), the friction force in slip over the actuator's thrust: the self-energizing
-        of the shoes in each direction (model.md section 7).
-    """
+    """Gap width and self-energizing factors by name, (n,) each; unknown ones are left out."""
     width = model.gap_width(values)
     derived = {} if width is None else {"gap_width": width}
     if area is not None and pressure > 0.0:

@@ -27,92 +27,57 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float]
 
-HALF = 0.5
-"""Share of its 95 % interval by which a quantity may move."""
+HALF = 0.5  # share of its 95 % interval by which a quantity may move
 
 QUANTILES = (0.025, 0.5, 0.975)
 
-FORMAL = frozenset({"gamma1", "gamma2", "start"})
-"""Quantities that say nothing about the damper."""
+FORMAL = frozenset({"gamma1", "gamma2", "start"})  # quantities that say nothing about the damper
+DRAWS, ROUNDS = 1000, 12  # draws of each proposal; most proposals before walkers are sent
 
-DRAWS, ROUNDS = 1000, 12
-"""Draws of each proposal; most proposals before walkers are sent."""
-
+# Pareto k above which, and effective number of draws below which weights are not trusted
 LARGEST_K, ENOUGH = 0.7, 200.0
-"""Pareto k above which, and effective number of draws below which weights are not trusted."""
 
-STARTS = 3
-"""Draws of the first fit from which modes are climbed to."""
+STARTS = 3  # draws of the first fit from which modes are climbed to
 
+# points from which modes are searched before walkers are sent: the first fit's may be minor
 SEARCHED = 6
-"""Points from which modes are searched before walkers are sent: the first fit's may be minor."""
 
-TRIED = 64
-"""Prior draws of what the first fit does not have, of which each start takes the best."""
+TRIED = 64  # prior draws of what the first fit does not have, of which each start takes the best
 
+# sampling where weights fail: enough for a median and an interval, not for their digits
 WALK = Effort(
     name="second fit", ess=50, limit=400, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1
 )
-"""Sampling where weights fail: enough for a median and an interval, not for their digits."""
 
-APART = 1.2
-"""R̂ of these walkers above which they do not tell where the posterior is."""
-
+APART = 1.2  # R̂ of these walkers above which they do not tell where the posterior is
 AT_ONCE, BY_WEIGHTS, BY_WALKERS = "one proposal", "several proposals", "walkers"
 
 
 @dataclass(frozen=True)
 class OtherFit:
-    """A test's parameters under another noise.
-
-    Attributes
-    ----------
-    noise : str
-    how : str
-        As `SecondFit` has it; "" where it failed.
-    k, size : float
-        Pareto k of its weights, and the effective number of its draws.
-    quantities : mapping of str to three floats
-        2.5 %, 50 % and 97.5 % quantile of each quantity, in its internal unit.
-    seconds : float
-        Processor time.
-    error : str
-        Why there is no fit, if there is none.
-    """
+    """A test's parameters under another noise."""
 
     noise: str
-    how: str = ""
-    k: float = float("nan")
+    how: str = ""  # as `SecondFit` has it; "" where it failed
+    k: float = float("nan")  # Pareto k of its weights, and the effective number of its draws
     size: float = 0.0
+    # three floats: 2.5 %, 50 % and 97.5 % quantile of each quantity, in its internal unit
     quantities: Mapping[str, Bounds] = field(default_factory=dict)
-    seconds: float = 0.0
-    error: str = ""
+    seconds: float = 0.0  # processor time
+    error: str = ""  # why there is no fit, if there is none
 
 
 @dataclass(frozen=True, eq=False)
 class SecondFit:
-    """Weighted draws of a second fit.
+    """Weighted draws of a second fit."""
 
-    Attributes
-    ----------
-    q : (n, dim)
-        Unconstrained coordinates.
-    weights : (n,)
-        They sum to 1.
-    how : {"one proposal", "several proposals", "walkers"}
-        Whether a proposal fitted to the first fit's draws was enough, or more were fitted to
-        weighted draws, or walkers had to be sent.
-    k : float
-        Pareto k of the weights; of walkers, that of the weights that failed.
-    size : float
-        Effective number of draws.
-    """
-
-    q: Array
-    weights: Array
+    q: Array  # (n, dim): unconstrained coordinates
+    weights: Array  # (n,): they sum to 1
+    # {"one proposal", "several proposals", "walkers"}: whether a proposal fitted to the first fit's
+    # draws was enough, or more were fitted to weighted draws, or walkers had to be sent
     how: str
-    k: float
-    size: float
+    k: float  # Pareto k of the weights; of walkers, that of the weights that failed
+    size: float  # effective number of draws
 
 
 def moves(own: Sequence[float], other: Sequence[float]) -> bool:
@@ -137,21 +102,7 @@ def fit_other(
     draws: Draws,
     seed: Sequence[int],
 ) -> OtherFit:
-    """Parameters of a test under another noise; a fit that fails is a result too.
-
-    Parameters
-    ----------
-    noise : str
-        The other noise.
-    first : Posterior
-        Under the test's own noise.
-    make : callable
-        Makes the posterior under the other noise.
-    draws : Draws
-        Of the first posterior.
-    seed : sequence of int
-        Of the test. The check takes no random number of its draws.
-    """
+    """Parameters of a test under another noise; a fit that fails is a result too."""
     began = time.process_time()
     rng = np.random.default_rng((*seed, 17, *noise.encode()))
     shared = [name for name in first.names if name not in first.noise.parameters]
@@ -168,15 +119,7 @@ def fit_other(
 def quantiles_of(
     posterior: Posterior, values: Mapping[str, Array], weights: Array | None = None
 ) -> dict[str, Bounds]:
-    """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap.
-
-    Parameters
-    ----------
-    values : mapping of str to (n,)
-        Draws of all quantities.
-    weights : (n,), optional
-        Of the draws; all alike without.
-    """
+    """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap."""
     model = posterior.model
     named = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
     if (gap := model.gap(values)) is not None:
@@ -194,20 +137,7 @@ def quantiles_of(
 def fit_again(
     posterior: Posterior, draws: Mapping[str, Array], rng: np.random.Generator
 ) -> SecondFit:
-    """Weighted draws of a posterior that is near another one.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        The second one; it may have quantities that the first has not.
-    draws : mapping of str to (n,)
-        Draws of the first one, without what has another meaning in the second.
-
-    Raises
-    ------
-    FitError
-        When there is no density around the draws, or walkers did not settle.
-    """
+    """Weighted draws of a posterior that is near another one."""
     near = _modes_near(posterior, draws, rng)
     anchors = around_modes(near)
     begin = _completed(posterior, _some(draws, DRAWS, rng), anchors.draw(rng, DRAWS))

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.campaign.campaign import Campaign
 from mfd_bayes.evaluation.scores import fan_of
 from mfd_bayes.evaluation.views import Fan

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from mfd_bayes.calibration.prior_files import WRITTEN
+from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors
 from mfd_bayes.campaign.draft.priors import Units, priors_text

@@ -24,30 +24,23 @@ from mfd_bayes.units import (
     parse_quantity,
 )
 
+# time on the frame beside the motion itself, h: setting the actuation, a check of the record
 SETUP = 0.25
-"""Time on the frame beside the motion itself, h: setting the actuation, a check of the record."""
 
 WAVEFORMS = ("sine", "triangle")
 
-MOST = 1000
-"""Most candidates of one question."""
-
+MOST = 1000  # most candidates of one question
 FORM = "a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
 
-BEYOND = 1.25
-"""How far candidates go beyond the largest tested actuation, amplitude and frequency."""
+BEYOND = 1.25  # how far candidates go beyond the largest tested actuation, amplitude and frequency
+LEVELS = 9  # most actuations of candidates
+RANGE = 5  # actuations over which the campaign's range is averaged
 
-LEVELS = 9
-"""Most actuations of candidates."""
-
-RANGE = 5
-"""Actuations over which the campaign's range is averaged."""
-
+# A candidate within this share of a test's amplitude and frequency, at its level, repeats it
 ALIKE = 0.1
-"""A candidate within this share of a test's amplitude and frequency, at its level, repeats it."""
 
+# shares of its value by which a figure of a test that was made, or of a new one, is rounded
 NEAR, NEW = 0.005, 0.02
-"""Shares of its value by which a figure of a test that was made, or of a new one, is rounded."""
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
 _ALTERNATIVES = re.compile(r"([^a-zA-Zµμ%°]*\|[^a-zA-Zµμ%°]*)(.*)", re.ASCII)
@@ -179,13 +172,7 @@ class Parts:
 
 
 def parse_limits(text: str, *, of: str = "--limits") -> Limits:
-    """Limits of ``"10 in/s, 6 in, 20 kip"``: velocity, stroke and force, in any order.
-
-    Raises
-    ------
-    CampaignError
-        When a part is none of these, stands there twice, or is not above zero.
-    """
+    """Limits of ``"10 in/s, 6 in, 20 kip"``: velocity, stroke and force, in any order."""
     found: dict[str, float] = {}
     form = f"{of}: limits read '10 in/s, 6 in, 20 kip' (velocity, stroke, force)"
     named = {"velocity": ("velocity", "velocity"), "length": ("stroke", "displacement")}
@@ -210,19 +197,6 @@ def parse_tests(
     Semicolons, or the items of a list, are between tests; a part with bars gives a test for each
     of its values. The parts are told apart by their units: actuation, frequency, amplitude (half
     the stroke), cycles, waveform, and the cost as a time.
-
-    Parameters
-    ----------
-    text : str or sequence of str
-    unit : {"ksi", "kip"}
-        Of the campaign's actuation.
-    of : str
-        What has the text, for messages.
-
-    Raises
-    ------
-    CampaignError
-        When a part is not understood, or there are too many tests.
     """
     if not isinstance(text, str) and not all(isinstance(part, str) for part in text):
         raise CampaignError(f"{of}: {FORM}, got {text!r}")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of
@@ -31,39 +31,23 @@ from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 
 Array = NDArray[np.float64]
 
-TOGETHER = 3
-"""Largest of the best sets that are listed."""
+TOGETHER = 3  # largest of the best sets that are listed
+CURVE = 6  # number of further tests up to which the expected width is given
 
-CURVE = 6
-"""Number of further tests up to which the expected width is given."""
-
+# candidates, the best first, that are simulated again, so that a second copy can be chosen
 SHORTLIST = 12
-"""Candidates, the best first, that are simulated again, so that a second copy can be chosen."""
 
-COPIES = 2
-"""Further copies of each of them."""
+COPIES = 2  # further copies of each of them
+AFRESH = 3  # times that each of the best sets is simulated again, to judge it
+TOO_STRONG = 0.025  # A candidate may pass the limit of the force with this probability
+FEWEST = 200  # fewest draws
+NO_GAP = 0.1  # length that stands for the gap of a model without one, in
+EVERY = 2  # of the samples of a loop, every so many have a band whose width counts
+NEXT = "(the session of the next test)"  # session of candidates, where tests were made in several
 
-AFRESH = 3
-"""Times that each of the best sets is simulated again, to judge it."""
-
-TOO_STRONG = 0.025
-"""A candidate may pass the limit of the force with this probability."""
-
-FEWEST = 200
-"""Fewest draws."""
-
-NO_GAP = 0.1
-"""Length that stands for the gap of a model without one, in."""
-
-EVERY = 2
-"""Of the samples of a loop, every so many have a band whose width counts."""
-
-NEXT = "(the session of the next test)"
-"""Session of candidates, where tests were made in several."""
-
+# marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
+# shorter one for one with zeros at its end
 DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
-"""Marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
-shorter one for one with zeros at its end."""
 
 COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
 
@@ -155,13 +139,7 @@ class Advice(Sequence[Row]):
     def __getitem__(self, key: str) -> list[object]: ...
 
     def __getitem__(self, key: int | slice | str) -> object:
-        """A row by its number, some rows, or a column by its name.
-
-        Raises
-        ------
-        NotThereError
-            When there is no such row or column.
-        """
+        """A row by its number, some rows, or a column by its name."""
         if isinstance(key, str):
             if key not in COLUMNS:
                 raise NotThereError(f"no column {key!r}: there are {', '.join(COLUMNS)}")
@@ -322,13 +300,7 @@ def advise(
     limits: Limits,
     effort: Effort,
 ) -> Advice:
-    """Candidates with what each is expected to tell of a goal, the best first.
-
-    Raises
-    ------
-    CampaignError
-        When the limits leave no candidate, or the goal cannot be known better by any.
-    """
+    """Candidates with what each is expected to tell of a goal, the best first."""
     every = list(dict.fromkeys(candidates))
     ruled_out = {one: limit for one in every if (limit := limits.forbids(one))}
     allowed = [one for one in every if one not in ruled_out]

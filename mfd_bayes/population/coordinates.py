@@ -25,22 +25,12 @@ DRAWS = 4000  # prior draws by which the centre and the spread of the coordinate
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Coordinates x (n, D) of quantities, in prior units.
+    """Coordinates x (n, D) of quantities, in prior units."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Quantities, D of them, in the order of the coordinates.
-    priors : mapping of str to Prior
-    speed : float, in/s
-        At which slip forces are compared.
-    centre, spread : (D,)
-        Mean and standard deviation of the coordinates under the priors.
-    """
-
-    names: tuple[str, ...]
-    priors: Mapping[str, Prior]
-    speed: float
+    names: tuple[str, ...]  # quantities, D of them, in the order of the coordinates
+    priors: Mapping[str, Prior]  # Prior
+    speed: float  # in/s: at which slip forces are compared
+    # (D,): mean and standard deviation of the coordinates under the priors
     centre: Array = field(init=False)
     spread: Array = field(init=False)
 

@@ -92,22 +92,7 @@ class Draws(NamedTuple):
 
 
 class ExactSampler:
-    """Chains of the exact posterior.
-
-    Parameters
-    ----------
-    mixed : MixedModel
-    fit : JointFit
-    unpooled : (J, D) bool
-        Coordinates that do not follow the population: they have their own priors.
-    choice : (n, L) int
-        Laws of each chain.
-    pool : sequence of (m, dim)
-        For each chain, draws of h under the Gaussian approximation and the chain's laws.
-    rng : numpy.random.Generator
-    evaluate : callable, optional
-        Computes log likelihoods of pairs of a test's number and x, in several processes.
-    """
+    """Chains of the exact posterior."""
 
     def __init__(
         self,

@@ -48,32 +48,15 @@ EITHER_WAY = (0.25, 4.0)
 
 @dataclass(frozen=True)
 class Conditioned:
-    """The given part of a record, and how the population's draws took it in.
+    """The given part of a record, and how the population's draws took it in."""
 
-    Attributes
-    ----------
-    window : (float, float), s
-    samples : int
-        At the rate of the calibrated tests.
-    pareto_k : float
-        Of the last importance weights.
-    method : {"weights", "sampling"}
-        Importance weights alone, or resampled and moved too.
-    effective : float
-        Effective number of draws behind the band.
-    stages : int
-        How often the draws were resampled and moved.
-    accepted : float
-        Share of the last moves that were accepted; 1 for weights alone.
-    """
-
-    window: tuple[float, float]
-    samples: int
-    pareto_k: float
-    method: str
-    effective: float
-    stages: int = 0
-    accepted: float = 1.0
+    window: tuple[float, float]  # (float, float), s
+    samples: int  # at the rate of the calibrated tests
+    pareto_k: float  # of the last importance weights
+    method: str  # {"weights", "sampling"}: importance weights alone, or resampled and moved too
+    effective: float  # effective number of draws behind the band
+    stages: int = 0  # how often the draws were resampled and moved
+    accepted: float = 1.0  # share of the last moves that were accepted; 1 for weights alone
 
     def holds(self, time: Array) -> Mask:
         """Whether times (T,), s, are in the given part."""
@@ -285,23 +268,7 @@ def block_size(own: float, step: float) -> int:
 def predict_given(
     predictor: Predictor, trace: Trace, forecast: Forecast, window: tuple[float, float]
 ) -> Band:
-    """Band of a record of which a part is known; all of it, with the given part.
-
-    Parameters
-    ----------
-    predictor : Predictor
-    trace : Trace
-        With its actuation, and with the force in the window.
-    forecast : Forecast
-        Of the kind `new_test` or `observation`.
-    window : (float, float), s
-        What is given.
-
-    Raises
-    ------
-    FitError
-        When the kind does not allow it, the window is none, or there is no force in it.
-    """
+    """Band of a record of which a part is known; all of it, with the given part."""
     check_kind(forecast)
     setting, population = setting_of(trace, forecast.session), predictor.population
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
@@ -320,11 +287,6 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
     """The motion up to the end of a window, as means over about `step` s, and which count, (T,).
 
     It goes on to the second turn, so that its first direction is known.
-
-    Raises
-    ------
-    FitError
-        When the window is none, not within the record or too short, or has no force.
     """
     begin, end = checked_window(window, "given", FitError)
     words = f"from {begin:g} s to {end:g} s"

@@ -42,32 +42,18 @@ SETTLED = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class TestLikelihood:
-    """Likelihood of one test in prior units x (n, D); a process can be sent it.
+    """Likelihood of one test in prior units x (n, D); a process can be sent it."""
 
-    Attributes
-    ----------
-    posterior : Posterior
-        Of the test, with independent noise.
-    coordinates : Coordinates
-        Of the D quantities.
-    relative : (T,), or None
-        Actuation along the record over its mean, where it changes.
-    laws : mapping of str to (str, float, float)
-        What follows it then: the quantity whose law that is, and the law's share and exponent where
-        the test has none to itself.
-    discrepancy, shape : (T,)
-        δ along the record, kip, and g.
-    information : float
-        Share of independent samples.
-    """
-
-    posterior: Posterior
-    coordinates: Coordinates
+    posterior: Posterior  # of the test, with independent noise
+    coordinates: Coordinates  # of the D quantities
+    # (T,), or None: actuation along the record over its mean, where it changes
     relative: Array | None = None
+    # (str, float, float): what follows it then: the quantity whose law that is, and the law's share
+    # and exponent where the test has none to itself
     laws: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
-    discrepancy: Array | float = 0.0
+    discrepancy: Array | float = 0.0  # (T,): δ along the record, kip, and g
     shape: Array | float = 1.0
-    information: float = 1.0
+    information: float = 1.0  # share of independent samples
 
     __test__ = False  # pytest is not to collect it
 
@@ -118,19 +104,10 @@ class TestLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """All tests near the mode of their joint posterior.
+    """All tests near the mode of their joint posterior."""
 
-    Attributes
-    ----------
-    tests : tuple of TestLikelihood
-        With discrepancy and noise.
-    mean, precision : (J, D), (J, D, D)
-        Gaussian of each test's likelihood, in prior units.
-    residual : Residual
-    """
-
-    tests: tuple[TestLikelihood, ...]
-    mean: Array
+    tests: tuple[TestLikelihood, ...]  # with discrepancy and noise
+    mean: Array  # (J, D), (J, D, D): Gaussian of each test's likelihood, in prior units
     precision: Array
     residual: Residual
 
@@ -141,19 +118,7 @@ def fit_jointly(
     common: NDArray[np.bool_],
     evaluate: Evaluate[Array, Array] | None = None,
 ) -> JointFit:
-    """Fit of all tests together.
-
-    Parameters
-    ----------
-    tests : sequence of TestLikelihood
-        J tests without discrepancy.
-    start : (J, D)
-        Where each begins.
-    common : (D,) bool
-        Quantities that are the same in all tests.
-    evaluate : callable, optional
-        Computes `linearised` of pairs of a test's number and x, in several processes.
-    """
+    """Fit of all tests together."""
     fit = _Fit(tests, start, common, evaluate)
     fit.iterate(40, learn=True)
     residual = fit.residual()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.errors import FitError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model

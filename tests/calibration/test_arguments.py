@@ -69,14 +69,6 @@ def test_far_out_the_likelihood_is_nothing(posterior, values):
     assert np.all(posterior.log_prob(far)[1:] == -np.inf)
 
 
-@pytest.mark.parametrize("least", [None, "0", [0.0], np.nan, True])
-def test_the_least_density_is_a_number(posterior, values, least):
-    q = posterior.coordinates(values)
-    with pytest.raises(FitError, match="least must be a finite number"):
-        posterior.log_prob(q, least)
-    np.testing.assert_array_equal(posterior.log_prob(q, -np.inf), posterior.log_prob(q))
-
-
 @pytest.mark.parametrize("given", [{}, None, [1.0], "a"])
 def test_values_are_given_by_name(posterior, given):
     for result in (posterior.coordinates, posterior.force, posterior.theta):

@@ -19,7 +19,7 @@ from mfd_bayes.calibration.noise_sensitivity import (
     other_noises,
     quantiles_of,
 )
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.result import Task, calibrate_test
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.lugre import LuGre

@@ -5,8 +5,7 @@ import pytest
 
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, load_priors
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
@@ -347,40 +346,6 @@ def test_priors_of_a_model_are_needed_only_where_it_is_chosen():
     with pytest.raises(PriorError, match="alpha, Fy_fwd, exponent"):
         Posterior(TRACE, replace(FILE, parameters=own), model="bouc_wen")
     Posterior(TRACE, replace(FILE, parameters=own), model="three_stage")
-
-
-@CASES
-def test_what_is_surely_below_a_bound_is_not_computed(model, noise, start, monkeypatch):
-    posterior = build(model, noise, start)
-    near = points(posterior)
-    far = near + 12.0 * np.random.default_rng(1).standard_normal(near.shape)
-    q = np.concatenate([near, far])
-    every, computed = posterior.log_prob(q), []
-    plain = Posterior.log_likelihood
-    monkeypatch.setattr(
-        Posterior, "log_likelihood", lambda self, q: computed.append(len(q)) or plain(self, q)
-    )
-    least = float(every.max())
-    some = posterior.log_prob(q, least)
-    left_out = (some == -np.inf) & (every > -np.inf)
-    assert np.all(every[left_out] < least)
-    np.testing.assert_allclose(some[~left_out], every[~left_out], rtol=1e-5)
-    assert sum(computed) <= len(q) - np.sum(left_out)
-    if noise != "staged":  # whose largest density depends on the travel
-        assert np.sum(left_out) >= 3
-
-
-@pytest.mark.parametrize("noise", [noise for noise in NOISES.values() if not noise.needs_travel])
-def test_no_residuals_have_a_larger_density_than_none(noise):
-    rng, time = np.random.default_rng(2), np.arange(30) / 20.0
-    values = {name: rng.uniform(0.05, 8.0, 50) for name in noise.parameters}
-    largest = noise.largest(time, values)
-    for times in (time, time + 0.01 * np.sin(time)):
-        nothing = noise.log_density(np.zeros((50, 30)), times, values)
-        np.testing.assert_allclose(noise.largest(times, values), nothing, rtol=1e-12)
-    for size in (1e-3, 0.1, 3.0):
-        found = noise.log_density(size * rng.standard_normal((50, 30)), time, values)
-        assert np.all(found < largest)
 
 
 def test_a_mask_that_leaves_next_to_nothing_is_refused():

@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from mfd_bayes.calibration.prior_files import find_priors, load_priors, sampled_quantities
-from mfd_bayes.calibration.priors import FAMILIES, Prior
+from mfd_bayes.calibration.priors import (
+    FAMILIES,
+    Prior,
+    find_priors,
+    load_priors,
+    sampled_quantities,
+)
 from mfd_bayes.errors import PriorError
 
 SHIPPED = sorted(p.stem for p in (Path(__file__).parents[2] / "priors").glob("*.toml"))

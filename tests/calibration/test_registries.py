@@ -9,8 +9,7 @@ from mfd_bayes.calibration import noise as noises
 from mfd_bayes.calibration import priors as families
 from mfd_bayes.calibration.noise import SD, Noise
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors, units
-from mfd_bayes.calibration.priors import WIDTH, Family
+from mfd_bayes.calibration.priors import WIDTH, Family, load_priors, units
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.compare import check_models

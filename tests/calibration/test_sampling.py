@@ -16,12 +16,12 @@ COVARIANCE = SD * SD[:, None] * (0.8 ** np.abs(np.subtract.outer(np.arange(DIM),
 EFFORT = Effort(ess=800, limit=4000, ensembles=4, walkers=24)
 
 
-def normal(q, _=-np.inf):
+def normal(q):
     """A correlated normal of very different widths, unnormalised."""
     return -0.5 * np.einsum("ni,ij,nj->n", q - MEAN, np.linalg.inv(COVARIANCE), q - MEAN)
 
 
-def bent(q, _=-np.inf):
+def bent(q):
     """The same normal, whose first coordinate bends the fourth; its moments are known."""
     return normal(np.column_stack([q[:, :3], q[:, 3] - 0.7 * (q[:, 0] ** 2 - 1.0), q[:, 4]]))
 
@@ -86,25 +86,7 @@ def test_progress_names_the_targets_that_are_missing():
     assert told[-1].missing == ""
 
 
-def test_what_is_surely_rejected_needs_no_density():
-    def bounded(q, least):
-        found = normal(q) - 3.0 * np.sum(((q - MEAN) / SD) ** 6, axis=1)
-        spared.append(int(np.sum(found < least)))
-        return np.where(found < least, -np.inf, found)
-
-    def draws(density):
-        modes = [climb(lambda q: bounded(q, -np.inf), MEAN + 0.1 * SD, np.diag(SD), SD)]
-        return sample_density(density, modes, short, np.random.default_rng(1)).q
-
-    spared = []
-    short = Effort(ess=50, limit=250, length=1.0, ensembles=2, walkers=20)
-    every = draws(lambda q, _: bounded(q, -np.inf))
-    spared.clear()
-    np.testing.assert_array_equal(draws(bounded), every)
-    assert sum(spared) > 0
-
-
-def funnel(q, _=-np.inf):
+def funnel(q):
     """Neal's funnel, which no mixture fits."""
     wide = q[:, :1]
     return -0.5 * (wide[:, 0] / 2) ** 2 - 0.5 * np.sum(q[:, 1:] ** 2 * np.exp(-wide) + wide, axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.errors import MfdError
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.record import read_record

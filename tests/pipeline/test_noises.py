@@ -1,6 +1,5 @@
 """The check of the noise model, from the campaign file to what the commands say of it."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ import pytest
 
 from mfd_bayes.calibration import result
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
-from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.run import open_run
@@ -98,12 +97,3 @@ def test_what_another_noise_moves_stands_with_its_test_and_not_in_the_verdict(ru
     (other,) = [test for test in view.tests if test.id == "p1000_f0.5"]
     assert other.noises == ()
     assert any("Not fitted under another noise model: p1000_f0.5" in str(r) for r in view.remarks)
-
-
-def test_damaged_facts_of_the_check_are_refused():
-    facts = json.loads(json.dumps(open_run(DATA).tests[TEST].stored.facts))
-    result.check_facts(facts, DATA)
-    fit = {"noise": "iid", "how": "", "k": None, "size": 0.0, "seconds": 1.0, "error": ""}
-    result.check_facts(facts | {"other_noises": [fit | {"quantities": {}}]}, DATA)
-    with pytest.raises(StoreError, match="other_noises"):
-        result.check_facts(facts | {"other_noises": [fit | {"quantities": {"k3": [1.0]}}]}, DATA)

@@ -9,8 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.prior_files import find_priors, load_priors
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, find_priors, load_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline.prior_check import prior_check
 from mfd_bayes.reporting import figures

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.prior_files import find_priors
+from mfd_bayes.calibration.priors import find_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.friction.models import find_model

@@ -11,7 +11,7 @@ import pint
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.errors import FitError, MfdError, RecordError, UnitError
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.records.channels import Source, Subtracted

@@ -166,6 +166,15 @@ def test_the_manifest_holds_the_settings_as_the_campaign_file_has_them(plan, out
     assert [test["actuation"] for test in stored["test"]] == ["500 psi", "1000 psi", "700 psi"]
 
 
+def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(tmp_path):
+    (tmp_path / "mfd.toml").write_text(
+        '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n', encoding="utf-8"
+    )
+    (tmp_path / "a.csv").write_text(RECORD)
+    inputs = plan_campaign(tmp_path / "mfd.toml", Options(effort="quick")).manifest.inputs
+    assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
+
+
 def test_a_folder_whose_name_is_no_text_holds_a_campaign_as_any_other(tmp_path):
     home = tmp_path / os.fsdecode(b"cam\xe9p")
     home.mkdir()

@@ -10,8 +10,7 @@ from scipy.stats import multivariate_normal
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity

@@ -6,7 +6,7 @@ import pytest
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noise import OU
 from mfd_bayes.calibration.noise_sensitivity import moves, quantiles_of
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.result import Task, calibrate_test
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace

@@ -28,7 +28,7 @@ def modes_at(*places):
 @pytest.fixture(scope="module")
 def chains():
     return sample_density(
-        lambda q, _: density(q), modes_at(0.3, APART + 0.1), EFFORT, np.random.default_rng(1)
+        density, modes_at(0.3, APART + 0.1), EFFORT, np.random.default_rng(1)
     )
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from mfd_bayes.calibration.prior_files import WRITTEN
+from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.draft.columns import Guess
 from mfd_bayes.campaign.draft.draft import Draft, TestDraft
 from mfd_bayes.campaign.draft.priors import Units, knows, priors_text
