@@ -4,6 +4,8 @@ As OpenSees' Steel02 with R0 = 20 and a2 = a4 = 1. Between two turns of the stra
 closed formula, so that Python loops over turns only, and NumPy does all draws and samples at once.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 import mfd_bayes as mb
@@ -30,10 +32,10 @@ class Steel(mb.Model):
         steps = np.sign(np.diff(strain))
         moving = np.flatnonzero(steps)  # equal samples keep their direction
         turns = moving[:-1][np.diff(steps[moving]) != 0] + 1
-        bounds = [moving[0], *(steps[: t].nonzero()[0][-1] + 1 for t in turns), strain.size - 1]
+        bounds = [moving[0], *(steps[:t].nonzero()[0][-1] + 1 for t in turns), strain.size - 1]
         stress = np.zeros((len(theta), strain.size))
         highest, lowest = ey, -ey
-        for begin, end in zip(bounds, bounds[1:]):
+        for begin, end in pairwise(bounds):
             up = np.sign(strain[end] - strain[begin])
             start, base = strain[begin], stress[:, begin : begin + 1]
             highest, lowest = np.maximum(highest, start), np.minimum(lowest, start)
