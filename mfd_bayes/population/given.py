@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.prior_files import units
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
 from mfd_bayes.population.settings import ZERO, Setting, setting_of
+from mfd_bayes.population.stopping import Estimate, Stopping, properties, quantiles
 from mfd_bayes.records.motion import HYSTERESIS
 from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.time_axis import checked_window
@@ -132,9 +134,11 @@ class PartialTest:
         level = self.setting.actuation
         return self.predictor.population.draw_tests(n, level, self.grid, rng)
 
-    def drawn(self, p: Particles, part: Trace) -> Drawn:
+    def drawn(self, p: Particles, part: Trace, *, scatter: bool = True) -> Drawn:
         """Tests of the particles under a part of the motion."""
-        return self.predictor.drawn(part, self.setting, p, self.grid, motion=self.motion)
+        return self.predictor.drawn(
+            part, self.setting, p, self.grid, scatter=scatter, motion=self.motion
+        )
 
     def sums(
         self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
@@ -367,8 +371,16 @@ class Forecaster:
         self._waiting, self._rows = np.empty((4, 0)), np.empty((4, 0))
         self._first, self._last, self._resting, self._size = np.nan, np.nan, 0, 0
         psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
-        self._begin(self._test.draw(forecast.draws, self._rng))
+        p = self._test.draw(forecast.draws, self._rng)
+        self._begin(p)
         self._conditioned: Conditioned | None = None
+        self._most_noise = float(np.quantile(self._values["noise_sd"], 0.99))
+        typical = predictor.values(self._test.drawn(p, _at_rest(self._level), scatter=False))
+        self._stopping = Stopping(
+            properties(model, self._values),
+            properties(model, typical),
+            {**units(model), "gap_width": "in"},
+        )
 
     @property
     def time(self) -> float:
@@ -469,9 +481,8 @@ class Forecaster:
 
     def _begin(self, p: Particles) -> None:
         """Particles before the first sample, of even weights."""
-        still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
         self._particles, self._log_prior = p, np.zeros(len(p.draw))
-        self._values = self._predictor.values(self._test.drawn(p, still))
+        self._values = self._predictor.values(self._test.drawn(p, _at_rest(self._level)))
         self._state: Any = None
         none = np.empty((len(p.draw), 0))
         self._sums = Sums(none[0], none, none)
@@ -529,6 +540,54 @@ class Forecaster:
         self._begin(p.of(systematic(weights, n, self._rng)))
         self._advance(AHEAD)
         self._log_prior = -self._log_likelihood()
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether the noise has to be larger than in 99 % of new tests of this device.
+
+        Then the force is not that of such a test, and neither estimates nor bands are reliable.
+        """
+        noise = self._values["noise_sd"]
+        weights = np.exp(self._weights()[0])
+        middle = quantiles(noise, weights, (0.5,))[0]
+        return middle > self._most_noise
+
+    @property
+    def scatter(self) -> dict[str, float]:
+        """Scatter of each property from test to test: standard deviation of its logarithm."""
+        return self._stopping.scatter
+
+    def estimates(self, cycles: int) -> dict[str, Estimate]:
+        """What is known of the test after so many cycles of one motion, by name of the property.
+
+        Slip forces and the width of the gap, beside what a new test of the device would have, and
+        what one more cycle is expected to tell; `stopping.is_enough` says when to stop. Where the
+        weights cannot be trusted, `refresh` comes first.
+        """
+        log_weights, k = self._weights()
+        if k > LARGEST_K and self._may_refresh:
+            self.refresh()
+            log_weights, _ = self._weights()
+        weights = np.exp(log_weights - log_weights.max())
+        return self._stopping.estimates(self._properties(), weights, cycles)
+
+    def _properties(self) -> dict[str, Array]:
+        """Draws of the properties of this test, (n,) each.
+
+        The force tells the sum of slip force and discrepancy: what is not known of the discrepancy,
+        which all tests of the device share, is not known of the slip force, however long the test.
+        """
+        draws, residual = properties(self._model, self._values), self._residual
+        slip = slip_force_of(self._model, self._values)
+        trace = _trace(self._rows)
+        force, functions = np.asarray(trace.force), residual.basis(trace)
+        knots = residual.draw_knots(self._rng, len(slip)) - residual.mean
+        for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
+            sliding = side * force > 0.5 * np.median(slip)
+            if sliding.any():
+                off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
+                draws[name] = draws[name] - side * off
+        return draws
 
     def band(self, trace: Trace) -> Band:
         """Band of the force in the motion that follows, given all samples so far.
@@ -591,6 +650,11 @@ class Forecaster:
         shown = self._predictor.shown(values)
         band = Band.of(joined.time[last], force, forecast, source, shown)
         return self.complete(replace(band, given=given, remarks=given.remarks), joined)
+
+
+def _at_rest(level: float) -> Trace:
+    """A trace without motion."""
+    return Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), level, np.zeros(3))
 
 
 def _trace(rows: Array) -> Trace:
