@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of

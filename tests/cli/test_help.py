@@ -19,7 +19,18 @@ COMMAND = Path(sys.executable).parent / "mfd-bayes"
 COMMANDS = typer.main.get_command(app).commands
 ORDER = [
     *("init", "inspect", "prior-check", "calibrate", "check", "report"),
-    *("predict", "crossvalidate", "compare", "draws", "next", "respond", "export", "serve", "demo"),
+    *(
+        "predict",
+        "crossvalidate",
+        "compare",
+        "draws",
+        "watch",
+        "next",
+        "respond",
+        "export",
+        "serve",
+        "demo",
+    ),
 ]
 
 
