@@ -167,20 +167,18 @@ def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
         )
     from arviz_stats.base import array_stats
 
-    def new_ess(x: Array, kind: str) -> float:
+    def ess(x: Array, kind: str) -> float:
         tails = {"prob": (0.05, 0.95)} if kind == "tail" else {}
         return float(array_stats.ess(x, chain_axis=0, draw_axis=1, method=kind, **tails))
 
-    return (
-        lambda x: float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")),
-        new_ess,
-    )
+    return lambda x: float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")), ess
 
 
 def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
     """Normalised Pareto-smoothed log weights, (n,), and Pareto k, from ArviZ 0.x or 1.x.
 
     Vehtari, Simpson, Gelman, Yao and Gabry (2024). Above k = 0.7 the weights cannot be trusted.
+    `efficiency` is the effective sample size over n.
     """
     ratios = log_ratios - log_ratios.max()
     if np.all(ratios == 0.0):  # equal weights have no tail to fit

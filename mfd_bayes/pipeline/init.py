@@ -11,7 +11,7 @@ from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors
 from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.records.loop_features import scales_of
+from mfd_bayes.records.loops import scales_of
 from mfd_bayes.records.record import Record
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground

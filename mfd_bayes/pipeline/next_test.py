@@ -6,7 +6,6 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.next_test import (
     advice_content,
@@ -25,6 +24,7 @@ from mfd_bayes.runs.paths import ADVICE
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text, write_bytes, write_text
+from mfd_bayes.store.toml import commented, quoted
 
 SHOWN = 10
 """Candidates that are shown on a terminal."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,10 +111,7 @@ class Advice(Sequence[Row]):
     draws: int
     remarks: tuple[str, ...] = ()
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        return COLUMNS
+    columns = COLUMNS
 
     @property
     def curve(self) -> Array:
@@ -129,27 +126,16 @@ class Advice(Sequence[Row]):
         """Rows, the best first."""
         return iter(self.rows)
 
-    @overload
-    def __getitem__(self, key: int) -> Row: ...
-
-    @overload
-    def __getitem__(self, key: slice) -> tuple[Row, ...]: ...
-
-    @overload
-    def __getitem__(self, key: str) -> list[object]: ...
-
-    def __getitem__(self, key: int | slice | str) -> object:
-        """A row by its number, some rows, or a column by its name."""
-        if isinstance(key, str):
-            if key not in COLUMNS:
-                raise NotThereError(f"no column {key!r}: there are {', '.join(COLUMNS)}")
+    def __getitem__(self, key: Any) -> Any:
+        """A row by its number, some rows by a slice, or a column by its name."""
+        if isinstance(key, str) and key in COLUMNS:
             return [getattr(row, key) for row in self.rows]
         try:
             return self.rows[key]
         except (IndexError, TypeError) as error:
             raise NotThereError(
-                f"no row {key!r}: rows have the numbers 0 to {len(self.rows) - 1}, and columns the "
-                f"names {', '.join(COLUMNS)}"
+                f"no row or column {key!r}: rows have the numbers 0 to {len(self.rows) - 1}, and "
+                f"columns the names {', '.join(COLUMNS)}"
             ) from error
 
 
@@ -225,22 +211,19 @@ class _Study:
             low = 0.0 if not high > low else low
             at = population.median(goal.of, np.array([low, high])).reshape(-1, 2)[devices.index]
             return np.asarray(np.diff(at, axis=1) / (high - low))
-        found = []
+        draws = []
         for number, place in enumerate(places[:1] if goal.quantity == GAP else places):
             loop, seed = Loop.of(place, self.gap), (self.seed, GOALS, number, 0)
-            if goal.quantity == "slip" and not self.model.slip_forces:
-                raise CampaignError(f"the model {self.model.name} has no slip force to be known")
             if goal.quantity in ("slip", GAP):
-                rng = np.random.default_rng(seed)
-                drawn = devices.drawn(setting_of(loop.trace, session), rng)
-                values = devices.predictor.values(drawn)
-                own = slip_force_of(self.model, values)
-                if goal.quantity == GAP:
-                    gap = self.model.gap(values)
-                    if gap is None:
-                        raise CampaignError(f"the model {self.model.name} has no gap to be known")
-                    own = gap
-                found.append(own[:, None])
+                drawn = devices.drawn(setting_of(loop.trace, session), np.random.default_rng(seed))
+                values, slips = devices.predictor.values(drawn), bool(self.model.slip_forces)
+                own = self.model.gap(values) if goal.quantity == GAP else None
+                if goal.quantity == "slip" and slips:
+                    own = slip_force_of(self.model, values)
+                if own is None:
+                    what = "gap" if goal.quantity == GAP else "slip force"
+                    raise CampaignError(f"the model {self.model.name} has no {what} to be known")
+                draws.append(own[:, None])
                 continue
             scattered = goal.kind == "new_test"
             force = devices.damper(loop, session, scattered=scattered, seed=seed)
@@ -252,8 +235,8 @@ class _Study:
                 "peak_bwd": [backward],
                 "peak": [forward, backward],
             }
-            found.append(np.stack(columns[goal.quantity], axis=1))
-        return np.concatenate(found, axis=1)
+            draws.append(np.stack(columns[goal.quantity], axis=1))
+        return np.concatenate(draws, axis=1)
 
     def simulated(self, number: int, copy: int) -> tuple[Array, Array]:
         """Largest forces of a copy of a candidate, (n,), kip, and directions of its summaries."""

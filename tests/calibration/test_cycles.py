@@ -1,3 +1,5 @@
+"""Cycles, energies and replicated records."""
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,9 @@ from mfd_bayes.calibration.cycles import (
     full_strokes,
     total_energy,
 )
-from mfd_bayes.errors import FitError
-from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.errors import RecordError
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.measured import cycle_values
@@ -18,7 +21,6 @@ from mfd_bayes.records.trace import Trace
 X = 1.3  # in
 OMEGA = 2.0 * np.pi * 0.25  # 1/s
 TIME = np.arange(0.0, 14.0, 0.005)  # three and a half periods
-THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
 
 
 def harmonic(time=TIME, omega=OMEGA):
@@ -45,30 +47,11 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
         np.testing.assert_array_equal(values[name], np.tile(friction[:, None], 3))
 
 
-def test_each_direction_has_its_peak():
-    trace = harmonic()
-    force = np.where(trace.velocity > 0, 1.0, -3.0)[None, :]
-    values = cycle_values(trace, force)
-    assert (set(values["peak_fwd"][0]), set(values["peak_bwd"][0])) == ({1.0}, {3.0})
-    np.testing.assert_allclose(values["energy"], 2.0 * (1.0 + 3.0) * X, rtol=1e-3)
-
-
 @pytest.mark.parametrize("motion", [harmonic, decaying])
 def test_a_dashpot_is_equivalent_to_itself_in_any_motion(motion):
     trace, c = motion(), np.array([0.2, 0.7, 1.5])
     found = cycle_values(trace, c[:, None] * trace.velocity)["c_eq"]
     np.testing.assert_allclose(found, np.tile(c[:, None], found.shape[1]), rtol=1e-3)
-
-
-@pytest.mark.parametrize("omega", [0.5 * OMEGA, OMEGA, 3.0 * OMEGA])
-def test_in_harmonic_motion_equivalent_damping_is_energy_over_pi_omega_x_squared(omega):
-    trace = harmonic(omega=omega)
-    rng = np.random.default_rng(1)
-    theta = np.array(THETA) * np.exp(0.05 * rng.standard_normal((5, 14)))
-    theta[:, [3, 5]] = 1.2 * theta[:, [4, 6]]
-    force = ThreeStage().force(theta, trace)
-    values = cycle_values(trace, force)
-    np.testing.assert_allclose(values["c_eq"], values["energy"] / (np.pi * omega * X**2), rtol=1e-3)
 
 
 def test_a_spring_dissipates_nothing_and_an_offset_adds_nothing():
@@ -117,15 +100,6 @@ def test_two_turning_points_are_no_cycle():
     assert cycle_energies(force, trace).shape == (1, 0)
 
 
-def test_batch_equals_loop():
-    trace = harmonic()
-    force = np.random.default_rng(2).standard_normal((4, trace.samples))
-    batch = cycle_values(trace, force)
-    for i, row in enumerate(force):
-        for name, value in cycle_values(trace, row[None, :]).items():
-            np.testing.assert_allclose(value[0], batch[name][i])
-
-
 def test_gap_and_self_energizing_factors_follow_from_the_parameters():
     values = {
         "d2": np.array([0.1, 0.2]),
@@ -143,12 +117,12 @@ def test_gap_and_self_energizing_factors_follow_from_the_parameters():
     assert derive_from_parameters(LuGre(), values) == {}
 
 
-def test_a_yield_force_stands_for_kinetic_friction_where_there_is_none():
-    values = {"Fy_fwd": np.array([3.0]), "Fy_bwd": np.array([2.0])}
-    derived = derive_from_parameters(BoucWen(), values, pressure=0.5, area=2.0)
-    assert {name: value.item() for name, value in derived.items()} == {"C_fwd": 3.0, "C_bwd": 2.0}
-
-
-def test_a_force_of_another_motion_is_refused():
-    with pytest.raises(FitError, match=r"\(n, 2800\), got \(1, 5\)"):
-        cycle_energies(np.zeros((1, 5)), harmonic())
+def test_a_replicated_force_beyond_all_range_ends_in_a_sentence():
+    time = np.arange(60) * 0.05
+    trace = Trace.from_arrays(time, np.sin(time), 0.5, np.cos(time))
+    posterior = Posterior(trace, "mfd", "iid", "lugre")
+    drawn = posterior.draw_prior(np.random.default_rng(0), 20)
+    assert np.all(np.isfinite(replicate(posterior, drawn, np.random.default_rng(0)).observed))
+    drawn["sigma2"] = np.full(20, 1e14)
+    with pytest.raises(RecordError, match="replicated force"):
+        replicate(posterior, drawn, np.random.default_rng(0))
