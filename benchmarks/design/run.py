@@ -1,31 +1,21 @@
-"""Whether bounding properties of design hold the energies and slip forces of tests left out.
+"""Do bounding properties of design hold the energies and slip forces of tests left out?
 
     python -m benchmarks.design.run > benchmarks/design/design.txt
 
-calibrates the 2022 session of the band brake, leaves out each tension in turn, infers the laws
-from the others, and bounds the properties of each test left out, for its own motion and tension, as
-`mfd-bayes predict --design` does. The share of the tests' own values inside the bounds of "this
-device tested again" should be the stated probability: energies and peak forces as measured in the
-record, slip forces as the test's own calibration has them. Ten tests can tell 95 % from 60 %, not
-from 85 %: the table gives the range that chance alone allows. Most tensions have two tests, which
-are predicted together: the range is that of tests that lie inside or not together.
-
-The calibrated run stays in out_design/, so that a second run does not sample it again; delete the
-folder when records or code have changed. --smallest takes three tests and little effort
-(benchmarks/design/smallest.txt): two levels are too few for bounds. The real records come from
---data (MFD_BAYES_DATA, ../shared/data).
+calibrates the 2022 session of the band brake (half an hour on two cores; --quick: three tests with
+little effort, three minutes), leaves out each tension in turn, infers the laws from the others, and
+bounds the properties of each test left out, for its own motion and tension, as `mfd-bayes predict
+--design` does. The share of the tests' own values inside the bounds of "this device tested again"
+should be the stated probability: energies and peak forces as measured, slip forces as the test's
+own calibration has them. The range that chance allows is that of tests of one tension that lie
+inside or not together. The calibrated run stays in --out: delete it when records or code have
+changed. Real records come from --data.
 """
 
-from __future__ import annotations
-
-import os
-
-# Read when numpy is imported.
-os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import argparse
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,8 +23,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common.data import PROJECT, add_data_option
-from benchmarks.heldout import records
 from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
 from mfd_bayes.evaluation.design import DesignRow, design_rows
 from mfd_bayes.evaluation.properties import measured_of, measured_properties
@@ -43,7 +31,6 @@ from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.run import Run
 
-SESSION = "2022-07"
 SMALLEST = ("20lb_0.50Hz_1.0in", "35lb_0.50Hz_1.0in", "80lb_0.50Hz_1.0in")
 PROBABILITIES = (0.5, 0.8, 0.95)
 BASIS = {
@@ -121,35 +108,25 @@ def chance(groups: list[str], probability: float) -> tuple[int, int]:
 
 def finished(options: argparse.Namespace) -> Run:
     """Calibrated run of the session, or of three of its tests."""
-    name = "smallest" if options.smallest else options.effort
-    place = options.out / f"campaign_{name}"
-    campaign = records.lay_out(
-        options.data / "brfd", place, SESSION, records.Kind("staged", "three_stage")
-    )
-    if options.smallest:
+    out = options.out / ("quick" if options.quick else "standard")
+    campaign = common.lay_out(options.data, options.out / f"campaign_{out.name}", "2022-07")
+    if options.quick:
         head, *tests = campaign.read_text(encoding="utf-8").split("\n[[test]]")
         kept = [test for test in tests if any(f'"{known}"' in test for known in SMALLEST)]
         campaign.write_text("\n[[test]]".join([head, *kept]), encoding="utf-8")
-    out = options.out / name
-    chosen = Options(effort=options.effort, seed=1, jobs=options.jobs, resume=out.exists())
+    chosen = Options(effort=out.name, seed=options.seed, jobs=options.jobs, resume=out.exists())
     return calibrate(plan_campaign(campaign, chosen), out, lambda _: None)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add_data_option(parser)
-    parser.add_argument("--out", type=Path, default=PROJECT / "out_design")
-    parser.add_argument("--effort", default="standard")
-    parser.add_argument("--jobs", type=int, default=0)
-    parser.add_argument("--smallest", action="store_true", help="three tests, little effort")
+    parser = common.parser_of(__doc__ or "", data=True)
+    parser.add_argument("--out", type=Path, default=common.PROJECT / "out_design")
+    parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    if options.smallest:
-        options.effort = "quick"
-    began = time.perf_counter()
+    common.heading((__doc__ or "").splitlines()[0])
     run = finished(options)
-    print(f"{SESSION}: {len(run.tests)} tests, each tension left out, effort {options.effort}")
-    show(list(bounded(run, options.effort)))
-    print(f"\n  {time.perf_counter() - began:.0f} s")
+    print(f"{len(run.tests)} tests, each tension left out")
+    show(list(bounded(run, "quick" if options.quick else "standard")))
 
 
 if __name__ == "__main__":

@@ -30,9 +30,7 @@ class Evidence:
 
     value: float  # and its standard error
     error: float
-    # of the importance weights of draws from the proposal: above 1 the proposal misses a part of
-    # the posterior
-    pareto_k: float
+    pareto_k: float  # of the proposal's importance weights: above 1 it misses a part
 
     @property
     def trusted(self) -> bool:

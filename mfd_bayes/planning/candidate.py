@@ -36,7 +36,7 @@ BEYOND = 1.25  # how far candidates go beyond the largest tested actuation, ampl
 LEVELS = 9  # most actuations of candidates
 RANGE = 5  # actuations over which the campaign's range is averaged
 
-# A candidate within this share of a test's amplitude and frequency, at its level, repeats it
+# a candidate within this share of a test's amplitude and frequency, at its level, repeats it
 ALIKE = 0.1
 
 # shares of its value by which a figure of a test that was made, or of a new one, is rounded

@@ -12,9 +12,9 @@ from scipy import linalg, special
 
 Array = NDArray[np.float64]
 
-FLAT = 1e-9  # A summary whose sd is below this share of its size does not vary
+FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
 
-# A direction of the summaries with less than this share of their variance repeats others
+# a direction of the summaries with less than this share of their variance repeats others
 SAME = 1e-6
 
 BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too

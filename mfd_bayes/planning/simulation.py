@@ -131,10 +131,8 @@ class Devices:
     predictor: Predictor
     index: NDArray[np.intp]  # (n,) int: draws of the population
     grid: Array  # (G,): actuations that will be asked for, ksi or kip
-    # mapping of str to (n, G): level effects of quantities on the grid, by session
-    effects: Mapping[str, Mapping[str, Array]]
-    # (n, d): standard normal numbers of each session, for one that no test was made in, and, under
-    # "", of motions outside those of the tests
+    effects: Mapping[str, Mapping[str, Array]]  # (n, G), by session and quantity
+    # (n, d), standard normal: of sessions without a test, and, under "", of motions outside those
     unknown: Mapping[str, Array]
     knots: Array  # (n, K), kip: discrepancy
 

@@ -36,15 +36,14 @@ SHARE_DRAWS = 300  # most draws by which the shares of a band's variance are com
 class Forecast:
     """Settings of a prediction."""
 
-    kind: str = "new_test"  # {"device", "new_test", "observation", "this_test"}
+    kind: str = "new_test"  # one of KINDS
     probability: float = 0.95
     draws: int = DRAWS
     seed: int = 0
     session: str = ""  # of the predicted test, where the campaign declares sessions
     whole: bool = False  # whether a band of the whole history is computed too
     explained: bool = False  # whether the shares of the band's variance are computed too
-    # Ending, optional: of the test that the motion follows without a reset
-    before: Ending | None = field(default=None, repr=False, compare=False)
+    before: Ending | None = field(default=None, repr=False, compare=False)  # without a reset
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -223,15 +222,10 @@ class Drawn:
     """Ingredients of the n draws of a prediction."""
 
     parts: Parts  # of the quantities that tests share
-    # (n,): quantities that tests do not share, such as the start in the gap
-    unshared: Mapping[str, Array]
-    # (n, T): factors of the quantities with a law along a history of actuation; empty for a
-    # constant
-    scales: Mapping[str, Array]
+    unshared: Mapping[str, Array]  # (n,), what tests do not share, such as the start in the gap
+    scales: Mapping[str, Array]  # (n, T), factors of what has a law along a history of actuation
     knots: Array  # (n, K), kip: discrepancy
-    # (n, T), kip, or None: none where only the damper's force is predicted: then the offset is left
-    # out too
-    noise: Array | None = None
+    noise: Array | None = None  # (n, T), kip; without it the offset is left out too
 
 
 @dataclass(frozen=True, eq=False)

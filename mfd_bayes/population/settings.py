@@ -31,9 +31,8 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
 )
 
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
-# actuation below this share of the largest is zero: what a gauge shows with nothing applied
-ZERO = 1e-3
-FULL = 0.8  # A stroke of at least this share of the largest one is a full stroke
+ZERO = 1e-3  # share of the largest actuation below which one is zero: what an idle gauge shows
+FULL = 0.8  # share of the largest stroke from which one is a full stroke
 
 
 @dataclass(frozen=True)
@@ -42,8 +41,8 @@ class Setting:
 
     actuation: float  # ksi or kip
     session: str = ""  # tests of one session were made together; "" where none is declared
-    # float: "velocity" (in/s, its peak), "amplitude" (in, half the stroke) and "full_strokes"
-    # (share of the path that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake)
+    # velocity (in/s, its peak), amplitude (in, half the stroke) and full_strokes (share of the path
+    # that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake)
     covariates: Mapping[str, float] = field(default_factory=dict)
 
 
