@@ -147,7 +147,7 @@ def draw(
     """Write the ECDF differences of every quantity, with the bands."""
     from mfd_bayes.reporting.colours import BLUE, VERMILLION
     from mfd_bayes.reporting.figures.style import new_figure, style, to_png
-    from mfd_bayes.reporting.symbols import in_figure
+    from mfd_bayes.reporting.symbols import Symbols
     from mfd_bayes.store.files import write_bytes
 
     names = list(pictures[0][1])
@@ -162,7 +162,7 @@ def draw(
             lower, upper = uniformity.band(LEVEL / len(ranks))
             label = f"{noise} noise assumed, {uniformity.tests} tests"
             for axis, name in zip(axes.flat, names, strict=False):
-                axis.set_title(in_figure(name), fontsize=9)
+                axis.set_title(Symbols().in_figure(name), fontsize=9)
                 axis.fill_between(uniformity.z, lower, upper, color=colour, alpha=0.12)
                 if name in ranks:
                     values = uniformity.deviation(ranks[name])
