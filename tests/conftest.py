@@ -69,17 +69,6 @@ def data_folder() -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def benchmark_module():
-    """Function that imports a module of benchmarks/, such as "sbc.study"."""
-    root = Path(__file__).parents[1]
-    if not (root / "benchmarks").is_dir():
-        pytest.skip("benchmarks/ is not part of this distribution")
-    sys.path.append(str(root))  # last, so that an installed mfd_bayes is the one that is tested
-    yield lambda name: importlib.import_module(f"benchmarks.{name}")
-    sys.path.remove(str(root))
-
-
 # The command as installed, but for the figures of its reports, which take half of a report's time.
 # What draws in processes of its own would draw: they do not run this file as the main one.
 DRIVER = """\

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from typer.testing import CliRunner
 
-from benchmarks.anylab.devices import DEVICES, Device, write_device
 from benchmarks.anylab.run import complete
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
@@ -25,6 +24,7 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.record import read_record
 from mfd_bayes.units import factor
+from tests.pipeline.devices import DEVICES, Device, write_device
 
 TEST = "6bar_0.5Hz"
 _SIGNED = ("offset", "start")

@@ -13,9 +13,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.anylab.devices import DEVICES, Device, write_device
 from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.runs.run import open_run
+from tests.pipeline.devices import DEVICES, Device, complete, write_device
 
 
 def main() -> None:
@@ -52,18 +52,6 @@ def line_of(device: Device, folder: Path) -> str:
         f"truth inside {hits:3d} of {len(rows):3d} ({hits / len(rows):.0%})  "
         f"Fc_fwd {run.system.words([slip], 'kip', 3)}"
     )
-
-
-def complete(campaign: Path, device: Device) -> None:
-    """Write the units that are marked FIXME, and nothing else."""
-    units = {"displacement": device.length_unit, "force": device.force_unit}
-    lines = []
-    for line in campaign.read_text(encoding="utf-8").splitlines():
-        role = line.split(" = ")[0].removeprefix("columns.")
-        if role in units and "FIXME" in line and "unit =" not in line.split("#")[0]:
-            line = line.replace(" }", f', unit = "{units[role]}" }}', 1)
-        lines.append(line)
-    campaign.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def command(words: list[str], name: str, *, may_fail: bool = False) -> str:

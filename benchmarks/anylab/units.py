@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.anylab.devices import DEVICES, write_device
 from benchmarks.anylab.run import command
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.units import factor
+from tests.pipeline.devices import DEVICES, write_device
 
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _OWN = (

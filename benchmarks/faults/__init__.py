@@ -1,1 +1,1 @@
-"""Which random faults in the whole package the fast tests notice."""
+"""Which random faults in the package the tests notice."""

@@ -1,142 +1,132 @@
-"""Which of 300 random faults in the package the fast tests notice; cosmic-ray makes the faults.
+"""How many random faults in the package do the tests notice? cosmic-ray makes the faults.
 
-    git clone . HOME/house; pip install -e 'HOME/house[test]' distributed cosmic-ray pytest-cov
-    python -m benchmarks.faults.run draw HOME     # draws the faults: HOME/faults.jsonl
-    python -m benchmarks.faults.run cover HOME    # runs all tests once: which run which line
-    nice -n 19 python -m benchmarks.faults.run try HOME    # after a break it goes on
-    python -m benchmarks.faults.run table HOME > benchmarks/faults/faults.txt
+In a clone of the project, with everything installed, and cosmic-ray and pytest-cov:
 
-Faults are drawn uniformly from all of cosmic-ray's in mfd_bayes/, but for those that change only
-annotations, do not compile, or put | & ^ << >> for arithmetic, which no float survives. A fault is
-tried on the tests that run its line, up to the first that fails: its room's first, the quick ones
-first, in PARTS. All faults have had one part before one has the next. A part that takes far more
-processor time than without the fault is a timeout. At the end all tests that failed run without a
-fault; what fails then counts no more. A fault may delete any file: make all but HOME read-only.
+    python -m benchmarks.faults.run cover             # with -m "" the slow tests too
+    nice python -m benchmarks.faults.run try 0 300 > faults.txt
+
+`cover` runs the tests once to learn which run which line (twice the time of the tests). Faults are
+drawn uniformly from all of cosmic-ray's, but for those that do not compile, change annotations
+alone, or put | & ^ << >> into arithmetic. Each is tried, with -x, on the tests that run its
+statement: those of its room first, then the quick ones, up to SECONDS. A fault takes half a minute;
+it may do anything, so that only the clone should be writable.
 """
 
+import ast
+import itertools
 import json
-import os
+import random
 import re
-import shutil
 import subprocess
 import sys
-from collections import Counter, defaultdict
-from itertools import accumulate
+from collections import Counter
 from pathlib import Path
 
 import coverage
-from cosmic_ray.mutating import use_mutation
+import pytest
+from cosmic_ray.commands.init import _all_work_items
+from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator
-from cosmic_ray.testing import TestOutcome, run_tests
 
-from benchmarks.faults.cover import cover, tests_of
-from benchmarks.faults.draw import SEED, draw
-
-HOME = Path(sys.argv[2]).resolve()
-PARTS = (20.0, 80.0, 380.0, 4000.0)  # s without a fault, from the first test to a part's last
-
-
-def keep(faults):
-    text = "".join(json.dumps(fault, ensure_ascii=False) + "\n" for fault in faults)
-    (HOME / "new").write_text(text, "utf-8")
-    (HOME / "new").replace(HOME / "faults.jsonl")
-
-
-def kept():
-    return [json.loads(line) for line in (HOME / "faults.jsonl").open(encoding="utf-8")]
+SEED, SECONDS = 52, 300.0
+BITS = re.compile(r"Operator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(Bit|[LR]Shift)")
+CONTEXT = re.compile(r"(.+?)(?:\|| \()(setup|run|call|teardown)\)?", re.DOTALL)
+OURS = ["-o", "addopts=", "--import-mode=importlib", "-p", "no:cacheprovider"]
+COVERAGE = """[run]
+source_pkgs = mfd_bayes
+parallel = true
+patch = subprocess
+sigterm = true
+concurrency = multiprocessing,thread
+context = ${PYTEST_CURRENT_TEST-}
+disable_warnings = no-data-collected, module-not-measured, module-not-imported, already-imported
+"""
+seconds: Counter[str] = Counter()
 
 
-def fails(names, seconds, remake=False):
-    """The first of some tests that fails, or what else ended them; "" where all pass."""
-    (HOME / "names").write_text("\n".join(names))
-    for folder in (HOME / "temporary", HOME / "remade"):
-        shutil.rmtree(folder, ignore_errors=True)
-    os.environ["MFD_BAYES_FINISHED_RUN"] = str(HOME / ("remade" if remake else "finished"))
-    words = f"-m pytest -x -q -p no:cacheprovider --basetemp={HOME / 'temporary'} @{HOME / 'names'}"
-    limits = f"prlimit --cpu={60 + 3 * round(seconds)} --as={6 * 10**9}"
-    command = f"{limits} sh -c '{sys.executable} {words} 2>&1'"
-    outcome, output = run_tests(command, 1800 + 60 * seconds)
-    if outcome == TestOutcome.SURVIVED:
+def pytest_runtest_logreport(report):
+    seconds[report.nodeid] += report.duration if report.passed else 1e9
+
+
+def cover(words):
+    """Run the tests once; keep the seconds of those that pass, and which lines they run."""
+    Path("coverage.ini").write_text(COVERAGE)
+    words = [*OURS, "--cov", "--cov-config=coverage.ini", "--cov-context=test", *words]
+    pytest.main([*words, "--cov-report="], plugins=[sys.modules[__name__]])
+    Path("tests.json").write_text(json.dumps({n: s for n, s in seconds.items() if s < 1e9}))
+
+
+def behaviour(text):
+    """The tree of some code without its annotations; "" where it does not compile."""
+    try:
+        compile(text, "", "exec")
+    except (SyntaxError, ValueError):
         return ""
-    failed = re.search(r"^(?:FAILED|ERROR):? (.+?)(?: - .*)?$", output, re.MULTILINE)
-    return failed[1] if failed else "on import" if "Error" in output else "timeout"
+    for node in ast.walk(tree := ast.parse(text)):
+        for name in {"annotation", "returns"} & {*node._fields}:
+            setattr(node, name, None)
+    return ast.dump(tree)
 
 
-def attempt(fault, k, tests, data):
-    """Try a fault on part k of its tests."""
-    names, remake = tests_of(fault, tests, data)
-    until = accumulate(tests[n]["seconds"] for n in names)
-    which = [sum(end > most for most in PARTS) for end in until]
-    part = [n for n, i in zip(names, which, strict=True) if i == k]
-    fault["tests"] = [sum(i <= k for i in which), len(names)]
-    if part:
-        operator = get_operator(fault["operator"])()
-        with use_mutation(Path(fault["file"]), operator, fault["occurrence"]):
-            fault["by"] = fails(part, sum(tests[n]["seconds"] for n in part), remake)
-        if fault["by"]:
-            fault["state"] = "timeout" if fault["by"] == "timeout" else "noticed"
-    print(fault["number"], fault["state"], fault["tests"], fault["by"], flush=True)
+def faults():
+    """Faults in random order: module, line, operator, and the code without and with it."""
+    every = [w.mutations[0] for w in _all_work_items(sorted(Path("mfd_bayes").rglob("*.py")), {})]
+    random.Random(SEED).shuffle(every)
+    for m in every:
+        text = m.module_path.read_text("utf-8")
+        new = mutate_code(text, get_operator(m.operator_name)(), m.occurrence)
+        if not BITS.search(m.operator_name) and behaviour(new) not in ("", behaviour(text)):
+            yield m.module_path, m.start_pos[0], m.operator_name.split("/")[1], text, new
 
 
-def try_all():
-    subprocess.run(["git", "checkout", "-q", "--", "mfd_bayes"], check=True)
-    data = coverage.CoverageData(str(HOME / "cover" / ".coverage"))
-    data.read()
-    tests = json.loads((HOME / "tests.json").read_text())
-    users = (n for n, t in tests.items() if t["passed"] and "tests::finished_run" in t["shared"])
-    assert not fails([next(users)], 600.0)  # which makes the finished run
-    faults = kept()
-    while left := [(k, f) for k in range(len(PARTS)) for f in faults if f["parts"] <= k]:
-        for k, fault in left:
-            if fault["state"] == "survived":
-                attempt(fault, k, tests, data)
-            fault["parts"] = k + 1
-            keep(faults)
-        names = sorted({f["by"] for f in faults} & {*tests})
-        while (bad := fails(names, sum(tests[n]["seconds"] for n in names))) in names:
-            names.remove(bad)
-            tests[bad]["passed"] = False
-            for fault in (f for f in faults if f["by"] == bad):
-                fault |= {"state": "survived", "parts": 0, "by": ""}
-        (HOME / "tests.json").write_text(json.dumps(tests, indent=0))
-        keep(faults)
+def tests_of(path, line, data):
+    """Tests that run a statement, or any function of its module where it runs on import."""
+    nodes = [n for n in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(n, ast.stmt)]
+    functions = [n for n in nodes if isinstance(n, ast.FunctionDef)]
+    around = [n for n in nodes if n.lineno <= line <= n.end_lineno]
+    inner = max(around, key=lambda n: (n.lineno, -n.end_lineno))
+    run = [inner] if any(f in around and f is not inner for f in functions) else functions
+    lines = {m for n in run for m in range(n.lineno + (n in functions), n.end_lineno + 1)}
+    contexts = data.contexts_by_lineno(str(path.resolve()))
+    matches = {CONTEXT.fullmatch(c) for n in lines for c in contexts.get(n, ())} - {None}
+    files = {m[1].split("::")[0] for m in matches if m[2] == "setup"}  # of a fixture's other tests
+    names = {m[1] for m in matches} | {n for n in seconds if n.split("::")[0] in files}
+    room = f"tests/{path.parts[1].removesuffix('.py')}"
+    return sorted(names & {*seconds}, key=lambda n: (not n.startswith(room), seconds[n]))
 
 
-def table():
-    faults = kept()
-    commit = subprocess.check_output(["git", "describe", "--always"], text=True)
-    print(f"python -m benchmarks.faults.run, seed {SEED}, code and tests of commit {commit}")
-    print(
-        f"{'':28}{'faults':>8}{'noticed':>9}{'timeout':>9}{'survived':>10}{'open':>9}{'share':>8}"
-    )
-    groups = defaultdict(Counter)
-    for f in faults:
-        kind = f["operator"].split("/")[1].split("_")[0]
-        for group in ("/".join(f["file"].split("/")[:2]), f" {kind}", "  all"):
-            left = f["state"] == "survived" and (not f["tests"] or f["tests"][0] < f["tests"][1])
-            groups[group]["open" if left else f["state"]] += 1
-    for group, states in sorted(groups.items()):
-        counts = [states[state] for state in ("noticed", "timeout", "survived", "open")]
-        share = sum(counts[:2]) / max(1, sum(counts[:3]))
-        cells = "{:9}{:9}{:10}{:9}".format(*counts)
-        print(f"{group.strip():28}{sum(counts):8}{cells}{share:8.0%}")
-    print(
-        "\nOpen: not tried yet on all tests that run the line. Share: of those that are not open."
-    )
-    print("Not noticed so far, with the number of tests that were tried:")
-    for f in (f for f in faults if f["parts"] and f["state"] == "survived"):
-        done = " of ".join(str(n) for n in f["tests"])
-        print(f"{f['number']:4} {f['file']}:{f['line']} {f['function']}, {done} tests")
-        print(f"       {f['before']}\n       {f['after']}")
+def notices(names):
+    """The first of some tests that fails, or "timeout"; "" where none does."""
+    chosen = [n for i, n in enumerate(names) if sum(seconds[m] for m in names[: i + 1]) < SECONDS]
+    Path("names").write_text("\n".join(chosen))
+    command = ["prlimit", "--as=6000000000", sys.executable, "-m", "pytest", "-x", "-q", *OURS]
+    try:
+        done = subprocess.run([*command, "@names"], capture_output=True, text=True, timeout=1800)
+    except subprocess.TimeoutExpired:
+        return "timeout"
+    failed = re.search(r"^(?:FAILED|ERROR):? (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
+    return "" if done.returncode == 0 else failed[1] if failed else "on import"
+
+
+def attempt(first, last):
+    """Try the faults of some numbers; print each, and the share noticed of each room."""
+    (data := coverage.CoverageData(".coverage")).read()
+    seconds.update(json.loads(Path("tests.json").read_text()))
+    rooms = {}
+    for path, line, operator, text, new in itertools.islice(faults(), first, last):
+        names = tests_of(path, line, data)
+        path.write_text(new, "utf-8")
+        try:
+            by = notices(names) if names else ""
+        finally:
+            path.write_text(text, "utf-8")
+        print(f"{path}:{line} {operator}: {by or 'NOT NOTICED'}", flush=True)
+        for room in (path.parts[1], "all"):
+            rooms.setdefault(room, []).append(bool(by))
+    for room, noticed in sorted(rooms.items()):
+        print(f"{room:20s} {sum(noticed)} of {len(noticed)}, {sum(noticed) / len(noticed):.0%}")
 
 
 if __name__ == "__main__":
-    os.chdir(HOME / "house")
-    sys.path[0] = str(HOME / "house")
-    steps = {
-        "draw": lambda: keep(draw()),
-        "cover": lambda: cover(HOME),
-        "try": try_all,
-        "table": table,
-    }
-    steps[sys.argv[1]]()
+    step, *words = sys.argv[1:]
+    cover(words) if step == "cover" else attempt(*map(int, words))

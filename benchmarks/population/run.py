@@ -49,11 +49,11 @@ import numpy as np
 
 from benchmarks.common.machine import platform_line, print_bars
 from benchmarks.common.series import fingerprint, run_series
-from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
 from benchmarks.population import study as study_of
 from benchmarks.population.study import FACTORS, RIGHT, WALKERS
 from mfd_bayes.calibration.diagnostics import EFFORTS, measure
 from mfd_bayes.errors import MfdError
+from tests.statistical.uniformity import LEVEL, Uniformity, failures, rank_cells
 
 MEAN, SPREAD = 0.1, 0.1
 """Largest deviations of a mean, in sds, and of the ratio of two sds from 1."""

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sbc.study import narrow_priors
 from mfd_bayes.calibration.diagnostics import EFFORTS, Effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import PriorFile
@@ -29,6 +28,7 @@ from mfd_bayes.population.laws import LAW_NAMES
 from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
+from tests.statistical.sbc_study import narrow_priors
 
 Array = NDArray[np.float64]
 

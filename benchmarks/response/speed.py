@@ -21,13 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.response import opensees
-from benchmarks.response.cases import three_stage_row
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, building_of
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground, read_ground
 from mfd_bayes.response.schema import Content
+from tests.response.oscillators import three_stage_row
 
 SOME = 10
 WEIGHTS = (100.0, 100.0, 100.0, 100.0, 100.0, 50.0)

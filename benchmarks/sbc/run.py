@@ -38,9 +38,9 @@ import numpy as np
 
 from benchmarks.common.machine import platform_line
 from benchmarks.common.series import fingerprint, run_series
-from benchmarks.common.uniformity import LEVEL, Uniformity, failures, rank_cells
-from benchmarks.sbc import study as sbc_study
-from benchmarks.sbc.study import TRUE, WRONG, Ranked, Study
+from tests.statistical import sbc_study
+from tests.statistical.sbc_study import TRUE, WRONG, Ranked, Study
+from tests.statistical.uniformity import LEVEL, Uniformity, failures, rank_cells
 
 LEGEND = """\
 p       of the simultaneous ECDF test of one quantity

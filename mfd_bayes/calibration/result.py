@@ -17,6 +17,7 @@ from mfd_bayes.calibration.diagnostics import (
     intervals_of,
     measure_draws,
 )
+from mfd_bayes.calibration.evidence import Evidence, log_evidence
 from mfd_bayes.calibration.noise_sensitivity import OtherFit, fit_other, other_noises
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
@@ -264,6 +265,18 @@ class TestResult:
     def _repr_html_(self) -> str:
         title = f"Test {self.id}, {self.posterior.model.name}"
         return grid(title, *interval_rows(self.intervals, self.posterior.model))
+
+    def log_evidence(self) -> Evidence:
+        """Log of likelihood times prior, integrated, by bridge sampling from the stored draws.
+
+        It compares models of the same record, and depends on their priors. It takes some seconds.
+        """
+        stored = self.stored
+        shape, stats = stored.draws["offset"].shape, stored.sample_stats.arrays
+        q = self.posterior.coordinates(stored.values()).reshape(*shape, -1)
+        log_prob = np.asarray(stats["log_prior"] + stats["log_likelihood"])
+        rng = np.random.default_rng(stored.facts["seed"])
+        return log_evidence(self.posterior.log_prob, q, log_prob, stored.facts["walkers"], rng)
 
     @property
     def stored(self) -> StoredTest:

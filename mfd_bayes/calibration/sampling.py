@@ -24,6 +24,7 @@ from mfd_bayes.calibration.diagnostics import (
     intervals_of,
     measure,
 )
+from mfd_bayes.calibration.evidence import Evidence, log_evidence
 from mfd_bayes.calibration.modes import Density, Mode, find_modes
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Mixture, Proposal, around_modes, learn
@@ -510,6 +511,19 @@ class Draws:
     def mode_shares(self) -> Array:
         """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
         return mode_shares(self.modes, self.q)
+
+    def log_evidence(self, posterior: Posterior, seed: int | Sequence[int] = 0) -> Evidence:
+        """Log of likelihood times prior, integrated, by bridge sampling from these draws.
+
+        It compares models of the same record, and depends on their priors.
+
+        Parameters
+        ----------
+        posterior : Posterior
+            That was sampled.
+        """
+        rng, walkers = generator_of(seed), self.chains.walkers
+        return log_evidence(posterior.log_prob, self.q, self.log_prob, walkers, rng)
 
     def _repr_html_(self) -> str:
         chains, draws, _ = self.q.shape

@@ -185,12 +185,14 @@ def print_comparison(comparison: Comparison, *, quiet: bool = False) -> None:
             *(r.subject, r.model, r.cycles, f"{r.elpd:.1f} ± {r.elpd_se:.1f}", f"{r.p_loo:.1f}"),
             *(f"{r.worst_k:.2f}", f"{r.bad:.0%} → {r.unsettled:.0%}"),  # by PSIS → computed again
             *(f"{r.difference:.1f} ± {r.difference_se:.1f}", f"{r.rrse:.3f}"),
+            f"{r.log_evidence:.2f} ± {r.log_evidence_se:.2f}"
+            f"{'' if r.evidence_trusted else ', do not trust'}",
         )
         for r in comparison.rows
     ]
     if not quiet:
         title = "Each cycle predicted from all others (leave-one-cycle-out)"
-        print_rows(title, ("test    ", *heads, "RRSE"), rows)
+        print_rows(title, ("test    ", *heads, "RRSE", "log evidence ± se"), rows)
     say(comparison.sentence)
 
 

@@ -193,8 +193,8 @@ def compare(
     """Calibrate a campaign under several models or noises; say which one its records favour.
 
     Writes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each
-    model predicts every cycle of a record from all others (PSIS-LOO). The
-    campaign's own model does not count. With --noises alone the campaign's model
+    model predicts every cycle of a record from all others (PSIS-LOO), and its log
+    evidence. The campaign's own model does not count. With --noises alone the campaign's model
     is calibrated with each noise, into OUT/NOISE; with both options each model
     with each noise, into OUT/MODEL_NOISE.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
+from mfd_bayes.calibration.evidence import Evidence, join_evidence
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import fit_mixture
@@ -139,6 +140,8 @@ class CrossValidation:
         Sum of squares of the force minus its predicted median, and about its mean.
     short : tuple of str
         Tests whose sampling missed its targets.
+    evidence : Evidence
+        Of the tests' whole records.
     """
 
     elpd: Array
@@ -149,6 +152,7 @@ class CrossValidation:
     squares: float = float("nan")
     spread: float = float("nan")
     short: tuple[str, ...] = ()
+    evidence: Evidence = Evidence(np.nan, np.nan, np.nan)
 
     @property
     def bad(self) -> NDArray[np.bool_]:
@@ -177,6 +181,7 @@ def join(parts: Iterable[CrossValidation]) -> CrossValidation:
         squares=sum(p.squares for p in several),
         spread=sum(p.spread for p in several),
         short=tuple(name for p in several for name in p.short),
+        evidence=join_evidence([p.evidence for p in several]),
     )
 
 
@@ -202,6 +207,7 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
         _favour(total, best, second, len(shared)),
         "The comparison is about another cycle of the same tests, not about another test.",
         _trust(total, best, second),
+        _evidence_sentence({model: score.evidence for model, score in total.items()}),
     ]
     lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
     if lost:
@@ -230,6 +236,7 @@ def score_test(test: TestResult, effort: Effort) -> CrossValidation:
         squares=float(missed @ missed),
         spread=float(observed.size * observed.var()),
         short=() if converged else (test.id,),
+        evidence=test.log_evidence(),
     )
 
 
@@ -254,6 +261,10 @@ def _rows(subject: str, scores: Mapping[str, CrossValidation]) -> list[Compariso
                 difference=less,
                 difference_se=error,
                 rrse=float(np.sqrt(score.squares / score.spread)),
+                log_evidence=score.evidence.value,
+                log_evidence_se=score.evidence.error,
+                evidence_k=score.evidence.pareto_k,
+                evidence_trusted=score.evidence.trusted,
             )
         )
     return rows
@@ -270,6 +281,21 @@ def _favour(total: Mapping[str, CrossValidation], best: str, second: str, tests:
         f"The records {verb} {second}: elpd higher by {more:.4g}, {errors:.1f} standard "
         f"errors over {where}{' (a rough estimate of the error, from so few)' if few else ''}."
     )
+
+
+def _evidence_sentence(evidence: Mapping[str, Evidence]) -> str:
+    """Sentence on the two models of largest log evidence, and on what it depends on."""
+    best, second = sorted(evidence, key=lambda model: -evidence[model].value)[:2]
+    more = evidence[best].value - evidence[second].value
+    error = float(np.hypot(evidence[best].error, evidence[second].error))
+    text = (
+        f"Log evidence of {best} is higher than that of {second} by {more:.4g} ± {error:.2g}. It "
+        "depends on the priors: a prior of one parameter that is twice as wide lowers it by up to "
+        "0.7 in each test."
+    )
+    if rough := [model for model in evidence if not evidence[model].trusted]:
+        text += f" Do not trust the log evidence of {', '.join(rough)}: k or error is too large."
+    return text
 
 
 def _trust(total: Mapping[str, CrossValidation], best: str, second: str) -> str:

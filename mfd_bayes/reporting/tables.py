@@ -73,7 +73,8 @@ _COLUMNS = {
     "comparison": (
         "subject:test model cycles elpd elpd_se p_loo worst_k:worst_pareto_k bad:share_bad_k "
         "unsettled:share_unsettled difference:elpd_difference difference_se:elpd_difference_se "
-        "rrse:rrse_in_sample"
+        "rrse:rrse_in_sample log_evidence log_evidence_se evidence_k:evidence_pareto_k "
+        "evidence_trusted"
     ),
     "truth": f"test name:quantity unit truth {_INTERVAL} inside informed",
     "prediction": "name:quantity unit mean sd lower median upper measured note",
@@ -175,7 +176,9 @@ def _records_csv(table: str, rows: Iterable[Row], about: Iterable[str] = ()) -> 
 
 
 def _safe(value: object) -> object:
-    """A text that no spreadsheet takes for a formula; numbers stay."""
+    """A text that no spreadsheet takes for a formula; "yes" or "no" of a truth; numbers stay."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
     if not isinstance(value, str):
         return value
     text = printable(str(value))

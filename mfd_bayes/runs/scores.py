@@ -78,6 +78,11 @@ class ComparisonRow:
         Elpd less that of the best model, and its standard error, paired over cycles.
     rrse : float
         Root relative squared error of the posterior median, of the record that it has seen.
+    log_evidence, log_evidence_se, evidence_k : float
+        Log of likelihood times prior, integrated (the sum over tests); its standard error, and the
+        Pareto k of its importance weights.
+    evidence_trusted : bool
+        Whether these two are small enough.
     """
 
     subject: str
@@ -92,6 +97,10 @@ class ComparisonRow:
     difference: Figure
     difference_se: Figure
     rrse: Figure
+    log_evidence: Figure
+    log_evidence_se: Figure
+    evidence_k: Figure
+    evidence_trusted: bool
 
 
 @dataclass(frozen=True)

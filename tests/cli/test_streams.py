@@ -13,6 +13,7 @@ import pytest
 import typer
 
 from mfd_bayes.cli.errors import mistakes
+from tests.run_folders import write_run
 
 WHOLE = (sys.executable, "-m", "mfd_bayes")
 FULL = Path("/dev/full")
@@ -61,9 +62,9 @@ def light(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory, benchmark_module):
+def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("streams") / "out"
-    benchmark_module("fuzz.runs").write_run(folder, small=True)
+    write_run(folder, small=True)
     return folder
 
 

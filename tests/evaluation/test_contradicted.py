@@ -10,14 +10,15 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.evaluation.outliers import contradicted_order
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
+from tests.run_folders import write_run
 
 TIME = np.arange(201) / 50
 
 
 @pytest.fixture(scope="module")
-def run(benchmark_module, tmp_path_factory):
+def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "out"
-    benchmark_module("fuzz.runs").write_run(folder)
+    write_run(folder)
     run = open_run(folder)
     settings = run.manifest.settings
     after = {"b": {"after": "a"}}

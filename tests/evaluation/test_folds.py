@@ -20,6 +20,7 @@ from mfd_bayes.runs.manifest import with_keys
 from mfd_bayes.runs.paths import pooled_of
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.test_sequence import StoredPooled
+from tests.run_folders import write_run
 
 
 def test_scores_of_another_fold_are_computed_anew(tmp_path):
@@ -33,8 +34,8 @@ def test_scores_of_another_fold_are_computed_anew(tmp_path):
     assert not other.stored(tmp_path)
 
 
-def test_folds_of_a_run_rest_on_its_laws_and_posteriors(benchmark_module, tmp_path):
-    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+def test_folds_of_a_run_rest_on_its_laws_and_posteriors(tmp_path):
+    write_run(tmp_path / "out")
     run = open_run(tmp_path / "out")
     first, second = folds.folds_of(run, "test", "quick")
     assert first.rests_on == second.rests_on != ""
@@ -68,10 +69,8 @@ def drawn_of(run):
     return Inference(population, x, (), {}, (), 1, (0.5, 0.5))
 
 
-def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
-    benchmark_module, tmp_path
-):
-    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(tmp_path):
+    write_run(tmp_path / "out")
     run = open_run(tmp_path / "out")
     inference = drawn_of(run)
     population, names = inference.population, run.population.design.coordinates.names
@@ -92,9 +91,9 @@ def test_what_is_pooled_without_a_part_is_what_a_run_of_the_others_would_store(
 
 
 @pytest.fixture
-def left_out(benchmark_module, tmp_path, monkeypatch):
+def left_out(tmp_path, monkeypatch):
     """Function that leaves out some of the tests a and b, b after a; the forecasts of each."""
-    benchmark_module("fuzz.runs").write_run(tmp_path / "out")
+    write_run(tmp_path / "out")
     run = open_run(tmp_path / "out")
     settings = run.manifest.settings.with_test("b", after="a")
     run = replace(run, manifest=run.manifest.changed(settings=settings))

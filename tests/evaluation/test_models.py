@@ -8,7 +8,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+import mfd_bayes as mb
 from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.evidence import Evidence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.prior_files import load_priors
 from mfd_bayes.cli.commands import app
@@ -51,7 +53,7 @@ def validation_of(name, model, *, psis_k=0.3, k=0.3, scale=1.0):
     return CrossValidation(elpd, elpd + 2.0, np.full(CYCLES, psis_k), np.full(CYCLES, k))
 
 
-def run_of(model, tests=("a", "b"), r_hat=1.0):
+def run_of(model, tests=("a", "b"), r_hat=1.0, k=0.4):
     """Stand-in for a run: enough of one to be compared."""
     time = np.arange(0, 6, 1 / 32)
     trace = Trace.from_arrays(time, np.sin(2 * np.pi * time), 0.03, np.cos(2 * np.pi * time))
@@ -67,6 +69,7 @@ def run_of(model, tests=("a", "b"), r_hat=1.0):
             posterior=posterior,
             stored=stored,
             trace=trace,
+            log_evidence=lambda: Evidence(BETTER[model], 0.02, k),
         )
         for name in tests
     }
@@ -113,7 +116,7 @@ def test_the_best_model_is_favoured_and_stands_first(compared):
         in found.sentence
     )
     assert "about another cycle of the same tests, not about another test" in found.sentence
-    assert found.sentence.endswith("The diagnostics of this comparison are good.")
+    assert found.sentence.count("The diagnostics of this comparison are good.") == 1
 
 
 def test_models_that_the_records_do_not_tell_apart_are_called_so(compared):
@@ -124,7 +127,7 @@ def test_models_that_the_records_do_not_tell_apart_are_called_so(compared):
 def test_cycles_that_psis_could_not_do_are_told(compared):
     found = compared(three_stage={"psis_k": 1.2})
     assert "k of PSIS exceeds 0.7 in 12 of 12 cycles of three_stage (worst 1.20)" in found.sentence
-    assert found.sentence.endswith("The diagnostics of this comparison are good.")
+    assert found.sentence.count("The diagnostics of this comparison are good.") == 1
     best = found.rows[-3]
     assert (best.worst_k, best.bad, best.unsettled) == (1.2, 1.0, 0.0)
 
@@ -136,13 +139,27 @@ def test_a_k_that_stays_too_large_is_not_hidden(compared):
     assert found.rows[-2].unsettled == 1.0
     # it does not concern the best two, so that the sentence does not mention it
     other = compared(lugre={"psis_k": 1.2, "k": 0.9})
-    assert other.sentence.endswith("The diagnostics of this comparison are good.")
+    assert other.sentence.count("The diagnostics of this comparison are good.") == 1
     assert other.rows[-1].unsettled == 1.0
 
 
 def test_sampling_that_fell_short_is_told(compared):
     runs = {model: run_of(model, r_hat=1.2 if model == "bouc_wen" else 1.0) for model in BETTER}
     assert "the sampling of bouc_wen fell short in a, b" in compared(runs).sentence
+
+
+def test_evidence_is_summed_over_tests_and_not_trusted_where_its_weights_are_bad(compared):
+    found = compared()
+    assert found.rows[-3].log_evidence == 2 * BETTER["three_stage"]
+    assert found.rows[-3].log_evidence_se == pytest.approx(0.02 * np.sqrt(2))
+    assert "Log evidence of three_stage is higher than that of bouc_wen by 12 ± 0.04" in (
+        found.sentence
+    )
+    assert "depends on the priors" in found.sentence
+    assert "Do not trust" not in found.sentence
+    bad = compared({model: run_of(model, k=1.2 if model == "lugre" else 0.4) for model in BETTER})
+    assert "Do not trust the log evidence of lugre" in bad.sentence
+    assert [row.evidence_trusted for row in bad.rows[-3:]] == [True, True, False]
 
 
 def test_tests_that_one_model_lacks_are_left_out_and_named(compared):
@@ -190,6 +207,11 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     assert list(found.index) == [(s, m) for s in ("slow", ALL) for m in ("bouc_wen", "lugre")]
     assert found.elpd_difference["slow", "lugre"] < -20
     assert found.rrse_in_sample["slow", "bouc_wen"] < 0.05
+    assert found.log_evidence["slow", "lugre"] < found.log_evidence["slow", "bouc_wen"] - 20
+    assert found.log_evidence_se.max() < 0.1
+    stored = mb.open_run(out / "lugre").tests["slow"].log_evidence()
+    assert stored.value == pytest.approx(found.log_evidence["slow", "lugre"])
+    assert "Log evidence of bouc_wen is higher than that of lugre" in outcome.stdout
     laws = json.loads((out / "bouc_wen" / "manifest.json").read_text())["settings"]["laws"]
     assert (laws["Fy_fwd"], laws["Fy_bwd"]) == ("power", "proportional")  # as F_c's
     assert (out / "lugre" / "report.html").is_file()

@@ -15,16 +15,7 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
 from mfd_bayes.records.loop_features import scales_of
 from mfd_bayes.records.record import read_record
-
-
-@pytest.fixture(scope="module")
-def devices(benchmark_module):
-    return benchmark_module("anylab.devices")
-
-
-@pytest.fixture(scope="module")
-def run(benchmark_module):
-    return benchmark_module("anylab.run")
+from tests.pipeline import devices
 
 
 def said(*words, code=0):
@@ -36,7 +27,7 @@ def said(*words, code=0):
 
 
 @pytest.mark.parametrize("number", range(4))
-def test_init_and_inspect_read_a_device_of_any_size(devices, run, tmp_path, number):
+def test_init_and_inspect_read_a_device_of_any_size(tmp_path, number):
     device = devices.DEVICES[number]
     devices.write_device(tmp_path, device)
     words = said("init", tmp_path)
@@ -45,7 +36,7 @@ def test_init_and_inspect_read_a_device_of_any_size(devices, run, tmp_path, numb
         assert "FIXME" not in words
     else:
         assert "guessed from the numbers" in words
-        run.complete(campaign, device)
+        devices.complete(campaign, device)
         said("init", campaign)
     loaded = load_campaign(campaign)
     assert len(loaded.tests) == 4
@@ -60,7 +51,7 @@ def test_init_and_inspect_read_a_device_of_any_size(devices, run, tmp_path, numb
     assert 0.1 < float(force.split()[0]) < 3000.0  # to be read, whatever the device's size
 
 
-def test_a_folder_of_a_logger_says_at_each_step_what_is_next(devices, run, tmp_path):
+def test_a_folder_of_a_logger_says_at_each_step_what_is_next(tmp_path):
     devices.write_device(tmp_path, devices.DEVICES[0])
     for path in sorted(tmp_path.glob("*.txt"))[1:]:
         path.rename(path.with_suffix(".kept"))
@@ -70,14 +61,14 @@ def test_a_folder_of_a_logger_says_at_each_step_what_is_next(devices, run, tmp_p
     assert f"then: mfd-bayes init {campaign}, which writes priors.toml" in words
     assert "#     mfd-bayes init campaign.toml, once the units are complete" in campaign.read_text()
     assert "give the unit of displacement" in said("inspect", campaign, code=2)
-    run.complete(campaign, devices.DEVICES[0])
+    devices.complete(campaign, devices.DEVICES[0])
     assert "mfd-bayes init CAMPAIGN.TOML writes it" in said("inspect", campaign, code=2)
     assert f"look next: mfd-bayes prior-check {campaign}" in said("init", campaign)
     campaign.write_text(campaign.read_text().replace('"3 bar"', '"7 bar"'))
     assert " 7 bar\n" in said("inspect", campaign, "-o", tmp_path)
 
 
-def test_priors_of_a_device_hold_its_truth_and_its_force(devices, tmp_path):
+def test_priors_of_a_device_hold_its_truth_and_its_force(tmp_path):
     device = devices.DEVICES[3]
     truth = devices.write_device(tmp_path, device)
     said("init", tmp_path)
@@ -92,7 +83,7 @@ def test_priors_of_a_device_hold_its_truth_and_its_force(devices, tmp_path):
     assert all(len(table["reason"]) > 5 for table in tomllib.loads(text)["parameters"].values())
 
 
-def test_priors_of_another_device_are_found_wrong_with_what_would_mend_them(devices, tmp_path):
+def test_priors_of_another_device_are_found_wrong_with_what_would_mend_them(tmp_path):
     devices.write_device(tmp_path, devices.DEVICES[3])
     said("init", tmp_path)
     campaign = tmp_path / "campaign.toml"
@@ -109,7 +100,7 @@ def test_priors_of_another_device_are_found_wrong_with_what_would_mend_them(devi
     assert "give it a median of about" in words
 
 
-def test_a_priors_file_that_is_there_is_kept(devices, tmp_path):
+def test_a_priors_file_that_is_there_is_kept(tmp_path):
     devices.write_device(tmp_path, devices.DEVICES[3])
     (tmp_path / "priors.toml").write_text("mine")
     assert "give --force to replace it" in said("init", tmp_path, code=2)
@@ -117,7 +108,7 @@ def test_a_priors_file_that_is_there_is_kept(devices, tmp_path):
     assert not (tmp_path / "campaign.toml").exists()
 
 
-def test_one_campaign_in_two_units_has_the_same_density(devices, tmp_path):
+def test_one_campaign_in_two_units_has_the_same_density(tmp_path):
     device = devices.DEVICES[1]
     devices.write_device(tmp_path, device)
     path = tmp_path / "3bar_0.5Hz.txt"
@@ -138,7 +129,7 @@ def test_one_campaign_in_two_units_has_the_same_density(devices, tmp_path):
     assert not np.allclose(one.log_prob(q), wrong.log_prob(q), rtol=1e-3)
 
 
-def test_a_loop_is_told_from_its_force_and_a_pressure(devices, tmp_path):
+def test_a_loop_is_told_from_its_force_and_a_pressure(tmp_path):
     devices.write_device(tmp_path, devices.DEVICES[1])
     for path in sorted(Path(tmp_path).glob("*.txt")):
         _, travel, load = np.loadtxt(path, skiprows=1).T
@@ -147,7 +138,7 @@ def test_a_loop_is_told_from_its_force_and_a_pressure(devices, tmp_path):
         assert found[:2] == ["x", "f"]
 
 
-def test_scales_are_those_of_the_device(devices, tmp_path):
+def test_scales_are_those_of_the_device(tmp_path):
     device = devices.DEVICES[1]
     truth = devices.write_device(tmp_path, device)
     record = read_record(

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
+from tests import run_folders
 
 HEAD = """\
 [campaign]
@@ -107,16 +108,15 @@ def lab(finished, tmp_path, no_figures):
 
 
 @pytest.fixture
-def differing(benchmark_module, tmp_path):
+def differing(tmp_path):
     """Function that names the files in which a run folder differs from a fresh run's."""
-    harness = benchmark_module("interruption.harness")
 
     def differing(lab):
         fresh = Lab(tmp_path / "fresh")
         shutil.copytree(lab.campaign.parent, fresh.campaign.parent)
         fresh.calibrate()
-        others = harness.files(lab.out) ^ harness.files(fresh.out)
-        return [*harness.differing(lab.out, fresh.out), *others]
+        others = run_folders.files(lab.out) ^ run_folders.files(fresh.out)
+        return [*run_folders.differing(lab.out, fresh.out), *others]
 
     return differing
 

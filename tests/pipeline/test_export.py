@@ -6,14 +6,15 @@ import pytest
 
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.export import Export, export
+from tests.run_folders import write_run
 
 QUOFEM = {"randomVariables.json", "dakotaTab.out", "start.txt", "sigma0.txt"}
 
 
 @pytest.fixture(scope="module")
-def out(benchmark_module, tmp_path_factory):
+def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "out"
-    benchmark_module("fuzz.runs").write_run(folder)
+    write_run(folder)
     return folder
 
 

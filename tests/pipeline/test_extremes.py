@@ -21,6 +21,7 @@ from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import save_trace
 from mfd_bayes.units import parse_actuation
+from tests.run_folders import write_run
 
 TEST = '[[test]]\nid = "{id}"\nfile = "a.csv"\nactuation = "{actuation}"\n'
 
@@ -138,9 +139,9 @@ def test_an_actuation_that_no_run_may_hold_is_refused(text):
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory, benchmark_module):
+def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stored") / "out"
-    benchmark_module("fuzz.runs").write_run(folder, small=True)
+    write_run(folder, small=True)
     return folder
 
 

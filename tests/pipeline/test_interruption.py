@@ -1,11 +1,6 @@
-"""Real processes, killed at random moments: files left behind, and resumed runs.
+"""Real processes, killed while they work: what they leave, and what a resumed run makes of it."""
 
-benchmarks/interruption does the same more often, with the whole report and on a cluster too.
-"""
-
-import fcntl
 import json
-import multiprocessing
 import os
 import re
 import shutil
@@ -13,16 +8,13 @@ import signal
 import subprocess
 import time
 from pathlib import Path
-from types import ModuleType
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline.calibrate import calibrate
-from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.runs.folder import discard
+from tests.run_folders import differing, files
 
 pytestmark = [
     pytest.mark.slow,
@@ -30,34 +22,100 @@ pytestmark = [
         not Path("/proc/self/stat").is_file(), reason="looks for processes in Linux's /proc"
     ),
 ]
+TIMED = ("manifest.json", "report.html")  # they say when, and how long
+EXITS = {"SIGINT": 130, "SIGTERM": 143, "SIGKILL": -9}
+LIMIT = 600.0  # s, far more than any command here takes
+
+
+def processes_of(session):
+    """Parent and command line of the living processes of a session, by their number."""
+    found = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent, _, leader = stat.read_text().rpartition(")")[2].split()[:4]
+            line = stat.with_name("cmdline").read_text()
+        except OSError:  # it has ended
+            continue
+        if int(leader) == session and state != "Z":
+            found[int(stat.parent.name)] = int(parent), line
+    return found
+
+
+class Calibration:
+    """The command as a process in a session of its own; at the end nothing of it is alive."""
+
+    def __init__(self, command, campaign, out, *options):
+        words = ("calibrate", campaign, "-o", out, "--effort", "quick", *options)
+        self.words = [*command, *map(str, words)]
+        self.printed, self.complaint = (out.parents[1] / name for name in ("printed", "complaint"))
+
+    def __enter__(self):
+        environment = os.environ | {"PYTHONUNBUFFERED": "1", "OPENBLAS_NUM_THREADS": "1"}
+        with self.printed.open("w") as stdout, self.complaint.open("w") as stderr:
+            self.process = subprocess.Popen(
+                self.words, stdout=stdout, stderr=stderr, env=environment, start_new_session=True
+            )
+        return self
+
+    def __exit__(self, *_):
+        for pid in processes_of(self.process.pid):
+            os.kill(pid, signal.SIGKILL)
+        self.process.wait()
+
+    def until(self, condition):
+        """Wait until a condition holds, or the command has ended; whether it still runs."""
+        while self.process.poll() is None and not condition():
+            time.sleep(0.002)
+        return self.process.poll() is None
+
+    def says(self, words):
+        """Whether the command has printed some words."""
+        return words in self.printed.read_text()
+
+    def workers(self):
+        """Processes that do its jobs: forked from a server of processes, or started anew."""
+        found = processes_of(self.process.pid)
+        servers = {pid for pid, (_, line) in found.items() if "multiprocessing.forkserver" in line}
+        return [p for p, (parent, line) in found.items() if parent in servers or "_main(" in line]
+
+    def end(self):
+        """Exit code and messages, once the command and all that it has started have ended."""
+        code = self.process.wait(timeout=LIMIT)
+        until = time.monotonic() + 15
+        while processes_of(self.process.pid) and time.monotonic() < until:
+            time.sleep(0.05)
+        assert not processes_of(self.process.pid)
+        complaint = self.complaint.read_text()
+        assert len(complaint.splitlines()) <= 1, complaint
+        return code, complaint
 
 
 @pytest.fixture(scope="module")
-def study(benchmark_module, without_figures) -> ModuleType:
-    """The benchmark's harness, running the command without figures."""
-    module = benchmark_module("interruption.harness")
-    module.heed_interrupts()
-    module.COMMAND = without_figures
-    return module
-
-
-@pytest.fixture(scope="module")
-def campaign(study, tmp_path_factory) -> Path:
-    """The benchmark's campaign, with a model and a noise that take less time."""
-    path = study.lay_out(tmp_path_factory.mktemp("campaign"))
-    path.write_text(path.read_text().replace('"three_stage"', '"lugre"').replace('"ou"', '"iid"'))
+def campaign(tmp_path_factory) -> Path:
+    """Two short tests and one that is held out."""
+    folder = tmp_path_factory.mktemp("campaign")
+    matrix = Matrix((500.0, 1000.0), frequencies=(0.5,), cycles=(1,), held_out=(800.0, 0.5))
+    write_campaign(folder, 1, matrix)
+    path = folder / "campaign.toml"
+    text = path.read_text().replace('"ou"', '"iid"\nrate = "25 Hz"')
+    path.write_text(text.replace('"three_stage"', '"lugre"'))
     return path
 
 
 @pytest.fixture(scope="module")
-def whole(study, campaign, tmp_path_factory):
-    """Run folder of the undisturbed run, and how it ended."""
+def start(campaign, without_figures):
+    """Function that starts the command for a run folder."""
+    return lambda out, *options: Calibration(without_figures, campaign, out, *options)
+
+
+@pytest.fixture(scope="module")
+def whole(start, tmp_path_factory) -> Path:
+    """Folder of the run that nothing disturbs."""
     out = tmp_path_factory.mktemp("whole") / "disk" / "out"
     out.parent.mkdir()
-    began = time.monotonic()
-    ended = study.end(study.calibrate(campaign, out, 2), out, began)
-    assert (ended.code, ended.complaint) == (0, "")
-    return out, ended
+    with start(out, "--jobs", 2) as run:
+        assert run.end() == (0, "")
+    return out
 
 
 @pytest.fixture
@@ -68,306 +126,169 @@ def out(tmp_path):
 
 @pytest.fixture
 def copied(whole, out):
-    return Path(shutil.copytree(whole[0], out))
+    return Path(shutil.copytree(whole, out))
 
 
-def command(campaign, out, *options):
-    """Outcome of the command in this process."""
-    words = ("calibrate", campaign, "-o", out, "--effort", "quick", *options)
-    return CliRunner().invoke(app, [str(word) for word in words])
+def assert_finished(start, out, whole, *options):
+    """Assert that a resumed run ends well, with the same files, to the bit."""
+    with start(out, "--resume", *options) as run:
+        assert run.end() == (0, "")
+    assert files(out) == files(whole)
+    assert differing(out, whole) == []
 
 
-def refused(outcome, *words):
+def assert_refused(campaign, out, *words):
+    line = ["calibrate", str(campaign), "-o", str(out), "--resume", "--effort", "quick"]
+    outcome = CliRunner().invoke(app, line)
     assert outcome.exit_code == 2, (outcome.output, outcome.exception)
     (sentence,) = outcome.stderr.splitlines()
-    for word in words:
-        assert word in sentence
+    assert all(word in sentence for word in words), sentence
 
 
-def assert_sound(study, out, ended, reference):
-    """Assert that no process remains, no file is half written, and the output is a sentence."""
-    assert ended.orphans == 0
-    assert len(ended.complaint.splitlines()) <= 1, ended.complaint
-    assert [f for f in study.differing(out, reference) if f not in study.TIMED] == []
+def manifest_of(out):
+    try:
+        return json.loads((out / "manifest.json").read_text())
+    except OSError:
+        return {}
 
 
-def assert_same(study, out, reference):
-    assert study.files(out) == study.files(reference)
-    assert study.differing(out, reference) == []
+# --- killed
 
 
-# --- signals
-
-
-def wait_until_signals_are_heard(process):
-    """Wait until the command handles SIGTERM: before that, imports of the driver are going on."""
-    status = Path(f"/proc/{process.pid}/status")
-    while process.poll() is None:
-        caught = int(re.search(r"SigCgt:\s*(\w+)", status.read_text())[1], 16)
-        if caught >> (signal.SIGTERM - 1) & 1:
-            return
-        time.sleep(0.01)
-
-
-def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(study, campaign, whole, out):
-    reference, undisturbed = whole
-    rng = np.random.default_rng(2)
+def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(start, whole, out):
     jobs, came = 2, 0
-    for kind in rng.permutation(["SIGINT", "SIGTERM", "SIGKILL"]):
-        began = time.monotonic()
-        process = study.calibrate(campaign, out, jobs, "--resume")
-        wait_until_signals_are_heard(process)
-        came += study.disturb(kind, process, 0.3 + 0.7 * rng.random() * undisturbed.seconds)
-        ended = study.end(process, out, began)
-        assert ended.code in (0, study.EXITS[kind])
-        if ended.code in (130, 143):
-            assert ended.complaint.startswith("mfd-bayes: interrupted")
-            assert "--resume" in ended.complaint
-        assert_sound(study, out, ended, reference)
+    out.mkdir()  # an earlier run was killed before it had a manifest
+    (out / ".manifest.json.ab12cd34.part").write_text("{")
+    for kind, words in (("SIGINT", ": sampling"), ("SIGTERM", "population: "), ("SIGKILL", "rep")):
+        with start(out, "--resume", "--jobs", jobs) as run:
+            if run.until(lambda run=run, words=words: run.says(words)):
+                run.process.send_signal(getattr(signal, kind))
+            code, complaint = run.end()
+        assert code in (0, EXITS[kind])
+        came += code != 0
+        if code in (130, 143):
+            assert complaint.startswith("mfd-bayes: interrupted")
+            assert "--resume" in complaint
+        assert [name for name in differing(out, whole) if name not in TIMED] == []
         jobs = 3 - jobs
     assert came
-    ended = study.end(study.calibrate(campaign, out, jobs, "--resume"), out, time.monotonic())
-    assert (ended.code, ended.complaint) == (0, "")
-    assert_same(study, out, reference)
+    assert_finished(start, out, whole)
 
 
-def test_a_test_whose_process_is_killed_begins_again(study, campaign, whole, out):
-    process = study.calibrate(campaign, out, 2)
-    assert study.disturb("worker", process, 0.3)  # a fit may take less than a second
-    ended = study.end(process, out, time.monotonic())
-    assert (ended.code, ended.complaint) == (0, "")
-    (line,) = [line for line in ended.printed.splitlines() if "killed" in line]
+def test_a_test_whose_process_is_killed_begins_again(start, whole, out):
+    with start(out, "--jobs", 2) as run:
+        workers = []
+        assert run.until(lambda: workers.extend(run.workers()) or workers)
+        os.kill(workers[0], signal.SIGKILL)  # at once: no test is done so soon
+        assert run.end() == (0, "")
+    (line,) = [line for line in run.printed.read_text().splitlines() if "killed" in line]
     assert line.startswith("processes: note: one was killed; begins again: ")
-    assert_sound(study, out, ended, whole[0])
-    assert_same(study, out, whole[0])
+    assert files(out) == files(whole)
+    assert differing(out, whole) == []
 
 
-# --- a full disk
+# --- a disk that takes nothing
 
 
 @pytest.fixture
-def disk(study, out):
-    """Put a small disk under the run folder; a call makes it larger."""
+def disk(out):
+    """Put a small disk under the run folder; a call mounts it again with other options."""
     if os.geteuid() != 0 or shutil.which("mount") is None:
         pytest.skip("only root can mount a small tmpfs")
+
+    def mount(*words):
+        subprocess.run(["mount", *words, str(out.parent)], check=True, capture_output=True)
+
     try:
-        study.mount(out.parent, 16 * 1024)
+        mount("-t", "tmpfs", "-o", "size=16k", "tmpfs")
     except subprocess.CalledProcessError:
         pytest.skip("this system does not let root mount a tmpfs")
-    yield lambda size: study.mount(out.parent, size, again=True)
-    study.unmount(out.parent)
+    yield mount
+    while out.parent.is_mount():
+        subprocess.run(["umount", "-l", str(out.parent)], check=True)
 
 
-def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(
-    study, campaign, whole, out, disk
-):
-    reference, _ = whole
-    posterior = next(reference.rglob("posterior.nc")).stat().st_size
-    for size, jobs in ((16 * 1024, 1), (int(1.5 * posterior), 2)):
-        disk(size)
-        process = study.calibrate(campaign, out, jobs, "--resume")
-        ended = study.end(process, out, time.monotonic())
-        assert ended.code == 2
-        assert ended.complaint.startswith(f"mfd-bayes: cannot write {out}")
-        assert ended.complaint.endswith("No space left on device\n")
+def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(start, whole, out, disk):
+    posterior = next(whole.rglob("posterior.nc")).stat().st_size
+    for size, jobs in ((16, 1), (int(1.5 * posterior) // 1024, 2)):
+        disk("-o", f"remount,size={size}k")
+        with start(out, "--resume", "--jobs", jobs) as run:
+            code, complaint = run.end()
+        assert code == 2
+        assert complaint.startswith(f"mfd-bayes: cannot write {out}")
+        assert complaint.endswith("No space left on device\n")
         assert not list(out.rglob(".*"))
-        assert_sound(study, out, ended, reference)
-    disk(2**26)
-    ended = study.end(study.calibrate(campaign, out, 2, "--resume"), out, time.monotonic())
-    assert (ended.code, ended.complaint) == (0, "")
-    assert_same(study, out, reference)
+        assert [name for name in differing(out, whole) if name not in TIMED] == []
+    disk("-o", "remount,size=64m")
+    assert_finished(start, out, whole)
 
 
-@pytest.mark.parametrize("over", [False, True])
-def test_a_disk_that_becomes_read_only_is_said_in_a_sentence_and_resumed_when_it_is_not(
-    study, campaign, whole, out, disk, over
-):
-    reference, _ = whole
-    disk(2**26)
-    process = study.calibrate(campaign, out, 2)
-    while process.poll() is None and not any(out.glob("tests/*/posterior.nc")):
-        time.sleep(0.02)
-    study.forbid_writing(out.parent, over=over)
-    ended = study.end(process, out, time.monotonic())
-    assert ended.code == 2
-    assert ended.complaint.startswith("mfd-bayes: cannot ")
-    assert ended.complaint.endswith("Read-only file system\n")
-    assert_sound(study, out, ended, reference)
-    study.allow_writing(out.parent)
-    ended = study.end(study.calibrate(campaign, out, 1, "--resume"), out, time.monotonic())
-    assert (ended.code, ended.complaint) == (0, "")
-    assert_same(study, out, reference)
-
-
-def test_a_full_disk_under_the_log_is_said_in_a_sentence(study, campaign, copied):
-    words = ("calibrate", str(campaign), "-o", str(copied), "--effort", "quick", "--resume")
-    with Path("/dev/full").open("w") as full:
-        outcome = subprocess.run(
-            [*study.COMMAND, *words], stdout=full, stderr=subprocess.PIPE, text=True, check=False
-        )
-    assert outcome.returncode == 2
-    assert outcome.stderr == "mfd-bayes: cannot write the output: No space left on device\n"
+def test_a_disk_that_becomes_read_only_is_said_in_a_sentence(start, whole, out, disk):
+    disk("-o", "remount,size=64m")
+    with start(out, "--jobs", 2) as run:
+        assert run.until(lambda: any(out.glob("tests/*/posterior.nc")))
+        disk("--bind", str(out.parent))
+        disk("-o", "remount,bind,ro")
+        code, complaint = run.end()
+    assert code == 2
+    assert re.fullmatch(r"mfd-bayes: cannot .*Read-only file system\n", complaint)
+    assert [name for name in differing(out, whole) if name not in TIMED] == []
+    subprocess.run(["umount", str(out.parent)], check=True)
+    assert_finished(start, out, whole, "--jobs", 1)
 
 
 # --- what is left behind
 
 
-def plan_of(path, **options):
-    return plan_campaign(path, Options(effort="quick", **options))
-
-
-def test_a_folder_without_its_first_manifest_is_begun(campaign, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / ".manifest.json.ab12cd34.part").write_text("{")
-    seen = []
-
-    def stop(step):
-        seen.append(step)
-        raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        calibrate(plan_of(campaign, resume=True), tmp_path / "out", stop)
-    assert seen
-    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "running"
-    assert not list((tmp_path / "out").rglob(".*"))
-    assert not multiprocessing.active_children()
-
-
 @pytest.mark.parametrize("content", ["", '{"status": "run', "[]", "{}"])
-def test_a_damaged_manifest_is_refused_and_replaced_by_force(campaign, copied, content):
+def test_a_damaged_manifest_is_refused(campaign, copied, content):
     (copied / "manifest.json").write_text(content)
-    refused(command(campaign, copied, "--resume"), str(copied), "cannot be resumed", "--force")
-    discard(copied)
-    assert not any(copied.iterdir())
-
-
-def test_what_was_being_discarded_is_not_resumed(campaign, copied, monkeypatch):
-    def stop(path):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(shutil, "rmtree", stop)
-    with pytest.raises(KeyboardInterrupt):
-        discard(copied)
-    monkeypatch.undo()
-    assert list(copied.rglob("posterior.nc"))  # of another seed, it may be
-
-    def look(step):
-        assert not list(copied.rglob("posterior.nc"))
-        raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        calibrate(plan_of(campaign, seed=7, resume=True), copied, look)
-    assert json.loads((copied / "manifest.json").read_text())["seed"] == 7
-
-
-def test_what_cannot_be_removed_is_not_taken_for_new(campaign, copied, monkeypatch):
-    def fail(path):
-        raise PermissionError(13, "Permission denied", str(path))
-
-    monkeypatch.setattr(shutil, "rmtree", fail)
-    refused(command(campaign, copied, "--force"), "cannot remove", "Permission denied")
-
-
-def test_a_folder_that_another_process_works_on_is_refused(campaign, copied):
-    folder = os.open(copied, os.O_RDONLY)
-    fcntl.flock(folder, fcntl.LOCK_EX)
-    try:
-        for option in ("--resume", "--force"):
-            refused(command(campaign, copied, option), "another process", str(copied))
-    finally:
-        os.close(folder)
+    assert_refused(campaign, copied, str(copied), "cannot be resumed", "--force")
     assert list(copied.rglob("posterior.nc"))
 
 
-# --- what has changed
+def test_what_was_being_discarded_is_not_resumed(start, campaign, copied, monkeypatch):
+    remove = shutil.rmtree
 
+    def stop(path, *words, **options):
+        if copied in Path(path).parents:
+            raise KeyboardInterrupt
+        remove(path, *words, **options)
 
-@pytest.fixture(scope="module")
-def ended_at_its_start(campaign, tmp_path_factory):
-    """Folder of a campaign with its own priors, and of a run stopped at its start."""
-    home = tmp_path_factory.mktemp("ended")
-    folder = Path(shutil.copytree(campaign.parent, home / "campaign"))
-    shutil.copy(Path(__file__).parents[2] / "priors" / "mfd.toml", folder)
-    path = folder / "campaign.toml"
-    path.write_text(path.read_text().replace('priors = "mfd"', 'priors = "mfd.toml"'))
-
-    def stop(step):
-        raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        calibrate(plan_of(path), home / "out", stop)
-    return home
-
-
-@pytest.fixture
-def unfinished(ended_at_its_start, tmp_path):
-    home = Path(shutil.copytree(ended_at_its_start, tmp_path / "home"))
-    return home / "campaign", home / "out"
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--seed", 2), ("seed changed",)),
-        (("--effort", "standard"), ("effort", "changed")),
-    ],
-)
-def test_what_has_changed_is_named_and_not_resumed(unfinished, options, words):
-    folder, out = unfinished
-    before = (out / "manifest.json").read_bytes()
-    refused(command(folder / "campaign.toml", out, "--resume", *options), *words, "--force")
-    assert (out / "manifest.json").read_bytes() == before
-
-
-@pytest.mark.parametrize("name", ["mfd_bayes", "python", "numpy", "scipy", "emcee"])
-def test_another_version_does_not_resume(unfinished, name):
-    folder, out = unfinished
-    manifest = json.loads((out / "manifest.json").read_text())
-    manifest["versions"][name] = "0.0.1"
-    (out / "manifest.json").write_text(json.dumps(manifest))
-    outcome = command(folder / "campaign.toml", out, "--resume")
-    refused(outcome, f"versions ({name}) changed", "--force")
-
-
-def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(campaign, tmp_path):
-    folder = Path(shutil.copytree(campaign.parent, tmp_path / "campaign"))
-    (folder / "campaign.toml").rename(folder / "mfd.toml")
-    inputs = plan_campaign(folder / "mfd.toml", Options(effort="quick")).manifest.inputs
-    assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
+    monkeypatch.setattr(shutil, "rmtree", stop)
+    words = ["calibrate", str(campaign), "-o", str(copied), "--force"]
+    assert CliRunner().invoke(app, words).exit_code != 0
+    monkeypatch.undo()
+    assert list(copied.rglob("posterior.nc"))
+    with start(copied, "--resume", "--seed", 7) as run:
+        run.until(lambda: run.says(": sampling"))
+        run.process.terminate()
+        assert run.end()[0] == 143
+    assert manifest_of(copied)["seed"] == 7
+    assert not list(copied.rglob("posterior.nc"))
 
 
 # --- hashes of what is stored
 
 
-def stored_hashes(out):
-    return json.loads((out / "manifest.json").read_text())["files"]
-
-
 def test_every_stored_file_has_its_hash(whole):
-    out, _ = whole
-    names = {path.relative_to(out).as_posix() for path in out.rglob("*.nc")}
-    assert set(stored_hashes(out)) == {*names, "priors.toml"}
+    names = {path.relative_to(whole).as_posix() for path in whole.rglob("*.nc")}
+    assert set(manifest_of(whole)["files"]) == {*names, "priors.toml"}
 
 
-@pytest.mark.parametrize("name", ["tests/a/posterior.nc", "population.nc"])
+@pytest.mark.parametrize("name", ["posterior.nc", "population.nc"])
 def test_a_file_that_was_changed_is_not_gone_on_with(campaign, copied, name):
-    path = copied / name if (copied / name).is_file() else next(copied.rglob("posterior.nc"))
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
-    refused(command(campaign, copied, "--resume"), path.name, "SHA-256")
+    path = next(copied.rglob(name))
+    path.write_bytes(path.read_bytes()[:-1] + bytes([path.read_bytes()[-1] ^ 1]))
+    assert_refused(campaign, copied, name, "SHA-256")
 
 
-def test_a_kill_between_a_file_and_its_hash_is_resumed(campaign, copied):
-    before = stored_hashes(copied)
-    manifest = json.loads((copied / "manifest.json").read_text())
-    manifest |= {"status": "running", "files": {}}
+def test_a_kill_between_a_file_and_its_hash_is_resumed(start, whole, copied):
+    manifest = manifest_of(copied) | {"status": "running", "files": {}}
     for entry in manifest["tests"].values():
         entry["status"] = "waiting"
     (copied / "manifest.json").write_text(json.dumps(manifest))
-    outcome = command(campaign, copied, "--resume")
-    assert outcome.exit_code == 0, outcome.output
-    after = stored_hashes(copied)
-    assert set(after) == set(before)
+    assert_finished(start, copied, whole)
+    before, after = (manifest_of(out)["files"] for out in (whole, copied))
     kept = [name for name in before if name.endswith("posterior.nc")]
     assert {name: after[name] for name in kept} == {name: before[name] for name in kept}

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
 from mfd_bayes.store.files import write_text
+from tests.run_folders import write_run
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -43,10 +44,10 @@ def refused(outcome, words):
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory, benchmark_module):
+def stored(tmp_path_factory):
     """A finished run folder that no sampler has seen."""
     folder = tmp_path_factory.mktemp("stored") / "out"
-    benchmark_module("fuzz.runs").write_run(folder, small=True)
+    write_run(folder, small=True)
     return folder
 
 

@@ -16,6 +16,7 @@ import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline import predict as prediction
 from mfd_bayes.pipeline import report
+from tests.run_folders import write_run
 
 TIME = np.arange(401) / 100.0
 
@@ -341,11 +342,11 @@ def test_a_wide_interval_of_an_exponent_says_nothing(out, tmp_path, interval, wo
     assert said == [words[2:]]
 
 
-def test_a_report_is_asked_for_in_other_units_and_forms(benchmark_module, tmp_path, monkeypatch):
+def test_a_report_is_asked_for_in_other_units_and_forms(tmp_path, monkeypatch):
     from mfd_bayes.reporting import publish
     from mfd_bayes.reporting.publish import Forms
 
-    benchmark_module("fuzz.runs").write_run(tmp_path / "out", small=True)
+    write_run(tmp_path / "out", small=True)
     assessed = report.assess(mb.open_run(tmp_path / "out"))
     monkeypatch.setattr(report, "assess", lambda *_: assessed)  # the same for both
     seen = []

@@ -13,6 +13,7 @@ from mfd_bayes.response.device_draws import no_dampers
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.unit_system import US
+from tests.run_folders import write_run
 
 EARLIER = ("history_2.png", "loops_2.png", "sweep.png", "sweep.csv")
 THEIRS = ("sweep_mine.csv", "notes.txt", "history.png")
@@ -32,10 +33,8 @@ def test_what_an_earlier_response_left_goes_and_what_is_anothers_stays(tmp_path,
     assert {path.name for path in tmp_path.iterdir()} == set(THEIRS)
 
 
-def test_the_page_names_the_run_also_where_it_is_the_current_folder(
-    benchmark_module, tmp_path, monkeypatch
-):
-    benchmark_module("fuzz.runs").write_run(tmp_path / "brake 7")
+def test_the_page_names_the_run_also_where_it_is_the_current_folder(tmp_path, monkeypatch):
+    write_run(tmp_path / "brake 7")
     (tmp_path / "building.toml").write_text(
         '[building]\n[[storey]]\nweight = "20 kip"\nstiffness = "8 kip/in"\n'
     )

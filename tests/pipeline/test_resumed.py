@@ -8,6 +8,7 @@ from mfd_bayes.pipeline import calibrate as calibration
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.runs.manifest import read_manifest, with_keys
 from mfd_bayes.runs.run import open_run
+from tests.run_folders import PRIORS, plan_of, write_run
 
 RESULTS = ("law_scores", "population_sampler", "crossvalidation", "comparison", "verdicts")
 OPTIONAL = (
@@ -26,13 +27,13 @@ def stop(*_):
 
 
 @pytest.fixture
-def plan(benchmark_module, tmp_path):
+def plan(tmp_path):
     """Plan of a run that is resumed."""
-    plan = benchmark_module("fuzz.runs").plan_of(small=False)
+    plan = plan_of(small=False)
     home = tmp_path / "campaign"
     home.mkdir()
     (home / "campaign.toml").write_text("# read already\n")
-    (home / "own.toml").write_bytes(benchmark_module("fuzz.seeds").priors())
+    (home / "own.toml").write_text(PRIORS, encoding="utf-8")
     return replace(
         plan,
         campaign=replace(plan.campaign, path=home / "campaign.toml"),
@@ -42,10 +43,10 @@ def plan(benchmark_module, tmp_path):
 
 
 @pytest.fixture
-def out(benchmark_module, tmp_path):
+def out(tmp_path):
     """Run folder of the plan, finished, with a report in every form."""
     folder = tmp_path / "out"
-    benchmark_module("fuzz.runs").write_run(folder)
+    write_run(folder)
     for name in (*OPTIONAL, *DRAWS):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("of these laws")

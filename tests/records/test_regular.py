@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from tests.run_folders import write_run
+
 KINDS = ("pipe", "socket", "device")
 READERS = {
     "campaign": (("calibrate", "{odd}", "-o", "out", "--dry-run"), "odd.toml"),
@@ -41,9 +43,9 @@ for key, folder, *words in json.loads(sys.argv[1]):
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory, benchmark_module):
+def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("regular") / "run"
-    benchmark_module("fuzz.runs").write_run(folder, small=True)
+    write_run(folder, small=True)
     return folder
 
 

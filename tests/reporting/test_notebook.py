@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import warnings
-from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -16,6 +15,7 @@ import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, ReportError
 from mfd_bayes.runs.run import open_run as open_plain
+from tests.run_folders import write_run
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)
@@ -23,10 +23,9 @@ with warnings.catch_warnings():
 
 
 @pytest.fixture(scope="module")
-def folder(benchmark_module, tmp_path_factory):
-    runs: ModuleType = benchmark_module("fuzz.runs")
+def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("run") / "out"
-    runs.write_run(out)
+    write_run(out)
     return out
 
 

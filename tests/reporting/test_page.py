@@ -234,7 +234,10 @@ def test_laws_and_models_are_compared_in_words(campaign, text):
     assert "F<sub>c,fwd</sub>: the power law predicts best, but only just." in text
     assert "Every level held out in turn" in text
     exponent = Check("laws", FREE_EXPONENT, "Fc_fwd", 1.1, 1.0, Verdict.NOTE, note="0.9 to 1.4")
-    row = ComparisonRow("all", "three_stage", 40, -10.0, 2.0, 9.0, 0.6, 0.1, 0.0, 0.0, 0.0, 0.05)
+    row = ComparisonRow(
+        *("all", "three_stage", 40, -10.0, 2.0, 9.0, 0.6, 0.1, 0.0, 0.0, 0.0, 0.05),
+        *(-12.0, 0.02, 0.4, True),
+    )
     view = replace(campaign, checks=(exponent,), comparison=(row,))
     shown = first(replace(view, comparison_sentence="Three stages win."))
     assert "? cannot tell</span> F<sub>c,fwd</sub>: exponent 1.100 (0.9 to 1.4)" in shown

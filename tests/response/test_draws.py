@@ -8,6 +8,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import SETTLE, Choice, Leftover, draw_dampers
 from tests.friction.backlash_cases import loads
+from tests.response.populations import make_predictor
 
 BUILDING = """
 [building]
@@ -36,12 +37,12 @@ CHOICE = Choice(kind="device", draws=2000, session="another")
 
 
 @pytest.fixture(scope="module")
-def study(benchmark_module):
+def predictor():
     """Levels of actuation deviate from the laws."""
-    return benchmark_module("given.study").make_study(level_sd=SD)
+    return make_predictor(level_sd=SD)
 
 
-def dampers(study, folder, last, text=HISTORY, other=""):
+def dampers(predictor, folder, last, text=HISTORY, other=""):
     """Those of two storeys, whose actuation goes from 1 ksi to another."""
     for name, first in (("valve", 1.0), ("slower", 1.8)):
         (folder / f"{name}.csv").write_text(
@@ -51,24 +52,23 @@ def dampers(study, folder, last, text=HISTORY, other=""):
     path = folder / "building.toml"
     both = text.format(storey=1) + (other or text).format(storey=2)
     path.write_text(BUILDING + both, encoding="utf-8")
-    predictor = study.predictor
     return draw_dampers(predictor.population, predictor.model, read_building(path), CHOICE)
 
 
-def test_a_history_that_never_changes_is_the_constant(study, tmp_path):
-    history, constant = (dampers(study, tmp_path, 1, text) for text in (HISTORY, CONSTANT))
+def test_a_history_that_never_changes_is_the_constant(predictor, tmp_path):
+    history, constant = (dampers(predictor, tmp_path, 1, text) for text in (HISTORY, CONSTANT))
     np.testing.assert_allclose(history.theta, constant.theta)
     np.testing.assert_allclose(history.scales["Fc_fwd"], 1.0)
-    changing = dampers(study, tmp_path, 2)
+    changing = dampers(predictor, tmp_path, 2)
     assert changing.scales["Fc_fwd"].shape == (CHOICE.draws, 2, changing.times.size)
 
 
 @pytest.mark.parametrize(
     "other", [HISTORY.replace("valve", "slower"), CONSTANT.replace("1000", "2000")]
 )
-def test_dampers_at_one_actuation_are_alike_whatever_was_before(study, tmp_path, other):
-    found = dampers(study, tmp_path, 2, other=other)
-    column = [quantity.name for quantity in study.predictor.model.quantities].index("Fc_fwd")
+def test_dampers_at_one_actuation_are_alike_whatever_was_before(predictor, tmp_path, other):
+    found = dampers(predictor, tmp_path, 2, other=other)
+    column = [quantity.name for quantity in predictor.model.quantities].index("Fc_fwd")
     slip = np.log(found.theta[:, :, column] * found.scales["Fc_fwd"][:, :, -1])
     assert np.corrcoef(slip.T)[0, 1] > 0.99
     np.testing.assert_allclose(slip[:, 0], slip[:, 1], atol=0.03)
@@ -76,19 +76,19 @@ def test_dampers_at_one_actuation_are_alike_whatever_was_before(study, tmp_path,
     assert np.std(before[:, 0] - before[:, 1]) > 0.15  # the control: at 1 ksi, and at another
 
 
-def test_dampers_of_a_building_deviate_from_the_laws_alike(study, tmp_path, monkeypatch):
-    column = [quantity.name for quantity in study.predictor.model.quantities].index("Fc_fwd")
+def test_dampers_of_a_building_deviate_from_the_laws_alike(predictor, tmp_path, monkeypatch):
+    column = [quantity.name for quantity in predictor.model.quantities].index("Fc_fwd")
 
     def forward(found):
         """Logarithms of the first damper's forward slip force at 1 and at 2 ksi."""
         return np.log(found.theta[:, 0, column, None] * found.scales["Fc_fwd"][:, 0][:, [0, -1]])
 
-    found = dampers(study, tmp_path, 2)
+    found = dampers(predictor, tmp_path, 2)
     np.testing.assert_array_equal(found.scales["Fc_fwd"][:, 0], found.scales["Fc_fwd"][:, 1])
     slip = forward(found)
     # what the laws say of each draw is known; the sd of the rest falls with the actuation, and
     # levels one octave apart are related
-    population = study.predictor.population
+    population = predictor.population
     rng = np.random.default_rng([CHOICE.seed, 0])
     index = population.draw_index(CHOICE.draws, 1.0, rng)
     law = population.median("Fc_fwd", np.array([1.0, 2.0])).reshape(-1, 2)[index]
@@ -100,12 +100,12 @@ def test_dampers_of_a_building_deviate_from_the_laws_alike(study, tmp_path, monk
     # the control: the laws hold along the history
     grid = type(population).grid
     monkeypatch.setattr(type(population), "grid", lambda self, level, _: grid(self, level, None))
-    away = forward(dampers(study, tmp_path, 2)) - np.log(law)
+    away = forward(dampers(predictor, tmp_path, 2)) - np.log(law)
     assert np.corrcoef(away.T)[0, 1] > 0.95
 
 
-def test_dampers_begin_without_load_where_the_tests_did(benchmark_module, tmp_path):
-    backlash = benchmark_module("given.study").make_study("backlash")
+def test_dampers_begin_without_load_where_the_tests_did(tmp_path):
+    backlash = make_predictor("backlash")
 
     def loaded():
         """Which dampers bear more than a quarter of the slip force before the motion, (n, 2)."""
@@ -120,10 +120,10 @@ def test_dampers_begin_without_load_where_the_tests_did(benchmark_module, tmp_pa
     assert np.corrcoef(found.T)[0, 1] > 0.1
 
 
-def test_random_numbers_are_the_same_at_tested_levels_and_between(study, tmp_path):
+def test_random_numbers_are_the_same_at_tested_levels_and_between(predictor, tmp_path):
     path = tmp_path / "building.toml"
     path.write_text(BUILDING + CONSTANT.format(storey=1), encoding="utf-8")
-    building, predictor = read_building(path), study.predictor
+    building = read_building(path)
     column = [quantity.name for quantity in predictor.model.quantities].index("d2")
 
     def gaps(level, seed=1):
@@ -140,7 +140,7 @@ def test_random_numbers_are_the_same_at_tested_levels_and_between(study, tmp_pat
     assert abs(np.corrcoef(gaps(1.0), gaps(1.2, seed=2))[0, 1]) < 0.5  # the control
 
 
-def test_dampers_at_one_place_have_a_history_each(study, tmp_path):
+def test_dampers_at_one_place_have_a_history_each(predictor, tmp_path):
     for name, level in (("valve", 2.0), ("slower", 0.5)):
         (tmp_path / f"{name}.csv").write_text(f"time_s,pressure_ksi\n0,1\n2,{level}\n")
     three = HISTORY + CONSTANT + HISTORY.replace("valve", "slower")
@@ -149,7 +149,6 @@ def test_dampers_at_one_place_have_a_history_each(study, tmp_path):
     building = read_building(path)
     _, levels = building.actuations
     assert [float(level[-1]) for level in levels] == [2.0, 1.0, 0.5]
-    predictor = study.predictor
     found = draw_dampers(predictor.population, predictor.model, building, CHOICE)
     last = np.median(found.scales["Fc_fwd"][:, :, -1] * found.slip, axis=0)
     assert last[0] > last[1] > last[2]

@@ -16,6 +16,7 @@ from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.schema import Content
 from mfd_bayes.response.step_refinement import Accuracy, settle
 from mfd_bayes.response.time_integration import integrate
+from tests.response.oscillators import compared
 
 RATIO = 0.05
 FINE = 0.01
@@ -126,9 +127,8 @@ def test_plain_friction_slips_at_its_force():
 
 
 @pytest.mark.parametrize("name", ["lugre", "bouc_wen", "backlash", "three_stage"])
-def test_one_storey_agrees_with_solve_ivp(benchmark_module, name):
-    cases = benchmark_module("response.cases")
-    errors, ours = cases.compared(name, 1, 90, Accuracy(tolerance=0.002))
+def test_one_storey_agrees_with_solve_ivp(name):
+    errors, ours = compared(name, 1, 90, Accuracy(tolerance=0.002))
     assert errors.max() < 0.005
     assert ours.travel[0, 0, 0] > 0.02
 

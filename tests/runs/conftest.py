@@ -1,24 +1,19 @@
-"""Run folders that no sampler has seen, made by the fuzz benchmark."""
+"""Run folders that no sampler has seen."""
 
 import json
 import shutil
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-
-@pytest.fixture(scope="session")
-def runs(benchmark_module) -> ModuleType:
-    """The benchmark's maker of run folders."""
-    return benchmark_module("fuzz.runs")
+from tests.run_folders import plan_of, write_run
 
 
 @pytest.fixture(scope="session")
-def made(runs, tmp_path_factory) -> Path:
+def made(tmp_path_factory) -> Path:
     """A finished run of the tests a and b, with c held out; tests read it."""
     folder = tmp_path_factory.mktemp("made") / "out"
-    runs.write_run(folder)
+    write_run(folder)
     return folder
 
 
@@ -29,9 +24,9 @@ def out(made, tmp_path) -> Path:
 
 
 @pytest.fixture
-def plan(runs):
+def plan():
     """The plan of the run."""
-    return runs.plan_of(small=False)
+    return plan_of(small=False)
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ from mfd_bayes.population import storage
 from mfd_bayes.runs import lock
 from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.lock import OWNER, Owner, alone_in
+from tests.run_folders import write_run
 
 HOLD = """\
 import sys, time
@@ -211,15 +212,15 @@ CAMPAIGN = '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n'
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory, benchmark_module):
+def stored(tmp_path_factory):
     """A finished run folder that no sampler has seen, named as a model of a comparison."""
     folder = tmp_path_factory.mktemp("stored") / "lugre"
-    benchmark_module("fuzz.runs").write_run(folder, small=True)
+    write_run(folder, small=True)
     return folder
 
 
 @pytest.fixture
-def run_folder(stored, tmp_path, benchmark_module):
+def run_folder(stored, tmp_path):
     shutil.copytree(stored, tmp_path / "lugre")
     text = CAMPAIGN + CAMPAIGN.replace('"a"', '"b"').replace("500", "900")
     (tmp_path / "campaign.toml").write_text(text)

@@ -13,6 +13,7 @@ from mfd_bayes.pipeline.plan import Options, effort_of, plan_campaign
 from mfd_bayes.runs.folder import check_stored
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import open_run
+from tests.run_folders import PRIORS, RECORD
 
 STORED = ("tests/a/posterior.nc", "tests/c/record.nc", "priors.toml", "population.nc")
 
@@ -165,16 +166,24 @@ def test_the_manifest_holds_the_settings_as_the_campaign_file_has_them(plan, out
     assert [test["actuation"] for test in stored["test"]] == ["500 psi", "1000 psi", "700 psi"]
 
 
-def test_a_folder_whose_name_is_no_text_holds_a_campaign_as_any_other(benchmark_module, tmp_path):
-    seeds = benchmark_module("fuzz.seeds")
+def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(tmp_path):
+    (tmp_path / "mfd.toml").write_text(
+        '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n', encoding="utf-8"
+    )
+    (tmp_path / "a.csv").write_text(RECORD)
+    inputs = plan_campaign(tmp_path / "mfd.toml", Options(effort="quick")).manifest.inputs
+    assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
+
+
+def test_a_folder_whose_name_is_no_text_holds_a_campaign_as_any_other(tmp_path):
     home = tmp_path / os.fsdecode(b"cam\xe9p")
     home.mkdir()
     (home / "campaign.toml").write_text(
         '[campaign]\npriors = "own.toml"\nmodel = "lugre"\nnoise = "iid"\n'
         '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n'
     )
-    (home / "own.toml").write_bytes(seeds.priors())
-    (home / "a.csv").write_bytes(seeds.texts()[0])
+    (home / "own.toml").write_text(PRIORS, encoding="utf-8")
+    (home / "a.csv").write_text(RECORD)
     command = f"mfd-bayes calibrate {home}/campaign.toml"
     plan = plan_campaign(home / "campaign.toml", Options(effort="quick", command=command))
     assert plan.manifest.command.endswith("cam\\udce9p/campaign.toml")

@@ -10,6 +10,7 @@ from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence
+from tests.run_folders import write_run
 
 FORECAST = Forecast(draws=20)
 
@@ -128,8 +129,8 @@ def test_what_is_not_there_or_does_not_go_together_is_refused(run):
         run.predict(motion, draws=20, after="b", given=(0.0, 1.0))
 
 
-def test_without_a_gap_a_remark_says_that_it_is_without_effect(runs, tmp_path):
-    runs.write_run(tmp_path / "out", small=True)
+def test_without_a_gap_a_remark_says_that_it_is_without_effect(tmp_path):
+    write_run(tmp_path / "out", small=True)
     run = open_run(tmp_path / "out")
     motion = Trace.from_arrays(
         *(getattr(run.held_out["c"], k) for k in ("time", "displacement")), 0.7

@@ -1,10 +1,12 @@
 """The whole way from posterior to draws, on a posterior that is known in closed form."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
@@ -84,6 +86,25 @@ def agrees(draws: Draws, mean: np.ndarray, covariance: np.ndarray) -> bool:
 def fitted() -> tuple[Posterior, Draws]:
     posterior = make_posterior()
     return posterior, sample(posterior, Effort(ess=800, limit=3000), seed=3)
+
+
+def test_log_evidence_agrees_with_the_closed_form(fitted: tuple[Posterior, Draws]) -> None:
+    posterior, draws = fitted
+    trace = posterior.trace
+    design = np.stack([trace.velocity, trace.displacement, np.ones(trace.samples)], axis=1)
+    covariance = NOISE**2 * np.eye(trace.samples) + design @ np.diag([1.0, 0.25, 0.09]) @ design.T
+    force = np.asarray(trace.force) - design @ [0.0, 1.0, 0.0]
+    exact = multivariate_normal(cov=covariance).logpdf(force)
+    evidence = draws.log_evidence(posterior)
+    assert evidence.trusted
+    assert abs(evidence.value - exact) < min(0.02, 5.0 * evidence.error + 0.002)
+    # the control: a prior of the spring that is five times as wide lowers it by nearly log 5
+    wide = {**PRIORS.parameters, "k2": Prior("normal", {"mean": 1.0, "sd": 2.5})}
+    other = Posterior(trace, replace(PRIORS, parameters=wide), "iid", Linear())
+    lower = sample(other, Effort(ess=800, limit=3000), seed=4).log_evidence(other)
+    assert exact - lower.value > 0.5
+    # and draws of another density are not a bridge to this one
+    assert not replace(draws, q=draws.q + 5.0).log_evidence(posterior).trusted
 
 
 def test_draws_agree_with_the_closed_form(fitted: tuple[Posterior, Draws]) -> None:

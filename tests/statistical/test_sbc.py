@@ -1,16 +1,14 @@
-"""Simulation-based calibration, reduced: truths are ranked evenly by their posteriors.
-
-The study is that of benchmarks/sbc, which does the same with all parameters and 300 tests.
-"""
+"""Simulation-based calibration, reduced: truths are ranked evenly by their posteriors."""
 
 from dataclasses import replace
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import EFFORTS
 from mfd_bayes.records.trace import Trace
+from tests.statistical import sbc_study as sbc
+from tests.statistical import uniformity as uniform
 
 SAMPLED = ("Fc_fwd", "d2", "start", "offset", "noise_sd", "noise_time")
 TESTS, CONTROLS = 24, 8
@@ -18,17 +16,7 @@ DRAWS = 31
 
 
 @pytest.fixture(scope="module")
-def sbc(benchmark_module) -> ModuleType:
-    return benchmark_module("sbc.study")
-
-
-@pytest.fixture(scope="module")
-def uniform(benchmark_module) -> ModuleType:
-    return benchmark_module("common.uniformity")
-
-
-@pytest.fixture(scope="module")
-def ranks(sbc: ModuleType) -> dict[str, dict[str, list[int]]]:
+def ranks() -> dict[str, dict[str, list[int]]]:
     """Ranks by noise that the posterior assumes, and quantity; the records are the same."""
     time = np.arange(80) / 16.0
     study = sbc.Study(
@@ -47,32 +35,26 @@ def ranks(sbc: ModuleType) -> dict[str, dict[str, list[int]]]:
 
 
 @pytest.mark.slow
-def test_every_quantity_that_varies_is_ranked(
-    sbc: ModuleType, ranks: dict[str, dict[str, list[int]]]
-) -> None:
+def test_every_quantity_that_varies_is_ranked(ranks):
     found = ranks[sbc.TRUE]
     assert set(found) == {*SAMPLED, sbc.LIKELIHOOD}
     assert {len(values) for values in found.values()} == {TESTS}
 
 
 @pytest.mark.slow
-def test_truths_are_ranked_evenly(
-    sbc: ModuleType, uniform: ModuleType, ranks: dict[str, dict[str, list[int]]]
-) -> None:
+def test_truths_are_ranked_evenly(ranks):
     """Familywise 1 %, Bonferroni over the quantities."""
     assert uniform.failures(ranks[sbc.TRUE], uniform.Uniformity(TESTS, DRAWS)) == {}
 
 
 @pytest.mark.slow
-def test_a_wrong_likelihood_ranks_them_unevenly(
-    sbc: ModuleType, uniform: ModuleType, ranks: dict[str, dict[str, list[int]]]
-) -> None:
+def test_a_wrong_likelihood_ranks_them_unevenly(ranks):
     """Negative control: noise that is correlated is taken for noise that is not."""
     failed = uniform.failures(ranks[sbc.WRONG], uniform.Uniformity(CONTROLS, DRAWS))
     assert {"offset", sbc.LIKELIHOOD} <= set(failed)
 
 
-def test_uniform_ranks_fail_as_rarely_as_stated(uniform: ModuleType) -> None:
+def test_uniform_ranks_fail_as_rarely_as_stated():
     uniformity = uniform.Uniformity(60, DRAWS, 20_000)
     rng = np.random.default_rng(1)
     found = [uniformity.p_value(rng.integers(0, DRAWS + 1, 60)) for _ in range(2000)]
@@ -81,9 +63,7 @@ def test_uniform_ranks_fail_as_rarely_as_stated(uniform: ModuleType) -> None:
         assert abs(share - level) < 4.0 * np.sqrt(level * (1 - level) / 2000)
 
 
-def test_a_curve_leaves_the_band_just_when_its_p_value_is_below_the_level(
-    uniform: ModuleType,
-) -> None:
+def test_a_curve_leaves_the_band_just_when_its_p_value_is_below_the_level():
     uniformity = uniform.Uniformity(60, DRAWS, 20_000)
     lower, upper = uniformity.band(0.05)
     rng = np.random.default_rng(2)

@@ -116,3 +116,15 @@ def _scaled(name: str, value: float, device: Device) -> float:
     if name in _STIFF:
         return value * force / length
     return value * length if name in _OF_LENGTH else value
+
+
+def complete(campaign: Path, device: Device) -> None:
+    """Write the units that are marked FIXME, and nothing else."""
+    units = {"displacement": device.length_unit, "force": device.force_unit}
+    lines = []
+    for line in campaign.read_text(encoding="utf-8").splitlines():
+        role = line.split(" = ")[0].removeprefix("columns.")
+        if role in units and "FIXME" in line and "unit =" not in line.split("#")[0]:
+            line = line.replace(" }", f', unit = "{units[role]}" }}', 1)
+        lines.append(line)
+    campaign.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,48 +1,41 @@
-"""Run folders that are damaged, with hashes computed again as a stranger could, and readers."""
+"""Finished run folders that no sampler has seen, and in which files two folders differ."""
 
-from __future__ import annotations
-
-import hashlib
 import json
+import re
 import tempfile
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any
 
+import h5py
 import numpy as np
 
-from benchmarks.fuzz.mutations import Rng
-from benchmarks.fuzz.seeds import FORCE, MOTION, TIME, priors, texts
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile, units
-from mfd_bayes.calibration.result import load_result
-from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
-from mfd_bayes.evaluation.laws import law_rows, law_views
-from mfd_bayes.evaluation.properties import peaks_of
-from mfd_bayes.evaluation.summary import assess, build_summary, verdicts
-from mfd_bayes.evaluation.test_summary import calibrated_view, held_out_view
-from mfd_bayes.evaluation.views import CampaignView
-from mfd_bayes.pipeline.plan import Options, Plan, effort_of, plan_campaign
+from mfd_bayes.calibration.prior_files import find_priors, units
+from mfd_bayes.evaluation.crossvalidate import Fold
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES
 from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import Setting, setting_of
+from mfd_bayes.population.settings import setting_of
 from mfd_bayes.population.starts import Starts
-from mfd_bayes.population.storage import load_population, save_population
+from mfd_bayes.population.storage import save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.tables import report_tables
-from mfd_bayes.runs.folder import Existing, hash_stored, prepare_folder
-from mfd_bayes.runs.manifest import read_manifest
-from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.store.files import json_text, write_json
-from mfd_bayes.store.netcdf import CalibratedTest, load_trace, save_test, save_trace
+from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.store.files import write_json
+from mfd_bayes.store.netcdf import CalibratedTest, save_test, save_trace
+
+TIME = np.arange(60) * 0.05
+MOTION = np.sin(2 * np.pi * TIME)
+FORCE = 2.0 * np.sign(np.cos(2 * np.pi * TIME))
+RECORD = "time_s,displacement_in,force_kip\n" + "".join(
+    f"{t:.6g},{x:.6g},{f:.6g}\n" for t, x, f in zip(TIME, MOTION, FORCE, strict=True)
+)
+PRIORS = find_priors("mfd").read_text(encoding="utf-8")
 
 LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
-MANIFEST = "manifest.json"
 
 _TEST = """
 [[test]]
@@ -51,15 +44,6 @@ file = "a.csv"
 actuation = "{actuation} psi"
 role = "{role}"
 """
-
-
-def run_files(*, small: bool) -> dict[str, bytes]:
-    """A run folder that no sampler has seen: draws of the prior, and a population of them."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name) / "out"
-        write_run(folder, small=small)
-        files = [path for path in folder.rglob("*") if path.is_file()]
-        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 @cache
@@ -77,8 +61,8 @@ def plan_of(*, small: bool) -> Plan:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "campaign.toml").write_text(head + "".join(entries))
-        (folder / "own.toml").write_bytes(priors())
-        (folder / "a.csv").write_bytes(texts()[0])
+        (folder / "own.toml").write_text(PRIORS, encoding="utf-8")
+        (folder / "a.csv").write_text(RECORD)
         return plan_campaign(folder / "campaign.toml", Options(effort="quick"))
 
 
@@ -86,7 +70,7 @@ def write_run(folder: Path, *, small: bool = False) -> None:
     """Write a finished run folder with its hashes."""
     plan = plan_of(small=small)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "priors.toml").write_bytes(priors())
+    (folder / "priors.toml").write_text(PRIORS, encoding="utf-8")
     rng = np.random.default_rng(1)
     under = []
     for task in plan.tasks:
@@ -103,10 +87,10 @@ def write_run(folder: Path, *, small: bool = False) -> None:
     write_json(folder / "crossvalidation" / _fold().file, stored)
     names = [p.relative_to(folder).as_posix() for p in folder.rglob("*.*") if p.suffix != ".json"]
     about = _about(plan, predictions) | {"files": hash_stored(folder, names)}
-    write_json(folder / MANIFEST, {**plan.manifest.content, **about})
+    write_json(folder / "manifest.json", {**plan.manifest.content, **about})
 
 
-def _write_posterior(path: Path, posterior: Posterior, rng: Rng) -> None:
+def _write_posterior(path, posterior, rng):
     flat = posterior.draw_prior(rng, 24)
     theta = posterior.theta(flat)
     flat |= {name: theta[:, k] for k, name in enumerate(posterior.model.parameters)}
@@ -122,9 +106,7 @@ def _write_posterior(path: Path, posterior: Posterior, rng: Rng) -> None:
     save_test(path, CalibratedTest(values, units(), stats, posterior.trace, predictive, facts))
 
 
-def _write_population(
-    path: Path, priors: PriorFile, names: Sequence[str], under: list[Setting], rng: Rng
-) -> None:
+def _write_population(path, priors, names, under, rng):
     design = design_of(priors, names, under, LAWS)
     begin = design.free.size + len(design.effects)
     h = rng.normal(-2.0, 0.2, size=(12, begin + len(design.shapes)))
@@ -150,7 +132,7 @@ def _write_population(
     save_population(path, population)
 
 
-def _about(plan: Plan, predictions: list[dict[str, Any]]) -> dict[str, Any]:
+def _about(plan, predictions):
     """What a manifest holds once the run is finished, with everything that may be in it."""
     done = {"status": "done", "seconds": 1.0}
     tests = {
@@ -160,7 +142,8 @@ def _about(plan: Plan, predictions: list[dict[str, Any]]) -> dict[str, Any]:
     law = {"quantity": "Fc_fwd", "elpd": 2.0, "se": 1.0, "weight": 0.5}
     compared = {"subject": "a", "cycles": 6, "elpd": 2.0, "elpd_se": 1.0, "p_loo": 3.0}
     compared |= {"worst_k": 0.5, "bad": 0.0, "unsettled": 0.0, "difference": 0.0}
-    compared |= {"difference_se": 0.0, "rrse": 0.1}
+    compared |= {"difference_se": 0.0, "rrse": 0.1, "log_evidence": 2.0}
+    compared |= {"log_evidence_se": 0.1, "evidence_k": 0.4, "evidence_trusted": True}
     return {
         "status": "finished",
         "finished": "2026-01-01T00:01:00+00:00",
@@ -183,72 +166,47 @@ def _about(plan: Plan, predictions: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _fold() -> Fold:
+def _fold():
     return Fold("a", "test_1.json", ("a",), ("b",), "quick", 1)
 
 
-def seal(files: dict[str, bytes]) -> dict[str, bytes]:
-    """The files with a manifest whose hashes are theirs."""
-    manifest = json.loads(files[MANIFEST])
-    manifest["files"] = {
-        name: hashlib.sha256(files[name]).hexdigest() for name in manifest["files"]
-    }
-    return files | {MANIFEST: json.dumps(manifest).encode()}
+def content(path):
+    """What of a file is to be the same in every run: all but times, and the command's words."""
+    if path.suffix == ".nc":
+        found = {}
+        with h5py.File(path) as file:
+            file.visititems(
+                lambda name, item: (
+                    found.update({name: np.asarray(item[()]).tobytes()})
+                    if isinstance(item, h5py.Dataset)
+                    else None
+                )
+            )
+        return found
+    if path.name == "manifest.json":
+        manifest = json.loads(path.read_text())
+        for key in ("command", "started", "finished", "seconds"):
+            manifest.pop(key, None)
+        for entry in manifest["tests"].values():
+            entry.pop("seconds", None)
+        return manifest | {"files": sorted(manifest["files"])}  # posteriors hold their wall times
+    if path.name == "report.html":
+        return re.sub(r"<dt>(command|started|finished)</dt><dd>[^\n]*</dd>", "", path.read_text())
+    return path.read_bytes()
 
 
-def read_report(path: Path) -> object:
-    """All that `check` and `report` compute from a run folder, without figures."""
-    out = next(folder for folder in path.parents if (folder / MANIFEST).is_file())
-    run = open_run(out)
-    view = assess(run)
-    written = json_text(run.manifest.changed(verdicts=verdicts(view)).content)
-    tables = report_tables(view)
-    return [len(text.encode()) for text in (written, *tables.values())]
+def files(out: Path) -> set[str]:
+    """Every file of a folder, hidden ones too."""
+    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
 
 
-def read_shown(path: Path) -> object:
-    """A manifest, and the report of the tests that there were before it was changed."""
-    before, view = _opened(path.parent)
-    run = replace(before, manifest=read_manifest(path.parent))
-    shown = build_summary(run, list(view.tests), view.law_rows, view.laws)
-    return json_text(run.manifest.content), verdicts(shown), report_tables(shown)
+def differing(out: Path, reference: Path) -> list[str]:
+    """Files of a run folder whose content differs from the reference's; without hidden files."""
 
+    def same(name):
+        try:
+            return content(out / name) == content(reference / name)
+        except (OSError, ValueError, KeyError):
+            return False
 
-@cache
-def _opened(out: Path) -> tuple[Run, CampaignView]:
-    """The run as it was before anything in it was changed: a worker lays all out in one place."""
-    run = open_run(out)
-    return run, assess(run)
-
-
-def read_posterior(path: Path) -> object:
-    """A test's posterior, as a report shows it."""
-    run, _ = _opened(path.parents[2])
-    return calibrated_view(run.manifest, peaks_of(run), load_result("a", path, run.priors))
-
-
-def read_held_out(path: Path) -> object:
-    """The record of a test that is predicted, as a report shows it."""
-    return held_out_view(_opened(path.parents[2])[0], "c", load_trace(path)[0])
-
-
-def read_population(path: Path) -> object:
-    """The population, as a report shows it and as it predicts."""
-    run = replace(_opened(path.parent)[0])
-    run.__dict__["population"] = load_population(path, run.priors)
-    return law_rows(run), law_views(run), run.predict(run.held_out["c"], "observation", draws=20)
-
-
-def read_resumed(path: Path) -> object:
-    """A run folder, as `--resume` reads it."""
-    plan = plan_of(small=True)
-    effort_of(path.parent, None, resume=True)
-    home = plan.campaign.folder
-    resumed = prepare_folder(plan.manifest, home, path.parent, Existing.RESUMED)
-    return json_text(resumed.manifest.content), resumed.before and resumed.before.content.keys()
-
-
-def read_fold(path: Path) -> object:
-    """Stored predictions of a part that was left out."""
-    out, fold = path.parents[1], _fold()
-    return fold.stored(out), list(read_predictions(out, [fold]))
+    return [n for n in sorted(files(out)) if not Path(n).name.startswith(".") and not same(n)]

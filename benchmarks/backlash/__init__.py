@@ -1,1 +1,0 @@
-"""How well the backlash model fits real records, and what it costs."""

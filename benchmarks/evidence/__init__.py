@@ -1,0 +1,1 @@
+"""Log evidence beside closed forms and beside nested sampling."""
