@@ -51,6 +51,7 @@ LEAST_ESS, GOOD_K = 0.1, 0.6
 _LOG_2PI = float(np.log(2 * np.pi))
 _PIECE = 1 << 19  # size of the arrays of one piece, in numbers
 _DRAWS = 400  # for the median of the force
+_UNKNOWN = Evidence(np.nan, np.nan, np.nan)
 
 
 # --- what is compared
@@ -152,7 +153,7 @@ class CrossValidation:
     squares: float = float("nan")
     spread: float = float("nan")
     short: tuple[str, ...] = ()
-    evidence: Evidence = Evidence(np.nan, np.nan, np.nan)
+    evidence: Evidence = _UNKNOWN
 
     @property
     def bad(self) -> NDArray[np.bool_]:

@@ -52,7 +52,7 @@ def law_rows(run: Run) -> Rows:
     # the scatter of what may be negative is not of a logarithm
     negative = {f"scatter_{q.name}": q.unit for q in run.model.quantities if q.least < 0.0}
     at = run.system.words([design.reference], unit, actuation=True)
-    rows = [*_mixed_rows(run, at)]
+    rows = [*mixed_rows(run, at)]
     if run.model.own:  # what follows a law, at the reference actuation of the laws
         for name, law in design.laws.items():
             if law != COMPARE:
@@ -83,7 +83,7 @@ def _converged(draws: Array, walkers: int) -> dict[str, float]:
     return {"r_hat": measured.worst_r_hat, "ess_bulk": bulk, "ess_tail": tail}
 
 
-def _mixed_rows(run: Run, at: str) -> list[Row]:
+def mixed_rows(run: Run, at: str) -> list[Row]:
     """Constants of every law of each quantity whose laws are compared; `at` is the reference.
 
     Each draw of the population has one law. The rows of a law are of the draws that have it, so
