@@ -12,7 +12,7 @@ import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import find_priors, units
+from mfd_bayes.calibration.priors import find_priors, units
 from mfd_bayes.evaluation.crossvalidate import Fold
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.design import design_of

@@ -19,9 +19,8 @@ from scipy import stats
 from scipy.special import ndtri
 
 import mfd_bayes as mb
-from benchmarks.common.data import data_folder
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.priors import Prior
+from benchmarks.common import data_folder
+from mfd_bayes.calibration.priors import Prior, PriorFile
 
 RECORDS = ["2023_36lb_0.50Hz_1.0in", "2023_36lb_0.25Hz_0.5in"]
 RECORDS += ["2022_35lb_0.50Hz_1.0in", "2022_80lb_1.00Hz_1.0in"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of
 from mfd_bayes.planning.goal import Goal, parse_goal
@@ -128,7 +128,10 @@ def _test(trace: Trace, priors: PriorFile) -> Any:
     begin |= {"offset": 0.0, "start": 0.5, "gamma1": 1.0}
     values = {name: np.array([value]) for name, value in begin.items()}
     return SimpleNamespace(
-        posterior=posterior, trace=trace, stored=SimpleNamespace(values=lambda: values)
+        posterior=posterior,
+        trace=trace,
+        intervals={},
+        stored=SimpleNamespace(values=lambda: values),
     )
 
 

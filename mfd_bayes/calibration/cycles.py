@@ -33,23 +33,10 @@ def derive_from_parameters(
     pressure: float = float("nan"),
     area: float | None = None,
 ) -> dict[str, Array]:
-    """Gap width and self-energizing factors by name, (n,) each; unknown ones are left out.
+    """Gap width, in, and self-energizing factors C = F_c/(p A) by name, (n,) each.
 
-    Parameters
-    ----------
-    values : mapping of str to (n,)
-        Draws of the model's parameters.
-    pressure : float, ksi
-        Actuation level of the draws.
-    area : float, in², or None
-        Area of the actuator. Without it, or without pressure, there are no factors.
-
-    Returns
-    -------
-    dict
-        `gap_width`, in, the travel from slip to slip; `C_fwd` and `C_bwd`,
-        C = F_c/(p A), the friction force in slip over the actuator's thrust: the self-energizing
-        of the shoes in each direction (model.md section 7).
+    Those that are unknown, as without a pressure (ksi) or an area of the actuator (in²), are left
+    out.
     """
     width = model.gap_width(values)
     derived = {} if width is None else {"gap_width": width}

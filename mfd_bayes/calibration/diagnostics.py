@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.numbers import real_number, whole_number
@@ -19,44 +19,26 @@ from mfd_bayes.store.arviz import import_arviz
 
 Array = NDArray[np.float64]
 
-FEWEST_STEPS = 8
-"""Of fewer steps of a chain, R̂ and effective sample size cannot be told."""
+FEWEST_STEPS = 8  # of fewer steps of a chain, R̂ and effective sample size cannot be told
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Length and targets of a sampling; a FitError where one is no number that can be one.
+    """Length and targets of a sampling.
 
-    Attributes
-    ----------
-    ess : float
-        Bulk and tail effective sample size that every quantity must reach.
-    limit : int
-        Largest number of steps of each ensemble; the report shows targets that were missed.
-    r_hat : float
-        Largest R̂ across ensembles.
-    length : float
-        Least number of kept steps, in autocorrelation times: the effective sample size alone
-        cannot tell walkers that have not moved from independent draws.
-    ensembles : int
-        Independent ensembles, each a chain.
-    walkers : int
-        Walkers of each ensemble; more are used where there are many dimensions.
-    kept : int
-        Approximate number of draws kept from each ensemble.
-    starts : int
-        Points from which modes are searched; with few points a minor mode is missed.
+    The effective sample size alone cannot tell walkers that have not moved from independent draws:
+    hence a least number of steps too.
     """
 
     name: str = field(default="", kw_only=True)
-    ess: float
-    limit: int
-    r_hat: float = 1.01
-    length: float = 5.0
-    ensembles: int = 4
-    walkers: int = 48
-    kept: int = 3000
-    starts: int = 24
+    ess: float  # bulk and tail effective sample size that every quantity must reach
+    limit: int  # largest number of steps of each ensemble
+    r_hat: float = 1.01  # largest R̂ across ensembles
+    length: float = 5.0  # least number of kept steps, in autocorrelation times
+    ensembles: int = 4  # independent ensembles, each a chain
+    walkers: int = 48  # walkers of each ensemble; more are used where there are many dimensions
+    kept: int = 3000  # approximate number of draws kept from each ensemble
+    starts: int = 24  # points from which modes are searched; with few points a minor mode is missed
 
     def __post_init__(self) -> None:
         for name in ("ess", "r_hat"):
@@ -75,13 +57,7 @@ EFFORTS = {
 
 
 def find_effort(effort: str | Effort) -> Effort:
-    """Effort of that name.
-
-    Raises
-    ------
-    FitError
-        When there is none; the message lists the known names.
-    """
+    """Effort of that name."""
     if isinstance(effort, Effort):
         return effort
     if not isinstance(effort, str) or effort not in EFFORTS:
@@ -122,15 +98,11 @@ class Convergence:
 
 
 def autocorrelation_time(chains: Array) -> Array:
-    """Integrated autocorrelation time of every coordinate, in steps, (dim,).
+    """Integrated autocorrelation time of chains (ensemble, step, walker, dim), steps, (dim,).
 
     Walkers are centred on the mean over all ensembles and steps, not on their own mean, so
     that a walker that hardly moves counts as fully correlated. The sum stops
     where the lag exceeds five times its value (Sokal's window).
-
-    Parameters
-    ----------
-    chains : (ensemble, step, walker, dim)
     """
     steps = chains.shape[1]
     size = 2 ** int(np.ceil(np.log2(2 * steps)))
@@ -150,15 +122,11 @@ def autocorrelation_time(chains: Array) -> Array:
 
 
 def measure(chains: Array) -> Convergence:
-    """Convergence of ensembles.
+    """Convergence of ensembles, of chains (ensemble, step, walker, dim).
 
     R̂ compares ensembles and their halves in time, since the walkers of one ensemble are not
     independent chains. The effective sample size follows each walker along its steps. A quantity
     that never moves has no R̂: NaN.
-
-    Parameters
-    ----------
-    chains : (ensemble, step, walker, dim)
     """
     r_hat, ess = _arviz()
     ensembles, steps, walkers, dim = chains.shape
@@ -200,27 +168,18 @@ def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
         )
     from arviz_stats.base import array_stats
 
-    def new_ess(x: Array, kind: str) -> float:
+    def ess(x: Array, kind: str) -> float:
         tails = {"prob": (0.05, 0.95)} if kind == "tail" else {}
         return float(array_stats.ess(x, chain_axis=0, draw_axis=1, method=kind, **tails))
 
-    return (
-        lambda x: float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")),
-        new_ess,
-    )
+    return lambda x: float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")), ess
 
 
 def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
     """Normalised Pareto-smoothed log weights, (n,), and Pareto k, from ArviZ 0.x or 1.x.
 
     Vehtari, Simpson, Gelman, Yao and Gabry (2024). Above k = 0.7 the weights cannot be trusted.
-
-    Parameters
-    ----------
-    log_ratios : (n,)
-        Log of the target density over the density of the draws.
-    efficiency : float
-        Effective sample size over n.
+    `efficiency` is the effective sample size over n.
     """
     ratios = log_ratios - log_ratios.max()
     if np.all(ratios == 0.0):  # equal weights have no tail to fit
@@ -238,12 +197,7 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
 
 
 def tempering(log_weights: Array, share: float) -> float:
-    """Power of weights, at most 1, at which the effective sample size is a share of their number.
-
-    Parameters
-    ----------
-    log_weights : (n,)
-    """
+    """Power of weights, at most 1, at which the effective size is a share of their number."""
     from scipy import optimize  # which takes long to import
 
     floor, below = np.log(share * log_weights.size), log_weights - log_weights.max()
@@ -260,17 +214,8 @@ def tempering(log_weights: Array, share: float) -> float:
 
 
 def contraction(prior_sd: Array, draws: Array) -> Array:
-    """Share of the prior's variance that the data removed, 1 − var_post/var_prior, (dim,).
-
-    Parameters
-    ----------
-    prior_sd : (dim,)
-        Standard deviations of the coordinates under the prior.
-    draws : (n, dim)
-        Posterior draws of the coordinates.
-    """
-    shrunk: Array = 1.0 - draws.var(axis=0) / prior_sd**2
-    return shrunk
+    """Share of the prior's variance that the data removed, 1 − var_post/var_prior, (dim,)."""
+    return np.asarray(1.0 - draws.var(axis=0) / prior_sd**2)
 
 
 def log_if_positive(*samples: Array) -> tuple[Array, ...]:
@@ -280,14 +225,13 @@ def log_if_positive(*samples: Array) -> tuple[Array, ...]:
     return samples
 
 
-Interval = tuple[float, float, float]
-"""50, 2.5 and 97.5 % quantiles of the draws of a quantity."""
+Interval = tuple[float, float, float]  # 50, 2.5 and 97.5 % quantiles of the draws of a quantity
 
 
 def intervals_of(values: Mapping[str, Array]) -> dict[str, Interval]:
     """Median and equal-tailed 95 % interval of quantities, from draws of any shape."""
-    found = {name: np.quantile(drawn, [0.5, 0.025, 0.975]) for name, drawn in values.items()}
-    return {name: (float(a), float(b), float(c)) for name, (a, b, c) in found.items()}
+    probabilities = [0.5, 0.025, 0.975]
+    return {name: tuple(np.quantile(x, probabilities).tolist()) for name, x in values.items()}
 
 
 def interval_rows(

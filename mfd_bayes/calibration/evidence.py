@@ -16,33 +16,21 @@ from mfd_bayes.calibration.proposal import PARTS, fit_mixture, learn
 
 Array = NDArray[np.float64]
 
-PROPOSED = 4000
-"""Draws from each of the two proposals."""
+PROPOSED = 4000  # draws from each of the two proposals
 
+# Pareto k, and standard error in nats, above which a log evidence is not to be trusted. A bridge
+# needs draws from the proposal that overlap with the posterior, not light tails: the usual 0.7 is
+# the limit of importance weights alone
 LARGEST_K, LARGEST_ERROR = 1.0, 0.5
-"""Pareto k, and standard error in nats, above which a log evidence is not to be trusted.
-
-A bridge needs draws from the proposal that overlap with the posterior, not light tails: the usual
-0.7 is the limit of importance weights alone.
-"""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Log of the integral of likelihood times prior, in nats.
+    """Log of the integral of likelihood times prior, in nats."""
 
-    Attributes
-    ----------
-    value, error : float
-        And its standard error.
-    pareto_k : float
-        Of the importance weights of draws from the proposal: above 1 the proposal misses a part of
-        the posterior.
-    """
-
-    value: float
+    value: float  # and its standard error
     error: float
-    pareto_k: float
+    pareto_k: float  # of the proposal's importance weights: above 1 it misses a part
 
     @property
     def trusted(self) -> bool:
@@ -58,17 +46,6 @@ def log_evidence(
     A mixture of Student-t densities is fitted to one half of the chains. The bridge goes from it to
     the draws of the other half, which it has not seen. Then the halves change places, and the mean
     of both counts.
-
-    Parameters
-    ----------
-    density : callable
-        Normalised log prior plus log likelihood, (n, dim) -> (n,).
-    q : (chain, draw, dim)
-        Draws of that density from two chains or more, ordered by walker.
-    log_prob : (chain, draw)
-        The density at the draws.
-    walkers : int
-        Of each chain.
     """
     first, second = slice(0, None, 2), slice(1, None, 2)
     parts = [

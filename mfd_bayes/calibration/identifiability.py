@@ -12,47 +12,28 @@ from scipy import special
 
 from mfd_bayes.calibration.diagnostics import effective_size
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.errors import FitError
 
 Array = NDArray[np.float64]
 
-SENSITIVE = 0.05
-"""Power-scaling sensitivity above which a posterior depends on the prior or likelihood."""
-
-TRADE_OFF = 0.7
-"""Absolute rank correlation from which two parameters trade off."""
-
+SENSITIVE = 0.05  # power-scaling sensitivity from which a posterior depends on its prior
+TRADE_OFF = 0.7  # absolute rank correlation from which two parameters trade off
 CONFLICT = "possible prior–data conflict"
 PRIOR_LED = "strong prior or weak data"
-
-SCALING = 1.01
-"""Power α to which the prior or likelihood is raised; 1/α is used too."""
-
-
-LOADED, CARRIERS = 0.1, 3
-"""Least share of a direction's squared length for a parameter to carry it; most that are named."""
+SCALING = 1.01  # power α to which the prior or likelihood is raised; 1/α is used too
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
     """Combinations of parameters, ordered by how much the data say about them.
 
-    Attributes
-    ----------
-    curvature : (dim,)
-        Curvature of the log likelihood along each direction in prior units: the precision
-        that the data add, as a multiple of the prior's; largest first.
-    axes : (dim, dim)
-        Unit vectors in prior units, one column for each direction.
-    limit : float
-        Curvature from which a direction is informed: 1, or more where so few draws show more
-        than 1 by chance.
+    The curvature of the log likelihood is that along each direction in prior units: the precision
+    that the data add, as a multiple of the prior's.
     """
 
     names: tuple[str, ...]
-    curvature: Array
-    axes: Array
-    limit: float = 1.0
+    curvature: Array  # (dim,), largest first
+    axes: Array  # (dim, dim), unit vectors in prior units, one column for each direction
+    limit: float = 1.0  # from which a direction is informed; more where there are few draws
 
     @property
     def informed(self) -> int:
@@ -62,8 +43,7 @@ class Directions:
     def carriers(self, direction: int) -> tuple[str, ...]:
         """Parameters that contribute most to a direction, strongest first, at most three."""
         share = self.axes[:, direction] ** 2
-        order = np.argsort(-share)[:CARRIERS]
-        return tuple(self.names[i] for i in order if share[i] >= LOADED)
+        return tuple(self.names[i] for i in np.argsort(-share)[:3] if share[i] >= 0.1)
 
 
 @dataclass(frozen=True)
@@ -77,20 +57,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How strongly a parameter's posterior depends on the prior and on the likelihood.
-
-    Attributes
-    ----------
-    prior, likelihood : float
-        Power-scaling sensitivities, with the part due to chance removed.
-    prior_limit, likelihood_limit : float
-        Limits above which they are significant: `SENSITIVE`, or twice the sensitivity that
-        chance gives with this number of draws, whichever is larger.
-    """
+    """How strongly a parameter's posterior depends on the prior and on the likelihood."""
 
     name: str
-    prior: float
+    prior: float  # power-scaling sensitivities, with the part due to chance removed
     likelihood: float
+    # `SENSITIVE`, or twice what chance gives with this number of draws
     prior_limit: float = SENSITIVE
     likelihood_limit: float = SENSITIVE
 
@@ -104,19 +76,11 @@ class Sensitivity:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What the data of a test say about its sampled parameters.
-
-    Attributes
-    ----------
-    pairs : tuple of Pair
-        Strongest first.
-    sensitivities : tuple of Sensitivity
-        In the order of the posterior's names.
-    """
+    """What the data of a test say about its sampled parameters."""
 
     directions: Directions
-    pairs: tuple[Pair, ...]
-    sensitivities: tuple[Sensitivity, ...]
+    pairs: tuple[Pair, ...]  # strongest first
+    sensitivities: tuple[Sensitivity, ...]  # in the order of the posterior's names
 
 
 def identify(
@@ -129,22 +93,7 @@ def identify(
     """Identifiability of a test's sampled parameters, from its stored draws.
 
     Everything is on the scale on which each prior is sampled, the logarithm for most: there
-    the priors are independent, and a prior raised to a power widens about its median. γ1 is
-    left out: it is not sampled but keeps its prior.
-
-    Parameters
-    ----------
-    values : mapping of str to (chain, draw)
-        Posterior draws by name; two independent chains or more.
-    prior : mapping of str to (m,)
-        Prior draws by name.
-    log_prior, log_likelihood : (chain, draw)
-        At the posterior draws.
-
-    Raises
-    ------
-    FitError
-        When there is only one chain.
+    the priors are independent, and a prior raised to a power widens about its median.
     """
     names = posterior.names
     draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names])
@@ -170,15 +119,6 @@ def find_directions(
     Otherwise it holds for the Gaussian with the posterior's covariance: it describes the whole
     posterior, where derivatives at a mode describe one point. A negative eigenvalue means a
     posterior wider than its prior.
-
-    Parameters
-    ----------
-    prior_sd : (dim,)
-        Standard deviations of the coordinates, which are independent under the prior.
-    draws : (n, dim)
-        Posterior draws of the coordinates.
-    size : float
-        How many independent draws they are worth, if fewer than n.
     """
     covariance = np.atleast_2d(np.cov(draws / prior_sd, rowvar=False))
     variances, axes = np.linalg.eigh(covariance)  # smallest first: best known first
@@ -195,12 +135,6 @@ def least_curvature(dim: int, size: float) -> float:
     below 1 − √γ, and cannot tell it from the Marchenko–Pastur edge (1 − √γ)² of the others if not
     (Baik and Silverstein, J. Multivar. Anal. 97, 2006). Here λ = ½, a curvature of 1. Chance
     moves the edge by about n^(−2/3) (Tracy and Widom): twice that is kept clear of it.
-
-    Parameters
-    ----------
-    dim : int
-    size : float
-        Number n of independent draws that the draws are worth.
     """
     share = dim / max(size, 1e-9)
     if share >= 1.0:
@@ -242,31 +176,20 @@ def measure_sensitivity(
     By chance d is positive even without any dependence. This part is measured by applying
     the weights of one chain to the draws of another, independent one, and its square is
     subtracted from the squared sensitivity.
-
-    Parameters
-    ----------
-    draws : (dim, chain, draw)
-    log_prior, log_likelihood : (chain, draw)
-
-    Raises
-    ------
-    FitError
-        When there is only one chain.
     """
     chains = draws.shape[1]
-    if chains < 2:
-        raise FitError("power-scaling sensitivity needs two independent chains, got one")
     weights = np.concatenate([_scaled_weights(p) for p in (log_prior, log_likelihood)])
     rolled = [np.roll(weights, shift, axis=1).reshape(4, -1) for shift in range(chains)]
-    found = []
+    sensitivities = []
     for name, own in zip(names, draws, strict=True):
         distance = cjs_distance(own.reshape(-1), np.concatenate(rolled))
         speed = distance.reshape(chains, 2, 2).mean(axis=2) / np.log2(SCALING)
         chance = np.mean(speed[1:] ** 2, axis=0)
         prior, likelihood = np.sqrt(np.maximum(speed[0] ** 2 - chance, 0.0))
         limits = np.maximum(SENSITIVE, 2.0 * np.sqrt(chance))
-        found.append(Sensitivity(name, float(prior), float(likelihood), *map(float, limits)))
-    return tuple(found)
+        figures = map(float, (prior, likelihood, *limits))
+        sensitivities.append(Sensitivity(name, *figures))
+    return tuple(sensitivities)
 
 
 def _scaled_weights(log_density: Array) -> Array:
@@ -284,16 +207,6 @@ def cjs_distance(draws: Array, weights: Array) -> Array:
     D(P‖M) = ∫ P log2(P/M) + (M − P)/ln 2 dx, it is √[(D(P‖M) + D(Q‖M)) / ∫ P + Q dx],
     computed for x and for −x, of which the larger counts (Nguyen and Vreeken, ECML PKDD 2015; as
     Kallioinen et al. and ArviZ use it).
-
-    Parameters
-    ----------
-    draws : (n,)
-    weights : (k, n)
-        Not negative; each row is normalised.
-
-    Returns
-    -------
-    (k,)
     """
     order = np.argsort(draws)
     width = np.diff(draws[order])

@@ -13,40 +13,23 @@ from mfd_bayes.errors import FitError
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-Density = Callable[[Array], Array]
-"""Log density of points (n, dim), (n,)."""
+Density = Callable[[Array], Array]  # log density of points (n, dim), (n,)
 
+# least squares: most steps; least relative gain of a good step; refused steps that end a start
 STEPS, TOLERANCE, REFUSED = 100, 1e-6, 8
-"""Least squares: most steps; least relative gain of a good step; refused steps that end a start."""
-
-MOST = 4_000_000
-"""Most numbers of residuals that are computed together."""
-
-LOWEST = -1e15
-"""Log density where there is none, for what takes differences."""
-
-DISTINCT = 0.05
-"""Least distance of two least-squares results, in prior standard deviations."""
-
-HOPELESS = 400.0
-"""Least-squares results whose log posterior is this far below the best one are dropped."""
+MOST = 4_000_000  # most numbers of residuals that are computed together
+LOWEST = -1e15  # log density where there is none, for what takes differences
+DISTINCT = 0.05  # least distance of two least-squares results, in prior standard deviations
+HOPELESS = 400.0  # least-squares results are dropped whose log posterior is so far below the best
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A local maximum of the log posterior.
+    """A local maximum of the log posterior."""
 
-    Attributes
-    ----------
-    q : (dim,)
-    log_prob : float
-    covariance : (dim, dim)
-        Inverse curvature at the mode, made positive definite.
-    """
-
-    q: Array
+    q: Array  # (dim,)
     log_prob: float
-    covariance: Array
+    covariance: Array  # (dim, dim): inverse curvature at the mode, made positive definite
 
     @property
     def log_evidence(self) -> float:
@@ -67,13 +50,7 @@ def find_modes(
     """Distinct modes, best first.
 
     From many prior draws, those that fit well and differ most are chosen; least squares on
-    residual and prior starts from each, then BFGS on the log posterior from each distinct
-    result.
-
-    Raises
-    ------
-    FitError
-        When no prior draw has any posterior density.
+    residual and prior starts from each, then BFGS on the log posterior from each distinct result.
     """
     mean, sd = prior_scale(posterior, rng)
     begin = _starting_points(posterior, rng, starts, candidates)
@@ -87,10 +64,17 @@ def find_modes(
             ends.append(fits[i])
     modes: list[Mode] = []
     for end in ends:
-        mode = climb(posterior.log_prob, end, np.diag(sd), sd, modes)
-        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
-            modes.append(mode)
+        modes = distinct([*modes, climb(posterior.log_prob, end, np.diag(sd), sd, modes)])
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
+
+
+def distinct(modes: Sequence[Mode]) -> list[Mode]:
+    """Modes of which none is near one before it."""
+    kept: list[Mode] = []
+    for mode in modes:
+        if not any(other.is_near(mode.q, mode.log_prob) for other in kept):
+            kept.append(mode)
+    return kept
 
 
 def prior_scale(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -154,14 +138,8 @@ def climb(
 ) -> Mode:
     """Mode that BFGS reaches from a point, (dim,), in coordinates along `axes`.
 
-    Where it comes near one of the known `modes`, and is not higher, it ends there.
-
-    Parameters
-    ----------
-    axes : (dim, dim)
-        Columns along which the density is about as wide as 1.
-    sd : (dim,)
-        Scale of each coordinate under its prior, for the covariance.
+    The density is about as wide as 1 along each column of the axes, (dim, dim); `sd` (dim,) are
+    the prior's. Where it comes near one of the known `modes`, and is not higher, it ends there.
     """
     from scipy.optimize import OptimizeResult, minimize  # which takes long to import
 
@@ -215,22 +193,12 @@ def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
 
 
 def least_squares(residual: Callable[[Array, Rows], Array], begin: Array, reach: float) -> Array:
-    """Points with the least sum of squares of residuals and coordinates, one from each start.
+    """Points (m, d) with the least sum of squares of residuals and coordinates, one a start.
 
+    `residual` takes points (n, d) and the numbers of their starts (n,), and gives (n, T); no
+    coordinate goes beyond ± `reach`.
     Damped Gauss-Newton steps (Levenberg, Marquardt) of all starts at once: a force costs half as
     much a vector where many are computed together.
-
-    Parameters
-    ----------
-    residual : callable
-        Of points (n, d) and the numbers of their starts (n,), (n, T).
-    begin : (m, d)
-    reach : float
-        Largest size of a coordinate.
-
-    Returns
-    -------
-    (m, d)
     """
 
     def misfit(at: Array, starts: Rows) -> Array:

@@ -22,8 +22,8 @@ Values = Mapping[str, Array]
 
 LOG_2PI = float(np.log(2 * np.pi))
 
+# numbers per array that are worked on together, so that a piece's arrays stay in the cache
 PIECE = 1 << 15
-"""Numbers per array that are worked on together, so that a piece's arrays stay in the cache."""
 
 SD = Quantity("noise_sd", "force", "s", "s", "standard deviation of the noise")
 TIME = Quantity("noise_time", "time", r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise")
@@ -47,21 +47,11 @@ BUILD_TIME = Quantity(
 
 
 class Noise:
-    """Independent Gaussian noise, and the base of all others.
+    """Independent Gaussian noise, and the base of all others."""
 
-    Attributes
-    ----------
-    name : str
-        In campaign files.
-    quantities : tuple of Quantity
-        Its parameters, in the order in which they are sampled.
-    needs_travel : bool
-        Whether it depends on the travel since the last slip.
-    """
-
-    name: ClassVar[str] = "iid"
-    quantities: ClassVar[tuple[Quantity, ...]] = (SD,)
-    needs_travel: ClassVar[bool] = False
+    name: ClassVar[str] = "iid"  # in campaign files
+    quantities: ClassVar[tuple[Quantity, ...]] = (SD,)  # in the order in which they are sampled
+    needs_travel: ClassVar[bool] = False  # whether it depends on the travel since the last slip
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -71,20 +61,10 @@ class Noise:
     def log_density(
         self, residual: Array, time: Array, values: Values, travel: Array | None = None
     ) -> Array:
-        """Normalised log density of residuals.
+        """Normalised log density of residuals (n, T), kip, at times (T,), s, (n,).
 
-        Parameters
-        ----------
-        residual : (n, T), kip
-        time : (T,), s
-        values : mapping of str to (n,)
-            The noise's parameters, and d2 and d3 where there is a gap.
-        travel : (n, T), in, optional
-            Travel since the last slip, for a noise that needs it.
-
-        Returns
-        -------
-        (n,)
+        `values` are the noise's parameters, (n,) each, with d2 and d3 where there is a gap;
+        `travel` (n, T), in, is the one since the last slip, where it is needed.
         """
         phi, shrink = self._correlation(time, values)
         scale = values["noise_sd"][:, None]
@@ -92,23 +72,9 @@ class Noise:
         np.subtract(residual[:, 1:], standard, out=standard)
         standard /= scale * np.sqrt(shrink)
         total = self._density(residual[:, :1] / scale, values) + self._density(standard, values)
-        total -= self._log_scale(shrink, time, values)
-        return total
-
-    def _log_scale(self, shrink: Array, time: Array, values: Values) -> Array:
-        """Sum over the samples of the log scales of their innovations, (n,)."""
         repeats = (time.size - 1) // shrink.shape[1]  # one φ stands for all uniform steps
-        steps: Array = 0.5 * repeats * np.log(shrink).sum(axis=1)
-        return time.size * np.log(values["noise_sd"]) + steps
-
-    def largest(self, time: Array, values: Values) -> Array:
-        """Largest log density that any residuals have, (n,); ∞ where it depends on the travel."""
-        n = values["noise_sd"].size
-        if self.needs_travel:
-            return np.full(n, np.inf)
-        shrink = self._correlation(time, values)[1]
-        nothing = self._density(np.zeros((n, 1)), values)
-        return time.size * nothing - self._log_scale(shrink, time, values)
+        steps = 0.5 * repeats * np.log(shrink).sum(axis=1)
+        return np.asarray(total - (time.size * np.log(values["noise_sd"]) + steps))
 
     def draw(
         self,
@@ -129,15 +95,7 @@ class Noise:
     def memory(
         self, time: Array, values: Values, travel: Array | None = None
     ) -> tuple[Array, Array]:
-        """How much each sample depends on the one before, and its scale; see `log_density`.
-
-        Returns
-        -------
-        decay : (n, T)
-            −log φ of the step to each sample; ∞, φ = 0, at the first, and for independent noise.
-        scale : (n, T), kip
-            Marginal standard deviation; with Student-t innovations their scale.
-        """
+        """−log φ of the step to each sample (∞ at the first), and scale, kip, (n, T) each."""
         shape = values["noise_sd"].size, time.size
         return np.full(shape, np.inf), np.broadcast_to(values["noise_sd"][:, None], shape)
 
@@ -285,10 +243,10 @@ def _log_product(factors: Array) -> Array:
     return np.asarray(np.log(products).sum(axis=0))
 
 
+# every noise by its name in campaign files
 NOISES: Mapping[str, Noise] = MappingProxyType(
     {noise.name: noise for noise in (OU(), Noise(), StudentT(), Staged())}
 )
-"""Every noise by its name in campaign files."""
 
 
 def find_noise(name: str) -> Noise:

@@ -11,20 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.noise import Noise, find_noise
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors, priors_of, quantities_of_fit
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors, priors_of_fit
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.columns import columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.records.numbers import real_number, whole_number
+from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.store.cards import card, counted
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 1 << 24
-"""Points times samples whose forces are computed at once: some 400 MB."""
+AT_ONCE = 1 << 24  # points times samples whose forces are computed at once: some 400 MB
 
 
 @dataclass(frozen=True)
@@ -34,21 +32,12 @@ class Pivot:
     A slow test tells F_s, a fast one F_c; F_c (1 + c e), with c the mean of exp(−(v/v_s)²)
     over the motion and e the excess of static friction, is what either knows best. The
     logarithms of both differ by log(1 + c e), which depends on e alone: the Jacobian is 1.
-
-    Attributes
-    ----------
-    kinetic, excess : int
-        Columns of q.
-    share : float
-        c.
-    prior : Prior
-        Of the excess.
     """
 
-    kinetic: int
+    kinetic: int  # columns of q
     excess: int
-    share: float
-    prior: Prior
+    share: float  # c
+    prior: Prior  # of the excess
 
     def shift(self, points: Array) -> Array:
         """Difference between the sampled coordinate and log F_c, log(1 + c e), (n,)."""
@@ -116,25 +105,22 @@ class Posterior:
         if start not in ("sample", "mask"):
             raise FitError(f"unknown start {start!r}: expected 'sample' or 'mask'")
         file = priors if isinstance(priors, PriorFile) else load_priors(str(priors), model=chosen)
-        found = find_noise(noise)
-        wanted = quantities_of_fit(chosen, found, sampled_start=start == "sample")
-        known = priors_of(file, wanted)
-        names = tuple(
-            name for name, p in known.items() if not p.fixed and name not in chosen.keeps_prior
+        kind = find_noise(noise)
+        own = priors_of_fit(file, chosen, kind, sampled_start=start == "sample")
+        names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
+        first = first_slip(trace, file, chosen) if start == "mask" else 0
+        pivots = _pivots(trace, names, own)
+        vars(self).update(
+            trace=trace,
+            model=chosen,
+            noise=kind,
+            priors=own,
+            names=names,
+            pivots=pivots,
+            first=first,
         )
-        values = {
-            "trace": trace,
-            "model": chosen,
-            "noise": found,
-            "priors": known,
-            "names": names,
-            "pivots": _pivots(trace, names, known),
-            "first": first_slip(trace, file, chosen) if start == "mask" else 0,
-        }
-        for key, value in values.items():
-            object.__setattr__(self, key, value)
         if chosen.own:  # a user's model that cannot be used is refused before it is sampled
-            typical = {name: np.array([prior.typical]) for name, prior in known.items()}
+            typical = {name: np.array([prior.typical]) for name, prior in own.items()}
             chosen.force(chosen.theta(typical), trace)
 
     def _repr_html_(self) -> str:
@@ -158,27 +144,10 @@ class Posterior:
         fixed = {name: p.figures["value"] for name, p in self.priors.items() if p.fixed}
         return ({} if self.model.own else {"gamma1": 1.0}) | {"start": 0.5} | fixed
 
-    def log_prob(self, q: ArrayLike, least: float = -np.inf) -> Array:
-        """Log posterior density of q, unnormalised, (n, dim) -> (n,).
-
-        No force is computed where prior and noise alone keep the density below `least`: it is −inf
-        there.
-
-        Raises
-        ------
-        FitError
-            When the shape does not fit, q holds NaN, or `least` is no number.
-        """
+    def log_prob(self, q: ArrayLike) -> Array:
+        """Log posterior density of q, unnormalised, (n, dim) -> (n,)."""
         points = self._check(q)
-        limit = least if least == -np.inf else real_number("least", least, FitError)
         density = self.log_prior(points)
-        below = np.isfinite(density) & (density < limit)
-        if np.any(below):
-            time = self.trace.time[self.first :]
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                most = density[below] + self.noise.largest(time, self.values(points[below]))
-            below[below] = most < limit
-            density[below] = -np.inf
         inside = np.isfinite(density)
         density[inside] += self._log_likelihood(points[inside])
         if np.any(np.isnan(density)):
@@ -188,11 +157,10 @@ class Posterior:
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
         own = self.to_own(self._check(q))
-        columns = zip(self.names, own.T, strict=True)
-        return sum(
-            (self.priors[name].log_density(column) for name, column in columns),
-            np.zeros(len(own)),
-        )
+        density = np.zeros(len(own))
+        for name, column in zip(self.names, own.T, strict=True):
+            density += self.priors[name].log_density(column)
+        return density
 
     def log_likelihood(self, q: ArrayLike) -> Array:
         """Log likelihood of q, (n, dim) -> (n,); −inf where the force is beyond all range.
@@ -213,24 +181,20 @@ class Posterior:
         if parts > 1:
             some = np.array_split(points, parts)
             return np.concatenate([self._log_likelihood(part) for part in some])
-        values = self.values(points)
-        kept = slice(self.first, None)
+        values, kept = self.values(points), slice(self.first, None)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            residual = self._left_over(values)[:, kept]
-            travel = self.travel(values)
-            density = self.noise.log_density(
-                residual, self.trace.time[kept], values, None if travel is None else travel[:, kept]
-            )
+            residual, travel = self._residual(values)[:, kept], self.travel(values)
+            travel = None if travel is None else travel[:, kept]
+            density = self.noise.log_density(residual, self.trace.time[kept], values, travel)
         return np.where(np.isnan(density), -np.inf, density)
 
     def residual(self, q: ArrayLike, scales: Mapping[str, Array] | None = None) -> Array:
         """What the model leaves over, F_obs − F0 − F, (n, T), kip; scales as in `Model.force`."""
-        return self._left_over(self.values(q), scales)
+        return self._residual(self.values(q), scales)
 
-    def _left_over(
+    def _residual(
         self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
     ) -> Array:
-        """As `residual`, of values by name."""
         if not len(values["offset"]):
             return np.empty((0, self.trace.samples))
         by_time = self.force(values, scales=scales).T  # as the models lay it out
@@ -245,17 +209,21 @@ class Posterior:
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        chosen = self.trace if trace is None else check_trace("trace", trace, FitError)
-        theta, start = self.theta(values), named_columns(values, ("start",))["start"]
-        return self.model.force_unbounded(theta, chosen, start, scales=scales)
+        motion, theta, start = self._motion(values, trace)
+        return self.model.force_unbounded(theta, motion, start, scales=scales)
 
     def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""
         if not self.noise.needs_travel:
             return None
-        chosen = self.trace if trace is None else check_trace("trace", trace, FitError)
-        theta, start = self.theta(values), named_columns(values, ("start",))["start"]
-        return self.model.travel(theta, chosen, start)
+        motion, theta, start = self._motion(values, trace)
+        return self.model.travel(theta, motion, start)
+
+    def _motion(
+        self, values: Mapping[str, Array], trace: Trace | None
+    ) -> tuple[Trace, Array, Array]:
+        motion = self.trace if trace is None else check_trace("trace", trace, FitError)
+        return motion, self.theta(values), named_columns(values, ("start",))["start"]
 
     def values(self, q: ArrayLike) -> dict[str, Array]:
         """Values of all quantities of q by name, (n,) each, internal units.
@@ -276,8 +244,8 @@ class Posterior:
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""
-        known = named_vectors(values, self.names)
-        own = [self.priors[name].coordinate(value) for name, value in known.items()]
+        columns = named_vectors(values, self.names)
+        own = [self.priors[name].coordinate(value) for name, value in columns.items()]
         return self.from_own(np.stack(own, axis=1))
 
     def to_own(self, points: Array) -> Array:
@@ -299,17 +267,10 @@ class Posterior:
         return self.model.theta(values)
 
     def draw_prior(self, rng: np.random.Generator, n: int) -> dict[str, Array]:
-        """Independent draws of all quantities from the prior, by name, (n,) each.
-
-        Raises
-        ------
-        FitError
-            When n is no whole number, 0 or more, or rng is no generator of random numbers.
-        """
+        """Independent draws of all quantities from the prior, by name, (n,) each."""
         if not isinstance(rng, np.random.Generator | np.random.RandomState):
             raise FitError(f"rng must be a generator, as np.random.default_rng(1), got {rng!r}")
-        if whole_number("the number of draws", n, 0, FitError) == 0:
-            return {name: values[:0] for name, values in self.draw_prior(rng, 1).items()}
+        whole_number("the number of draws", n, 0, FitError)
         defaults = {k: np.full(n, v) for k, v in self._defaults.items()}
         return defaults | {name: prior.draw(rng, n) for name, prior in self.priors.items()}
 
@@ -340,13 +301,7 @@ def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -
 
 
 def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
-    """Sample from which the device has surely slipped: after a stretch of two prior gaps.
-
-    Raises
-    ------
-    FitError
-        When the priors have no gap, or no stretch of the record is that long.
-    """
+    """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
     gap = file.gap
     if gap is None and not model.has_gap:
         return 0

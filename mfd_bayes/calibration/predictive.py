@@ -20,21 +20,11 @@ COVERAGES = (0.5, 0.9, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Replicas:
-    """Records that the posterior predicts for the motion of its own test.
+    """Records that the posterior predicts for the motion of its own test."""
 
-    Attributes
-    ----------
-    force : (n, T), kip
-        Model force and offset, for posterior draws.
-    observed : (n, T), kip
-        The same with noise.
-    values : mapping of str to (n,)
-        The posterior draws that were used.
-    """
-
-    force: Array
-    observed: Array
-    values: Mapping[str, Array]
+    force: Array  # (n, T), kip: model force and offset, for posterior draws
+    observed: Array  # (n, T), kip: the same with noise
+    values: Mapping[str, Array]  # (n,): the posterior draws that were used
 
 
 @dataclass(frozen=True)
@@ -56,18 +46,7 @@ class PredictiveCheck:
 def replicate(
     posterior: Posterior, values: Mapping[str, Array], rng: np.random.Generator, n: int = 1000
 ) -> Replicas:
-    """Replicated records.
-
-    Parameters
-    ----------
-    values : mapping of str to (draws,)
-        Posterior draws of all quantities; n of them are used, evenly spaced.
-
-    Raises
-    ------
-    RecordError
-        When a force is too large to be a measurement.
-    """
+    """Replicated records."""
     total = len(values["offset"])
     pick = np.linspace(0, total - 1, min(n, total)).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}
@@ -81,13 +60,7 @@ def replicate(
 def check_predictive(
     posterior: Posterior, replicas: Replicas, gap: float | None
 ) -> tuple[PredictiveCheck, ...]:
-    """Posterior predictive p-values of the test statistics, P(T(replica) ≥ T(record)).
-
-    Parameters
-    ----------
-    gap : float, in, or None
-        Gap width; the force at mid-gap is taken at half of it.
-    """
+    """Posterior predictive p-values of the test statistics, P(T(replica) ≥ T(record))."""
     kept = slice(posterior.first, None)
     force, replica = replicas.force[:, kept], replicas.observed[:, kept]
     record = np.broadcast_to(np.asarray(posterior.trace.force)[kept], force.shape)

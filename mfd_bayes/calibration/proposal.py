@@ -17,36 +17,28 @@ from mfd_bayes.errors import FitError
 
 Array = NDArray[np.float64]
 
+# draws for each dimension that shrink a component's scale to that of all components
 SHRINKAGE = 2.0
-"""Draws for each dimension that shrink a component's scale to that of all components."""
 
-PARTS = 12
-"""Largest number of components of a fit, besides the wide one."""
+PARTS = 12  # largest number of components of a fit, besides the wide one
+ITERATIONS = 12  # steps of expectation-maximisation
 
-ITERATIONS = 12
-"""Steps of expectation-maximisation."""
-
+# effective number of draws, as a share of all, from which a proposal is fitted at least
 SHARE = 0.1
-"""Effective number of draws, as a share of all, from which a proposal is fitted at least."""
 
-FIRST = 0.05
-"""Share of the first proposal in all others."""
+FIRST = 0.05  # share of the first proposal in all others
+ANCHORED = 0.25  # share of the anchors in a proposal that is learned from walkers
+LEARNED = 8000  # largest number of walkers' draws from which a proposal is learned
 
-ANCHORED = 0.25
-"""Share of the anchors in a proposal that is learned from walkers."""
-
-LEARNED = 8000
-"""Largest number of walkers' draws from which a proposal is learned."""
-
+# bound on the parameters of a coordinate's warp, so that few draws cannot distort it much
 BENT = 1.5
-"""Bound on the parameters of a coordinate's warp, so that few draws cannot distort it much."""
 
+# misfit of one quantile, in arcsinh of the normal coordinate, that weighs as much as a parameter of
+# size 1: small, so that the fit of the quantiles decides
 LOOSE = 0.01
-"""Misfit of one quantile, in arcsinh of the normal coordinate, that weighs as much as a parameter
-of size 1: small, so that the fit of the quantiles decides."""
 
+# probabilities of the quantiles to which each coordinate's warp is fitted
 PROBABILITIES = np.array([0.01, 0.025, 0.07, 0.16, 0.31, 0.5, 0.69, 0.84, 0.93, 0.975, 0.99])
-"""Probabilities of the quantiles to which each coordinate's warp is fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,25 +86,13 @@ class Warp:
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Weighted Student-t densities in `dim` dimensions.
+    """Weighted Student-t densities in `dim` dimensions."""
 
-    Attributes
-    ----------
-    weights : (k,)
-    means : (k, dim)
-    factors : (k, dim, dim)
-        Lower Cholesky factors of the scale matrices.
-    dof : (k,)
-        Degrees of freedom.
-    warp : Warp, optional
-        The components stand in warped coordinates.
-    """
-
-    weights: Array
-    means: Array
-    factors: Array
-    dof: Array
-    warp: Warp | None = None
+    weights: Array  # (k,)
+    means: Array  # (k, dim)
+    factors: Array  # (k, dim, dim): lower Cholesky factors of the scale matrices
+    dof: Array  # (k,): degrees of freedom
+    warp: Warp | None = None  # Warp, optional: the components stand in warped coordinates
 
     @cached_property
     def _whitening(self) -> tuple[Array, Array, Array]:
@@ -177,19 +157,6 @@ def fit_mixture(
     Components are fitted by expectation-maximisation to whitened draws, with covariances that are
     shrunk, and then have Student-t tails of those covariances. A component that is wider than all
     draws is added, so that no tail is left out.
-
-    Parameters
-    ----------
-    draws : (n, dim)
-    weights : (n,), optional
-        Of the draws; they sum to 1.
-    parts : int
-        Largest number of components besides the wide one; fewer are used of few draws.
-    warped : bool
-        The draws are those of walkers in warped coordinates: nearly normal, and correlated. Then
-        covariances are shrunk to half of that of all draws, and tails are thin; else to the mean
-        within components, so that a narrow one is not made wide by the distance of others, and
-        tails are heavy, since a tail that is missed spoils importance weights.
     """
     dof, wide = (30.0, 0.1) if warped else (5.0, 0.2)
     if weights is not None:
@@ -270,17 +237,6 @@ class Adaptive:
     Adaptive multiple importance sampling (Cornuet, Marin, Mira and Robert, 2012): each draw is
     weighted by the density over the mean of all proposals. The next proposal is fitted with
     tempered weights (Koblents and Míguez, 2015), so that few draws do not decide it.
-
-    Attributes
-    ----------
-    q : (n, dim)
-    log_prob : (n,)
-    weights : (n,)
-        They sum to 1.
-    k, size : float
-        Pareto k of the weights, and the effective number of draws.
-    proposals : list of Mixture or Proposal
-        A little of the first one stays in all others. The last has no draws yet.
     """
 
     def __init__(

@@ -34,80 +34,37 @@ from mfd_bayes.records.numbers import whole_number
 from mfd_bayes.store.cards import counted, grid
 
 Array = NDArray[np.float64]
-BoundedDensity = Callable[[Array, float], Array]
-"""Log density of points (n, dim), (n,). What is surely below the number may be −inf instead."""
 
-STORED = 3000
-"""Largest number of steps stored for each walker; beyond it, every second one is dropped."""
-
-ROUND = 20
-"""Steps after which the proposal is learned again during the warm-up."""
-
-ROUNDS = 12
-"""Largest number of such rounds at full power; fewer where they no longer help."""
-
-HEAT = (0.3, 0.35, 0.5, 0.65, 0.8)
-"""Powers of the density in the first rounds, so that walkers reach its tails and other modes."""
-
-BROAD = 0.5
-"""The proposal learned at this power stays part of all later ones."""
-
-FIRST = 80
-"""Largest number of kept steps after which convergence is measured first."""
-
-SLOW = 40.0
-"""Autocorrelation time, steps, above which the proposal is learned again."""
-
-LEAST = 16.0
-"""Least autocorrelation time, steps, that is used for the length of a run: far tails are visited
-more rarely than the estimate shows."""
-
-PARTS = 6
-"""Largest number of Student-t components of a learned proposal, besides the wide one."""
-
-REQUIRED = 200
-"""Correlated draws per dimension that each component needs."""
-
-NEVER = 1000.0
-"""A proposal whose log density is this far below that of every walker is never accepted."""
-
-SILENT = 5.0
-"""Seconds after which R̂ and effective sample size are reported, even of a run that is too short."""
-
-JUMPS = 0.7
-"""Share of independence proposals among the steps; the others are differential evolution."""
+STORED = 3000  # steps stored for each walker; beyond it, every second one is dropped
+ROUND = 20  # steps after which the proposal is learned again during the warm-up
+ROUNDS = 12  # largest number of such rounds at full power; fewer where they no longer help
+HEAT = (0.3, 0.35, 0.5, 0.65, 0.8)  # powers of the density in the first rounds
+BROAD = 0.5  # the proposal learned at this power stays part of all later ones
+FIRST = 80  # largest number of kept steps after which convergence is measured first
+SLOW = 40.0  # autocorrelation time, steps, above which the proposal is learned again
+LEAST = 16.0  # least autocorrelation time that is used: far tails are visited more rarely
+PARTS = 6  # largest number of Student-t components of a learned proposal, besides the wide one
+REQUIRED = 200  # correlated draws per dimension that each component needs
+JUMPS = 0.7  # share of independence proposals; the other steps are differential evolution
 
 
 @dataclass(frozen=True, eq=False)
 class Chains:
     """Draws of a density; each ensemble is a chain.
 
-    Attributes
-    ----------
-    q : (chain, draw, dim)
-        A chain's draws are ordered by walker and, within a walker, by step, so that the
-        autocorrelation of a chain is that of its walkers.
-    log_prob : (chain, draw)
-    walkers : int
-    steps, thin, discarded : int
-        Steps of each ensemble; the interval of steps between kept draws; steps of the warm-up,
-        in which the proposal was fitted and no draw is kept.
-    acceptance : (chain,)
-    autocorrelation : (dim,)
-        Integrated autocorrelation time, steps.
-    watched : (ensemble, step, walker, m)
-        Kept draws of all that must converge: coordinates, log density, derived quantities.
+    A chain's draws are ordered by walker and, within a walker, by step, so that the
+    autocorrelation of a chain is that of its walkers.
     """
 
-    q: Array
-    log_prob: Array
+    q: Array  # (chain, draw, dim)
+    log_prob: Array  # (chain, draw)
     walkers: int
-    steps: int
-    thin: int
-    discarded: int
-    acceptance: Array
-    autocorrelation: Array
-    watched: Array
+    steps: int  # of each ensemble
+    thin: int  # steps between kept draws
+    discarded: int  # steps of the warm-up, in which the proposal was fitted
+    acceptance: Array  # (chain,)
+    autocorrelation: Array  # (dim,), integrated autocorrelation time, steps
+    watched: Array  # (ensemble, step, walker, m): coordinates, log density, derived quantities
 
     @property
     def slowest(self) -> float:
@@ -121,7 +78,7 @@ class Chains:
 
 
 def sample_density(
-    density: BoundedDensity,
+    density: Density,
     modes: Sequence[Mode],
     effort: Effort,
     rng: np.random.Generator,
@@ -136,30 +93,48 @@ def sample_density(
     draws are kept: from independence proposals of the mixture and differential evolution. If
     the chains mix slowly, or are far from the effort's target, the mixture is learned again
     from the kept draws, which are then discarded: not in the second half of the effort's limit.
-
-    Parameters
-    ----------
-    density : callable
-        Log density of points (n, dim), (n,). What is surely below the number may be −inf instead.
-    derived : callable, optional
-        Other quantities that must converge too, (n, dim) -> (n, m).
-    report : callable, optional
-        Called with a `Progress` after every block of steps.
+    `derived` gives other quantities that must converge too, (n, dim) -> (n, m).
     """
+    began = time.perf_counter()
     walk = _Walk(density, modes, effort, rng, derived)
     walk.warm_up()
     wait = min(FIRST, math.ceil(effort.length * LEAST))
     while True:
         walk.run(max(1, min(wait, effort.limit - walk.steps)))
         chains = walk.chains()
+        long_enough = walk.fresh / max(effort.length * max(chains.slowest, LEAST), 1e-9)
+        done = long_enough
+        if long_enough >= 1.0:  # only now is the convergence worth measuring
+            done = chains.convergence.share(effort.r_hat, effort.ess)
+        left = walk.fresh * (1.0 / done - 1.0) if done > 0.0 else math.inf
         if report is not None:
-            report(walk.progress(chains))
-        if walk.reached(chains) or walk.steps >= effort.limit:
+            report(_progress(chains, effort, long_enough, left, time.perf_counter() - began))
+        reached = long_enough >= 1.0 and chains.convergence.reached(effort.r_hat, effort.ess)
+        if reached or walk.steps >= effort.limit:
             return chains
-        if walk.is_slow(chains) and 2 * walk.steps <= effort.limit:
+        size = chains.walkers * effort.ensembles * walk.fresh / max(chains.slowest, 1.0)
+        slow = size < 0.5 * effort.ess or chains.slowest > SLOW
+        if slow and 2 * walk.steps <= effort.limit:
             walk.learn_again()
+        left = left if walk.fresh else math.inf
         longest = max(FIRST // 2, walk.fresh // 2)
-        wait = max(ROUND, walk.fresh // 4, math.ceil(min(1.1 * walk.left(chains), longest)))
+        wait = max(ROUND, walk.fresh // 4, math.ceil(min(1.1 * left, longest)))
+
+
+def _progress(
+    chains: Chains, effort: Effort, long_enough: float, left: float, seconds: float
+) -> Progress:
+    """Progress of a sampling; without R̂ and ESS while the run is too short."""
+    steps = chains.steps
+    share = steps / max(steps, min(steps + left, effort.limit))
+    if long_enough < 1.0:
+        kept = steps - chains.discarded
+        missing = f"{kept} of {math.ceil(kept / long_enough)} kept steps"
+        return Progress(steps, effort.limit, math.nan, math.nan, seconds, share, missing)
+    r_hat, ess = chains.convergence.worst_r_hat, chains.convergence.worst_ess
+    lacking = [] if r_hat <= effort.r_hat else [f"R-hat {effort.r_hat:g}"]
+    lacking += [] if ess >= effort.ess else [f"ESS {effort.ess:g}"]
+    return Progress(steps, effort.limit, r_hat, ess, seconds, share, " and ".join(lacking))
 
 
 class _Walk:
@@ -167,22 +142,19 @@ class _Walk:
 
     def __init__(
         self,
-        density: BoundedDensity,
+        density: Density,
         modes: Sequence[Mode],
         effort: Effort,
         rng: np.random.Generator,
-        derived: Callable[[Array], Array] | None = None,
+        derived: Callable[[Array], Array] | None,
     ) -> None:
         dim = len(modes[0].q)
-        self._derived = derived
-        self._effort, self._rng = effort, rng
-        self._began = self._reported = time.perf_counter()
+        self._effort, self._rng, self._derived = effort, rng, derived
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
         self._power = HEAT[0]
-        self._state = emcee.State(np.empty((0, dim)))
 
         def powered(q: Array) -> Array:
-            return self._power * density(q, self._least)
+            return self._power * density(q)
 
         self._anchors: Mixture | Proposal = around_modes(modes, self._power)
         self._independent = Independent(self._anchors)
@@ -225,12 +197,6 @@ class _Walk:
                 break
             best = accepted
         self._freeze()
-
-    @property
-    def _least(self) -> float:
-        """Log density, of power 1, below which no proposal is accepted."""
-        known = self._state.log_prob
-        return -math.inf if known is None else float(np.min(known) - NEVER) / self._power
 
     def _raise(self, power: float) -> None:
         """Continue at a new power of the density, without the steps stored before."""
@@ -277,47 +243,6 @@ class _Walk:
                 self._stride *= 2
         self.steps += steps
 
-    def _length(self, chains: Chains) -> float:
-        """Number of kept steps over the number that the effort requires."""
-        required = self._effort.length * max(chains.slowest, LEAST)
-        return self.fresh / required if required > 0.0 else math.inf
-
-    def reached(self, chains: Chains) -> bool:
-        """Whether the effort's targets are met: its length first, which is known at once."""
-        effort = self._effort
-        long_enough = self._length(chains) >= 1.0
-        return long_enough and chains.convergence.reached(effort.r_hat, effort.ess)
-
-    def is_slow(self, chains: Chains) -> bool:
-        """Whether the walkers mix slowly, or are far from the effort's effective sample size."""
-        size = self._sampler.nwalkers * self.fresh / max(chains.slowest, 1.0)
-        return size < 0.5 * self._effort.ess or chains.slowest > SLOW
-
-    def left(self, chains: Chains) -> float:
-        """Estimated number of steps still to be kept until the effort's targets are met."""
-        effort, done = self._effort, self._length(chains)
-        if done >= 1.0:
-            done = chains.convergence.share(effort.r_hat, effort.ess)
-        return self.fresh * (1.0 / done - 1.0) if done > 0.0 else math.inf
-
-    def progress(self, chains: Chains) -> Progress:
-        """Progress of the sampling; without R̂ and ESS while the run is too short, see `SILENT`."""
-        effort, missing = self._effort, []
-        share = self.steps / max(self.steps, min(self.steps + self.left(chains), effort.limit))
-        r_hat, ess, now = math.nan, math.nan, time.perf_counter()
-        length = self._length(chains)
-        if length < 1.0:
-            missing.append(f"{self.fresh} of {math.ceil(self.fresh / length)} kept steps")
-        if length >= 1.0 or now - self._reported > SILENT:
-            self._reported = now
-            r_hat, ess = chains.convergence.worst_r_hat, chains.convergence.worst_ess
-            if not r_hat <= effort.r_hat:
-                missing.append(f"R-hat {effort.r_hat:g}")
-            if not ess >= effort.ess:
-                missing.append(f"ESS {effort.ess:g}")
-        seconds, lacking = now - self._began, " and ".join(missing)
-        return Progress(self.steps, effort.limit, r_hat, ess, seconds, share, lacking)
-
     def chains(self) -> Chains:
         """Thinned draws since the proposal was frozen."""
         ensembles, walkers = self._effort.ensembles, self._walkers
@@ -341,6 +266,9 @@ class _Walk:
             autocorrelation=self._stride * autocorrelation_time(full),
             watched=np.concatenate(watched, axis=-1),
         )
+
+
+# --- moves of the walkers -------------------------------------------------------------------------
 
 
 class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
@@ -367,18 +295,15 @@ class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
         halves = order[:, : walkers // 2], order[:, walkers // 2 :]
         accepted = np.zeros(total, dtype=bool)
         for moving, still in (halves, halves[::-1]):
-            proposals, factors = zip(
-                *(
-                    self.move.get_proposal(state.coords[m], [state.coords[s]], model.random)
-                    for m, s in zip(moving, still, strict=True)
-                ),
-                strict=True,
-            )
-            proposal = np.concatenate(proposals)
+            pairs = [
+                self.move.get_proposal(state.coords[m], [state.coords[s]], model.random)
+                for m, s in zip(moving, still, strict=True)
+            ]
+            proposal = np.concatenate([proposed for proposed, _ in pairs])
             log_prob, _ = model.compute_log_prob_fn(proposal)
             index = moving.reshape(-1)
-            gain = np.concatenate(factors) + log_prob - state.log_prob[index]
-            taken = np.log(model.random.rand(index.size)) < gain
+            gain = np.concatenate([factor for _, factor in pairs]) + log_prob
+            taken = np.log(model.random.rand(index.size)) < gain - state.log_prob[index]
             moved = index[taken]
             state.coords[moved] = proposal[taken]
             state.log_prob[moved] = np.asarray(log_prob)[taken]
@@ -426,9 +351,7 @@ def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves
     """Differential evolution moves within each ensemble, with their weights.
 
     One step in five moves by the full difference of two walkers, so that it can jump between
-    modes.
-
-    emcee 3.1.6's DESnookerMove does not sample the target and is not used.
+    modes. emcee 3.1.6's DESnookerMove does not sample the target and is not used.
     """
     usual = 2.38 / np.sqrt(2 * dim)
     return [
@@ -440,13 +363,7 @@ def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves
 def disperse(
     density: Density, anchors: Mixture | Proposal, walkers: int, random: np.random.RandomState
 ) -> Array:
-    """Starting points (walkers, dim): draws around the modes, chosen by importance weights.
-
-    Raises
-    ------
-    FitError
-        When the density is zero at all draws.
-    """
+    """Starting points (walkers, dim): draws around the modes, chosen by importance weights."""
     draws = anchors.draw(random, 4 * walkers)
     ratio = density(draws) - anchors.log_density(draws)
     top = np.sort(ratio)[-max(10, len(ratio) // 100)]
@@ -455,8 +372,10 @@ def disperse(
     weights = np.exp(np.minimum(ratio - top, 0.0))
     near = np.flatnonzero(weights)
     chosen = random.choice(near, size=walkers, p=weights[near] / weights[near].sum())
-    begin: Array = draws[chosen]
-    return begin
+    return np.asarray(draws[chosen])
+
+
+# --- draws of one test ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -562,10 +481,10 @@ def sample(
         raise FitError(f"posterior must be a Posterior, got {type(posterior).__name__}")
     if report is not None and not callable(report):
         raise FitError(f"report must be a function of one argument, a Progress, got {report!r}")
-    chosen, rng = find_effort(effort), generator_of(seed)
-    modes = find_modes(posterior, rng, starts=chosen.starts)
+    settings, rng = find_effort(effort), generator_of(seed)
+    modes = find_modes(posterior, rng, starts=settings.starts)
     chains = sample_density(
-        posterior.log_prob, modes, chosen, rng, derived=posterior.derived, report=report
+        posterior.log_prob, modes, settings, rng, derived=posterior.derived, report=report
     )
     flat, shape = chains.q.reshape(-1, posterior.dim), chains.q.shape[:2]
     values = posterior.values(flat)
@@ -591,10 +510,9 @@ def generator_of(seed: int | Sequence[int]) -> np.random.Generator:
 
     NumPy takes [1, 0] for [1]: here the number of zeros at the end of a sequence counts too.
     """
-    several = isinstance(seed, Sequence) or (isinstance(seed, np.ndarray) and seed.ndim > 0)
-    if not several or isinstance(seed, int | str | bytes):
+    if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str) or not np.ndim(seed):
         return np.random.default_rng(whole_number("seed", seed, 0, FitError))
-    words = [whole_number("seed", one, 0, FitError) for one in seed]
+    words = [whole_number("seed", word, 0, FitError) for word in seed]
     if not words:
         raise FitError("seed must be a whole number, 0 or more, or some of them, got none")
     zeros = len(words) - 1 - max((i for i, word in enumerate(words) if word), default=0)
@@ -602,10 +520,7 @@ def generator_of(seed: int | Sequence[int]) -> np.random.Generator:
 
 
 def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
-    """Number of the mode whose Laplace approximation is densest at each draw, (chain, draw).
-
-    The draws q are (chain, draw, dim).
-    """
+    """Mode whose Laplace approximation is densest at each of the draws (chain, draw, dim)."""
     flat = q.reshape(-1, q.shape[-1])
     heights = [around_modes([mode]).log_density(flat) for mode in modes]
     return np.asarray(np.argmax(heights, axis=0).reshape(q.shape[:2]))

@@ -16,6 +16,7 @@ from mfd_bayes.cli.data import init, inspect, prior_check
 from mfd_bayes.cli.errors import Command, Commands, checked_streams
 from mfd_bayes.cli.fit import calibrate, check, demo, draws, report
 from mfd_bayes.cli.use import compare, crossvalidate, export, next_test, predict, respond
+from mfd_bayes.cli.watch import watch
 from mfd_bayes.jobs.signals import end_on_signals
 
 app = typer.Typer(
@@ -44,6 +45,7 @@ _PANELS: dict[str, tuple[tuple[Callable[..., None], str], ...]] = {
         (crossvalidate, "open out/report.html, then mfd-bayes compare --help"),
         (compare, "open out/MODEL/report.html of the model that is favoured"),
         (draws, "read the table with pandas, R or another program; or mfd-bayes predict --help"),
+        (watch, "stop the test, add it to campaign.toml, and calibrate again"),
         (next_test, "make the test, add it to campaign.toml, and calibrate again"),
         (respond, "open FOLDER/report.html, then mfd-bayes export --help"),
         (export, "read about.json in the folder, beside the samples"),

@@ -359,15 +359,15 @@ def respond(
         for ground in () if quiet else prepared.grounds:
             console.say(ground.words)
         with watch(quiet=quiet) as observe:
-            answer = pipeline.respond(prepared, observe)
-    for remark in answer.view.remarks:
+            view = pipeline.respond(prepared, observe)
+    for remark in view.remarks:
         console.say(f"warning: {remark}", err=True)
-    for sentence in answer.view.verdict:
+    for sentence in view.verdict:
         console.say(sentence)
-    if answer.view.sweep:
-        console.say(answer.view.sweep)
+    if view.sweep:
+        console.say(view.sweep)
     if not quiet:
-        console.say(f"look next at {answer.page}")
+        console.say(f"look next at {folder / 'report.html'}")
 
 
 def export(
@@ -398,8 +398,8 @@ def export(
     with mistakes():
         from mfd_bayes.pipeline import export as pipeline
 
-        exported = pipeline.export(out, options.settings(pipeline.Export, ctx))
-    for remark in exported.remarks:
+        sentences, remarks = pipeline.export(out, options.settings(pipeline.Export, ctx))
+    for remark in remarks:
         console.say(f"warning: {remark}", err=True)
-    for sentence in exported.sentences:
+    for sentence in sentences:
         console.say(sentence)

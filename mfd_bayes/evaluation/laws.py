@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.design import sessions_of
 from mfd_bayes.evaluation.scores import fan_of, spread_of

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.settings import Setting

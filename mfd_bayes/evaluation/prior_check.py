@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.campaign import Campaign
 from mfd_bayes.evaluation.scores import fan_of
 from mfd_bayes.evaluation.views import Fan
 from mfd_bayes.friction.model import Model
-from mfd_bayes.records.loop_features import Scales, scales_of
+from mfd_bayes.records.loops import Scales, scales_of
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import System
 

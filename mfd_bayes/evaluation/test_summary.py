@@ -15,7 +15,7 @@ from mfd_bayes.calibration.identifiability import identify
 from mfd_bayes.calibration.noise_sensitivity import moves, quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.properties import (

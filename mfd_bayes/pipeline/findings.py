@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.campaign import Campaign, Test
 from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.friction.model import Model

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.findings import faults_for, findings_together, gap_of, tested_of
@@ -28,11 +28,6 @@ def inspect(
     Its facts are in the units of a system, "us" or "si"; by default the records' own. That system
     is returned too: in it the messages of faults are written. With `force`, a PNG that exists is
     replaced.
-
-    Raises
-    ------
-    MfdError
-        When the file cannot be read or used.
     """
     if path.suffix.lower() == ".toml":
         inspections, records = inspect_campaign(path)

@@ -36,46 +36,7 @@ MOST = 40_000
 
 @dataclass(frozen=True)
 class Question:
-    """A requested prediction.
-
-    Attributes
-    ----------
-    bands : Path
-        CSV to write; two PNGs and the derived quantities are written beside it.
-    actuation : str
-        Such as "1000 psi".
-    motion : Path or None
-        A file with time and displacement; None for a harmonic motion.
-    kind : {"device", "new_test", "observation", "this_test"}
-    probability : float
-        Of the equal-tailed band.
-    compare : bool
-        Whether the force in the motion's file is compared with the prediction.
-    test : str
-        Id of the calibrated test, for the kind `this_test`.
-    whole, explain : bool
-        As in `Run.predict`.
-    extrapolate : bool
-        Whether to predict far outside of what was tested too.
-    sine : str
-        Harmonic motion instead of a file: "1 in, 0.5 Hz, 3 cycles".
-    rate : str
-        Rate to which the motion is thinned, "64 Hz"; every sample is kept by default.
-    units : {"", "us", "si"}
-        Units of all that is written; by default those of the campaign.
-    design : bool
-        Whether mean and bounding properties are computed too.
-    given : str
-        Part of the record in which the force in the motion's file is known: "0 s to 3 s".
-    after : str
-        Id of the test of the run that the motion follows without a reset.
-    figures : bool
-        Whether the PNGs are drawn.
-    force : bool
-        Whether files that exist are replaced.
-    others : tuple of Path
-        Runs of the same tests with other models, which predict together with the first.
-    """
+    """A requested prediction."""
 
     bands: Path
     actuation: str
@@ -136,14 +97,7 @@ class Answer:
 
 
 def predict(out: Path, question: Question) -> Answer:
-    """Force band for a motion and an actuation, and derived quantities; both are written.
-
-    Raises
-    ------
-    MfdError
-        When the run, the motion, the actuation, the kind or the probability cannot be used, or
-        the motion lies far outside of what was tested.
-    """
+    """Force band for a motion and an actuation, and derived quantities; both are written."""
     check_question(question)
     run, *others = (open_run(folder) for folder in (out, *question.others))
     if question.units:
@@ -200,13 +154,7 @@ def predict(out: Path, question: Question) -> Answer:
 
 
 def check_question(question: Question) -> None:
-    """Refuse options that exclude each other, and to write over what exists, but for `force`.
-
-    Raises
-    ------
-    MfdError
-        When options cannot be combined, or one of the files may not be written.
-    """
+    """Refuse options that exclude each other, and to write over what exists, but for `force`."""
     if question.bands.suffix.lower() == ".png":
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import RecordError
 from mfd_bayes.evaluation.prior_check import MOST, most_wrong, prior_fan, share_inside
@@ -18,19 +18,7 @@ from mfd_bayes.store.files import write_bytes
 
 @dataclass(frozen=True)
 class PriorCheck:
-    """What the priors of a campaign allow.
-
-    Attributes
-    ----------
-    tests : tuple of (test's id, share of the measured force inside the 95 % prior band, picture)
-    unloaded : tuple of str
-        Tests without actuation of whose force most lies outside, where others have one: the priors
-        are of a device under actuation, and need not fit them.
-    outside : tuple of str
-        The other tests of whose force most lies outside.
-    wrong : str
-        Which prior is most wrong and what would mend it, by the tests outside; empty without any.
-    """
+    """What the priors of a campaign allow."""
 
     tests: tuple[tuple[str, float, Path], ...]
     unloaded: tuple[str, ...]
@@ -42,11 +30,6 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
     """Prior predictive loops compared with the data of every test, with a PNG each in `folder`.
 
     With `force`, a PNG that exists is replaced.
-
-    Raises
-    ------
-    MfdError
-        When the campaign, its priors or a record cannot be used.
     """
     from mfd_bayes.reporting.figures import draw_loops, to_png
 

@@ -24,30 +24,23 @@ from mfd_bayes.units import (
     parse_quantity,
 )
 
+# time on the frame beside the motion itself, h: setting the actuation, a check of the record
 SETUP = 0.25
-"""Time on the frame beside the motion itself, h: setting the actuation, a check of the record."""
 
 WAVEFORMS = ("sine", "triangle")
 
-MOST = 1000
-"""Most candidates of one question."""
-
+MOST = 1000  # most candidates of one question
 FORM = "a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
 
-BEYOND = 1.25
-"""How far candidates go beyond the largest tested actuation, amplitude and frequency."""
+BEYOND = 1.25  # how far candidates go beyond the largest tested actuation, amplitude and frequency
+LEVELS = 9  # most actuations of candidates
+RANGE = 5  # actuations over which the campaign's range is averaged
 
-LEVELS = 9
-"""Most actuations of candidates."""
-
-RANGE = 5
-"""Actuations over which the campaign's range is averaged."""
-
+# a candidate within this share of a test's amplitude and frequency, at its level, repeats it
 ALIKE = 0.1
-"""A candidate within this share of a test's amplitude and frequency, at its level, repeats it."""
 
+# shares of its value by which a figure of a test that was made, or of a new one, is rounded
 NEAR, NEW = 0.005, 0.02
-"""Shares of its value by which a figure of a test that was made, or of a new one, is rounded."""
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
 _ALTERNATIVES = re.compile(r"([^a-zA-Zµμ%°]*\|[^a-zA-Zµμ%°]*)(.*)", re.ASCII)
@@ -179,27 +172,21 @@ class Parts:
 
 
 def parse_limits(text: str, *, of: str = "--limits") -> Limits:
-    """Limits of ``"10 in/s, 6 in, 20 kip"``: velocity, stroke and force, in any order.
-
-    Raises
-    ------
-    CampaignError
-        When a part is none of these, stands there twice, or is not above zero.
-    """
-    found: dict[str, float] = {}
-    form = f"{of}: limits read '10 in/s, 6 in, 20 kip' (velocity, stroke, force)"
-    named = {"velocity": ("velocity", "velocity"), "length": ("stroke", "displacement")}
+    """Limits of ``"10 in/s, 6 in, 20 kip"``: velocity, stroke and force, in any order."""
+    limits: dict[str, float] = {}
+    form = f"{of}: limits read '10 in/s, 6 in, 20 kip' (velocity, stroke, force), got {text!r}"
+    kinds = {"velocity": ("velocity", "velocity"), "length": ("stroke", "displacement")}
     for part in text.split(","):
-        name, dimension = named.get(_measured(part), ("force", "force"))
+        name, dimension = kinds.get(_measured(part), ("force", "force"))
         try:
             value = parse_quantity(part, dimension)
         except UnitError as error:
-            raise CampaignError(f"{form}, got {text!r}: {error}") from error
-        if name in found or not value > 0.0:
-            why = "is there twice" if name in found else "must be above zero"
-            raise CampaignError(f"{form}, got {text!r}: the {name} {why}")
-        found[name] = value
-    return Limits(**found)
+            raise CampaignError(f"{form}: {error}") from error
+        if name in limits or not value > 0.0:
+            why = "is there twice" if name in limits else "must be above zero"
+            raise CampaignError(f"{form}: the {name} {why}")
+        limits[name] = value
+    return Limits(**limits)
 
 
 def parse_tests(
@@ -210,52 +197,39 @@ def parse_tests(
     Semicolons, or the items of a list, are between tests; a part with bars gives a test for each
     of its values. The parts are told apart by their units: actuation, frequency, amplitude (half
     the stroke), cycles, waveform, and the cost as a time.
-
-    Parameters
-    ----------
-    text : str or sequence of str
-    unit : {"ksi", "kip"}
-        Of the campaign's actuation.
-    of : str
-        What has the text, for messages.
-
-    Raises
-    ------
-    CampaignError
-        When a part is not understood, or there are too many tests.
     """
     if not isinstance(text, str) and not all(isinstance(part, str) for part in text):
         raise CampaignError(f"{of}: {FORM}, got {text!r}")
     whole = text if isinstance(text, str) else ";".join(text)
     if len(whole) > _LONGEST:
         raise CampaignError(f"{of}: longer than {_LONGEST} characters")
-    found: list[Parts] = []
-    for one in filter(str.strip, whole.split(";")):
+    tests: list[Parts] = []
+    for test in filter(str.strip, whole.split(";")):
         choices = []
-        for part in map(str.strip, one.split(",")):
+        for part in map(str.strip, test.split(",")):
             match = _ALTERNATIVES.fullmatch(part)
             values, own = (match[1], f" {match[2]}") if match else (part, "")
             choices.append([f"{value.strip()}{own}" for value in values.split("|")])
         for parts in product(*choices):
-            found.append(_parts(parts, unit, of))
-            if len(found) > MOST:
+            tests.append(_parts(parts, unit, of))
+            if len(tests) > MOST:
                 raise CampaignError(f"{of}: more than {MOST} tests, the most of one question")
-    if not found:
+    if not tests:
         raise CampaignError(f"{of}: {FORM}, got {whole[:80]!r}")
-    return found
+    return tests
 
 
 def _parts(texts: Sequence[str], unit: ActuationUnit, of: str) -> Parts:
-    found: dict[str, float | str] = {}
+    parts: dict[str, float | str] = {}
     for text in texts:
         try:
             name, value = _part(text, unit)
         except UnitError as error:
             raise CampaignError(f"{of}: {FORM}, got {', '.join(texts)!r}: {error}") from error
-        if name in found:
+        if name in parts:
             raise CampaignError(f"{of}: {FORM}, got two values of the {name}: {', '.join(texts)!r}")
-        found[name] = value
-    return Parts(**found)  # type: ignore[arg-type]
+        parts[name] = value
+    return Parts(**parts)  # type: ignore[arg-type]
 
 
 def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
@@ -271,13 +245,14 @@ def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
         if not 1.0 <= float(match[1]) <= MOST_CYCLES:
             raise UnitError(f"a test has 1 to {MOST_CYCLES} cycles, not {text!r}")
         return "cycles", float(match[1])
-    if _measured(text) not in ("length", "time", "rate", None):
+    kind = _measured(text)
+    if kind not in ("length", "time", "rate", None):
         level, own = parse_actuation(text)
         if own != unit:
             raise UnitError(f"the campaign's actuation is {actuation_kind(unit)}, {text!r} is not")
         return "actuation", level
-    named = {"length": ("amplitude", "displacement"), "time": ("price", "time")}
-    name, dimension = named.get(_measured(text), ("frequency", "rate"))
+    kinds = {"length": ("amplitude", "displacement"), "time": ("price", "time")}
+    name, dimension = kinds.get(kind, ("frequency", "rate"))
     value = parse_quantity(text, dimension)
     if not 0.0 < value < 1e9:
         raise UnitError(f"{text!r} must be above zero, and not too large")

@@ -13,6 +13,7 @@ from mfd_bayes.population.laws import default_laws
 from mfd_bayes.records.numbers import real_number
 from mfd_bayes.units import ActuationUnit
 
+# quantities at stated motions and actuations, and what they are
 AT_MOTIONS = {
     "band": "force along the loop",
     "energy": "energy per cycle",
@@ -21,7 +22,6 @@ AT_MOTIONS = {
     "peak_bwd": "peak force backward",
     "slip": "slip forces",
 }
-"""Quantities at stated motions and actuations, and what they are."""
 
 OF_LAWS = {"slope": "slope of a law", "exponent": "exponent of a law"}
 
@@ -113,13 +113,7 @@ class Goal:
 def parse_goal(
     text: str, unit: ActuationUnit, *, of: str = "--goal", laws: Iterable[str] = ()
 ) -> Goal:
-    """Goal of ``"energy at 1000 psi, 0.5 Hz, 1 in"``, ``"band"``, ``"exponent of Fc_fwd"``.
-
-    Raises
-    ------
-    CampaignError
-        When the quantity is unknown, or what it is of or at is not understood.
-    """
+    """Goal of ``"energy at 1000 psi, 0.5 Hz, 1 in"``, ``"band"``, ``"exponent of Fc_fwd"``."""
     match = _FORM.fullmatch(text) if len(text) < 5000 else None
     form = (
         f"{of}: a goal reads 'energy at 1000 psi, 0.5 Hz, 1 in' or 'band' or 'exponent of Fc_fwd'"
@@ -137,13 +131,7 @@ def parse_goal(
 
 
 def check_goal(goal: Goal, *, of: str = "--goal", laws: Iterable[str] = ()) -> None:
-    """Refuse a goal that cannot be; `laws` are what follows the actuation in a user's own model.
-
-    Raises
-    ------
-    CampaignError
-        When its quantity or its kind is unknown, or it has a law that it has no use for.
-    """
+    """Refuse a goal that cannot be; `laws` are what follows the actuation in a user's own model."""
     known = (*AT_MOTIONS, GAP, *OF_LAWS)
     if goal.quantity not in known:
         near = difflib.get_close_matches(goal.quantity, known, n=1)
@@ -168,13 +156,7 @@ def check_goal(goal: Goal, *, of: str = "--goal", laws: Iterable[str] = ()) -> N
 
 
 def check_session(session: str, sessions: Collection[str], *, of: str = "goal.session") -> None:
-    """Refuse the session of a goal that no calibrated test has.
-
-    Raises
-    ------
-    CampaignError
-        With the name that is most like it.
-    """
+    """Refuse the session of a goal that no calibrated test has."""
     if not session or session in sessions:
         return
     named = [repr(name) for name in dict.fromkeys(sessions) if name]

@@ -12,43 +12,28 @@ from scipy import linalg, special
 
 Array = NDArray[np.float64]
 
-FLAT = 1e-9
-"""A summary whose sd is below this share of its size does not vary."""
+FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
 
+# a direction of the summaries with less than this share of their variance repeats others
 SAME = 1e-6
-"""A direction of the summaries with less than this share of their variance repeats others."""
 
-BENT = 6
-"""Directions of the summaries, the widest first, whose squares and products are used too."""
+BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
+PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
+RESAMPLES = 200  # number of bootstrap resamples of the draws
 
-PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)
-"""Of the ridge regression, over the number of draws."""
-
-RESAMPLES = 200
-"""Number of bootstrap resamples of the draws."""
-
+# information is about the principal directions of the goals with this share of their variance, at
+# most so many
 EXPLAINED, MOST = 0.99, 5
-"""Information is about the principal directions of the goals with this share of their variance,
-at most so many."""
 
-SMALL = 1e-3
-"""Penalty of the regression by which sets of tests are chosen."""
+SMALL = 1e-3  # penalty of the regression by which sets of tests are chosen
 
 
 @dataclass(frozen=True, eq=False)
 class Goals:
-    """Goals as draws.
+    """Goals as draws."""
 
-    Attributes
-    ----------
-    values : (n, m)
-        Draws of each goal, internal units.
-    probability : float
-        Of the band whose width is to be reduced.
-    """
-
-    values: Array
-    probability: float = 0.95
+    values: Array  # (n, m): draws of each goal, internal units
+    probability: float = 0.95  # of the band whose width is to be reduced
 
     @cached_property
     def widths(self) -> Array:
@@ -70,22 +55,11 @@ class Goals:
 
 @dataclass(frozen=True)
 class Gain:
-    """What is expected of a test, or of several.
+    """What is expected of a test, or of several."""
 
-    Attributes
-    ----------
-    reduction : float
-        Expected reduction of the mean width, as a share of it; 0 or more.
-    error : float
-        Its standard error, by the bootstrap.
-    information : float
-        Gaussian expected information gain about the goals, nat.
-    information_error : float
-    """
-
-    reduction: float
-    error: float
-    information: float
+    reduction: float  # expected reduction of the mean width, as a share of it; 0 or more
+    error: float  # its standard error, by the bootstrap
+    information: float  # Gaussian expected information gain about the goals, nat
     information_error: float
 
 
@@ -170,13 +144,7 @@ def gain_of(goals: Goals, left: Array, rng: np.random.Generator) -> Gain:
 
 
 def greedy(goals: Goals, tests: Sequence[Array], size: int) -> list[tuple[int, ...]]:
-    """Sets of 1, 2, … up to `size` tests, each with the one that adds most to the set before.
-
-    Parameters
-    ----------
-    tests : sequence of (n, q)
-        Directions of the summaries of each test, mean 0.
-    """
+    """Sets of 1, 2, … up to `size` tests, each with the one that adds most to the set before."""
     values = goals.values - goals.values.mean(axis=0)
     every, n = np.concatenate(tests, axis=1), len(values)
     ends = np.cumsum([0, *(test.shape[1] for test in tests)])

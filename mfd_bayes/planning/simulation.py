@@ -18,23 +18,19 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
+# samples of a stroke after a turn, up to `REACH` times the gap, and in the rest of the stroke
 DENSE, LOOSE = 14, 8
-"""Samples of a stroke after a turn, up to `REACH` times the gap, and in the rest of the stroke."""
 
 REACH = 2.5
 
-LEAD = 4
-"""Every so many samples of a stroke are enough before the loop."""
+LEAD = 4  # every so many samples of a stroke are enough before the loop
 
 FAST = (0.4, 0.8)
-SLOW = (0.92, 1.0)
-"""Shares of a stroke: slip near the peak speed, and slip just before the turn."""
+SLOW = (0.92, 1.0)  # shares of a stroke: slip near the peak speed, and slip just before the turn
+IN_GAP = 0.4  # share of the typical gap at which the force in the gap is read
 
-IN_GAP = 0.4
-"""Share of the typical gap at which the force in the gap is read."""
-
+# shares of the slip force that the force reaches after a turn, as in reading a loop by eye
 RISES = (0.3, 0.5, 0.8)
-"""Shares of the slip force that the force reaches after a turn, as in reading a loop by eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +38,11 @@ class Loop:
     """A full stroke forward, and then a full loop of backward and forward stroke.
 
     The stroke before the loop makes the place at which the test began without effect.
-
-    Attributes
-    ----------
-    trace : Trace
-        With the actuation.
-    first : int
-        Sample at which the loop begins, at the forward end.
-    travel : (S + 1,), in
-        Travel since the turn at the samples of one stroke of the loop.
     """
 
-    trace: Trace
-    first: int
-    travel: Array
+    trace: Trace  # with the actuation
+    first: int  # sample at which the loop begins, at the forward end
+    travel: Array  # (S + 1,), in: travel since the turn at the samples of one stroke of the loop
 
     @classmethod
     def of(cls, candidate: Candidate, gap: float) -> Loop:
@@ -139,30 +126,15 @@ def _reached(travel: Array, force: Array, level: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Devices:
-    """Draws of a device: laws, effects and discrepancy are the same for all that is asked of it.
-
-    Attributes
-    ----------
-    predictor : Predictor
-    index : (n,) int
-        Draws of the population.
-    grid : (G,)
-        Actuations that will be asked for, ksi or kip.
-    effects : mapping of str to mapping of str to (n, G)
-        Level effects of quantities on the grid, by session.
-    unknown : mapping of str to (n, d)
-        Standard normal numbers of each session, for one that no test was made in, and, under "", of
-        motions outside those of the tests.
-    knots : (n, K), kip
-        Discrepancy.
-    """
+    """Draws of a device: laws, effects and discrepancy are the same for all that is asked of it."""
 
     predictor: Predictor
-    index: NDArray[np.intp]
-    grid: Array
-    effects: Mapping[str, Mapping[str, Array]]
+    index: NDArray[np.intp]  # (n,) int: draws of the population
+    grid: Array  # (G,): actuations that will be asked for, ksi or kip
+    effects: Mapping[str, Mapping[str, Array]]  # (n, G), by session and quantity
+    # (n, d), standard normal: of sessions without a test, and, under "", of motions outside those
     unknown: Mapping[str, Array]
-    knots: Array
+    knots: Array  # (n, K), kip: discrepancy
 
     @classmethod
     def draw(

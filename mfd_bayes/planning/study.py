@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of
@@ -31,39 +31,21 @@ from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
 
 Array = NDArray[np.float64]
 
-TOGETHER = 3
-"""Largest of the best sets that are listed."""
+TOGETHER = 3  # largest of the best sets that are listed
+CURVE = 6  # number of further tests up to which the expected width is given
 
-CURVE = 6
-"""Number of further tests up to which the expected width is given."""
+SHORTLIST = 12  # best candidates that are simulated again, so that a second copy can be chosen
+COPIES = 2  # further copies of each of them
+AFRESH = 3  # times that each of the best sets is simulated again, to judge it
+TOO_STRONG = 0.025  # a candidate may pass the limit of the force with this probability
+FEWEST = 200  # fewest draws
+NO_GAP = 0.1  # length that stands for the gap of a model without one, in
+EVERY = 2  # of the samples of a loop, every so many have a band whose width counts
+NEXT = "(the session of the next test)"  # session of candidates, where tests were made in several
 
-SHORTLIST = 12
-"""Candidates, the best first, that are simulated again, so that a second copy can be chosen."""
-
-COPIES = 2
-"""Further copies of each of them."""
-
-AFRESH = 3
-"""Times that each of the best sets is simulated again, to judge it."""
-
-TOO_STRONG = 0.025
-"""A candidate may pass the limit of the force with this probability."""
-
-FEWEST = 200
-"""Fewest draws."""
-
-NO_GAP = 0.1
-"""Length that stands for the gap of a model without one, in."""
-
-EVERY = 2
-"""Of the samples of a loop, every so many have a band whose width counts."""
-
-NEXT = "(the session of the next test)"
-"""Session of candidates, where tests were made in several."""
-
+# marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
+# shorter one for one with zeros at its end
 DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
-"""Marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
-shorter one for one with zeros at its end."""
 
 COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
 
@@ -127,10 +109,7 @@ class Advice(Sequence[Row]):
     draws: int
     remarks: tuple[str, ...] = ()
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        return COLUMNS
+    columns = COLUMNS
 
     @property
     def curve(self) -> Array:
@@ -145,33 +124,16 @@ class Advice(Sequence[Row]):
         """Rows, the best first."""
         return iter(self.rows)
 
-    @overload
-    def __getitem__(self, key: int) -> Row: ...
-
-    @overload
-    def __getitem__(self, key: slice) -> tuple[Row, ...]: ...
-
-    @overload
-    def __getitem__(self, key: str) -> list[object]: ...
-
-    def __getitem__(self, key: int | slice | str) -> object:
-        """A row by its number, some rows, or a column by its name.
-
-        Raises
-        ------
-        NotThereError
-            When there is no such row or column.
-        """
-        if isinstance(key, str):
-            if key not in COLUMNS:
-                raise NotThereError(f"no column {key!r}: there are {', '.join(COLUMNS)}")
+    def __getitem__(self, key: Any) -> Any:
+        """A row by its number, some rows by a slice, or a column by its name."""
+        if isinstance(key, str) and key in COLUMNS:
             return [getattr(row, key) for row in self.rows]
         try:
             return self.rows[key]
         except (IndexError, TypeError) as error:
             raise NotThereError(
-                f"no row {key!r}: rows have the numbers 0 to {len(self.rows) - 1}, and columns the "
-                f"names {', '.join(COLUMNS)}"
+                f"no row or column {key!r}: rows have the numbers 0 to {len(self.rows) - 1}, and "
+                f"columns the names {', '.join(COLUMNS)}"
             ) from error
 
 
@@ -247,22 +209,19 @@ class _Study:
             low = 0.0 if not high > low else low
             at = population.median(goal.of, np.array([low, high])).reshape(-1, 2)[devices.index]
             return np.asarray(np.diff(at, axis=1) / (high - low))
-        found = []
+        draws = []
         for number, place in enumerate(places[:1] if goal.quantity == GAP else places):
             loop, seed = Loop.of(place, self.gap), (self.seed, GOALS, number, 0)
-            if goal.quantity == "slip" and not self.model.slip_forces:
-                raise CampaignError(f"the model {self.model.name} has no slip force to be known")
             if goal.quantity in ("slip", GAP):
-                rng = np.random.default_rng(seed)
-                drawn = devices.drawn(setting_of(loop.trace, session), rng)
-                values = devices.predictor.values(drawn)
-                own = slip_force_of(self.model, values)
-                if goal.quantity == GAP:
-                    gap = self.model.gap(values)
-                    if gap is None:
-                        raise CampaignError(f"the model {self.model.name} has no gap to be known")
-                    own = gap
-                found.append(own[:, None])
+                drawn = devices.drawn(setting_of(loop.trace, session), np.random.default_rng(seed))
+                values, slips = devices.predictor.values(drawn), bool(self.model.slip_forces)
+                own = self.model.gap(values) if goal.quantity == GAP else None
+                if goal.quantity == "slip" and slips:
+                    own = slip_force_of(self.model, values)
+                if own is None:
+                    what = "gap" if goal.quantity == GAP else "slip force"
+                    raise CampaignError(f"the model {self.model.name} has no {what} to be known")
+                draws.append(own[:, None])
                 continue
             scattered = goal.kind == "new_test"
             force = devices.damper(loop, session, scattered=scattered, seed=seed)
@@ -274,8 +233,8 @@ class _Study:
                 "peak_bwd": [backward],
                 "peak": [forward, backward],
             }
-            found.append(np.stack(columns[goal.quantity], axis=1))
-        return np.concatenate(found, axis=1)
+            draws.append(np.stack(columns[goal.quantity], axis=1))
+        return np.concatenate(draws, axis=1)
 
     def simulated(self, number: int, copy: int) -> tuple[Array, Array]:
         """Largest forces of a copy of a candidate, (n,), kip, and directions of its summaries."""
@@ -322,13 +281,7 @@ def advise(
     limits: Limits,
     effort: Effort,
 ) -> Advice:
-    """Candidates with what each is expected to tell of a goal, the best first.
-
-    Raises
-    ------
-    CampaignError
-        When the limits leave no candidate, or the goal cannot be known better by any.
-    """
+    """Candidates with what each is expected to tell of a goal, the best first."""
     every = list(dict.fromkeys(candidates))
     ruled_out = {one: limit for one in every if (limit := limits.forbids(one))}
     allowed = [one for one in every if one not in ruled_out]

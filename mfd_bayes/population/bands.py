@@ -34,37 +34,16 @@ SHARE_DRAWS = 300  # most draws by which the shares of a band's variance are com
 
 @dataclass(frozen=True)
 class Forecast:
-    """Settings of a prediction.
+    """Settings of a prediction."""
 
-    Attributes
-    ----------
-    kind : {"device", "new_test", "observation", "this_test"}
-    probability : float
-    draws, seed : int
-    session : str
-        Of the predicted test, where the campaign declares sessions.
-    whole : bool
-        Whether a band of the whole history is computed too.
-    explained : bool
-        Whether the shares of the band's variance are computed too.
-    before : Ending, optional
-        Of the test that the motion follows without a reset.
-
-    Raises
-    ------
-    FitError
-        When the kind is unknown, the probability is not between 0 and 1, the draws are fewer than
-        `FEWEST`, or a value is of another type than is said here.
-    """
-
-    kind: str = "new_test"
+    kind: str = "new_test"  # one of KINDS
     probability: float = 0.95
     draws: int = DRAWS
     seed: int = 0
-    session: str = ""
-    whole: bool = False
-    explained: bool = False
-    before: Ending | None = field(default=None, repr=False, compare=False)
+    session: str = ""  # of the predicted test, where the campaign declares sessions
+    whole: bool = False  # whether a band of the whole history is computed too
+    explained: bool = False  # whether the shares of the band's variance are computed too
+    before: Ending | None = field(default=None, repr=False, compare=False)  # without a reset
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -240,27 +219,13 @@ def holds_whole(draws: Array, observed: Array, probability: float = 0.95) -> boo
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Ingredients of the n draws of a prediction.
+    """Ingredients of the n draws of a prediction."""
 
-    Attributes
-    ----------
-    parts : Parts
-        Of the quantities that tests share.
-    unshared : mapping of str to (n,)
-        Quantities that tests do not share, such as the start in the gap.
-    scales : mapping of str to (n, T)
-        Factors of the quantities with a law along a history of actuation; empty for a constant.
-    knots : (n, K), kip
-        Discrepancy.
-    noise : (n, T), kip, or None
-        None where only the damper's force is predicted: then the offset is left out too.
-    """
-
-    parts: Parts
-    unshared: Mapping[str, Array]
-    scales: Mapping[str, Array]
-    knots: Array
-    noise: Array | None = None
+    parts: Parts  # of the quantities that tests share
+    unshared: Mapping[str, Array]  # (n,), what tests do not share, such as the start in the gap
+    scales: Mapping[str, Array]  # (n, T), factors of what has a law along a history of actuation
+    knots: Array  # (n, K), kip: discrepancy
+    noise: Array | None = None  # (n, T), kip; without it the offset is left out too
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,22 +237,7 @@ class Predictor:
     noise: Noise
 
     def predict(self, trace: Trace, forecast: Forecast) -> Band:
-        """Band of the force under a motion and an actuation, tested or not.
-
-        Parameters
-        ----------
-        trace : Trace
-            With its actuation, constant or a history.
-        forecast : Forecast
-            Of a kind other than `this_test`.
-
-        Raises
-        ------
-        FitError
-            When the trace has no actuation.
-        RecordError
-            When the force is too large for a number.
-        """
+        """Band of the force under a motion and an actuation, tested or not."""
         rng = np.random.default_rng(forecast.seed)
         drawn = self.draw(trace, forecast, rng)
         scatter = "" if forecast.kind == "device" else " with scatter"
@@ -297,19 +247,6 @@ class Predictor:
         """Band of the force of one calibrated test under a motion: the kind `this_test`.
 
         The place in the gap at the start is unknown, unless a test is before it.
-
-        Parameters
-        ----------
-        trace : Trace
-            With the actuation of the test.
-        forecast : Forecast
-        own : mapping of str to (m,)
-            Posterior draws of the test.
-
-        Raises
-        ------
-        RecordError
-            When the force is too large for a number.
         """
         rng, coordinates = np.random.default_rng(forecast.seed), self.population.design.coordinates
         pick = rng.choice(len(next(iter(own.values()))), size=forecast.draws)

@@ -25,23 +25,12 @@ DRAWS = 4000  # prior draws by which the centre and the spread of the coordinate
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Coordinates x (n, D) of quantities, in prior units.
+    """Coordinates x (n, D) of quantities, in prior units."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Quantities, D of them, in the order of the coordinates.
-    priors : mapping of str to Prior
-    speed : float, in/s
-        At which slip forces are compared.
-    centre, spread : (D,)
-        Mean and standard deviation of the coordinates under the priors.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # quantities, D of them, in the order of the coordinates
     priors: Mapping[str, Prior]
-    speed: float
-    centre: Array = field(init=False)
+    speed: float  # in/s, at which slip forces are compared
+    centre: Array = field(init=False)  # (D,), mean and sd of the coordinates under the priors
     spread: Array = field(init=False)
 
     def __post_init__(self) -> None:

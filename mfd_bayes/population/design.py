@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from mfd_bayes.calibration.prior_files import PriorFile, known_quantities
+from mfd_bayes.calibration.priors import PriorFile, known_quantities
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.coordinates import Coordinates

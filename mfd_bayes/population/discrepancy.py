@@ -42,14 +42,9 @@ class TravelBasis:
 
     All are zero beyond the longest full stroke, and where the stroke before the turn was less than
     half of the shortest one: what repeats in full cycles says nothing of such motions.
-
-    Attributes
-    ----------
-    shortest, longest : float, in
-        Full strokes of the tests from which functions are learned.
     """
 
-    shortest: float
+    shortest: float  # in: full strokes of the tests from which functions are learned
     longest: float
 
     def __call__(self, trace: Trace) -> Array:
@@ -75,32 +70,16 @@ def knot_covariance() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Discrepancy and noise that the tests of a device have in common.
-
-    Attributes
-    ----------
-    basis : TravelBasis
-    mean, covariance : (K,), (K, K), kip
-        Posterior of δ at the knots.
-    log_shape : (K,)
-        log g at the knots.
-    slip_force : float, kip
-        Typical slip force, at which δ stands as it is.
-    stroke_share : float
-        h.
-    lag_one : float
-        Correlation of neighbouring samples of ε in the tests.
-    noise_time, travel : float, s and in
-        Correlation time of ε, and mean travel between neighbouring samples of the tests.
-    """
+    """Discrepancy and noise that the tests of a device have in common."""
 
     basis: TravelBasis
-    mean: Array
+    mean: Array  # (K,), (K, K), kip: posterior of δ at the knots
     covariance: Array
-    log_shape: Array
-    slip_force: float
-    stroke_share: float
-    lag_one: float
+    log_shape: Array  # (K,): log g at the knots
+    slip_force: float  # kip: typical slip force, at which δ stands as it is
+    stroke_share: float  # h
+    lag_one: float  # correlation of neighbouring samples of ε in the tests
+    # s and in: correlation time of ε, and mean travel between neighbouring samples of the tests
     noise_time: float
     travel: float
 

@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
 from mfd_bayes.population.settings import ZERO, Setting, setting_of
+from mfd_bayes.population.stopping import Estimate, Stopping, properties, quantiles
 from mfd_bayes.records.motion import HYSTERESIS
 from mfd_bayes.records.numbers import real_numbers
 from mfd_bayes.records.time_axis import checked_window
@@ -40,40 +42,21 @@ FEWEST = 100  # effective draws below which a band is said not to be reliable
 QUIET = 0.25  # share of the slip force below which a device is taken to be in its gap
 SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
 ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
-# samples at rest before the first of a test that is followed, so that any record has three
-AHEAD = 2
-# actuations over the planned one between which deviations from the laws are drawn
-EITHER_WAY = (0.25, 4.0)
+AHEAD = 2  # samples at rest before the first of a test that is followed: a record has three
+EITHER_WAY = (0.25, 4.0)  # actuations over the planned one, for deviations from the laws
 
 
 @dataclass(frozen=True)
 class Conditioned:
-    """The given part of a record, and how the population's draws took it in.
+    """The given part of a record, and how the population's draws took it in."""
 
-    Attributes
-    ----------
-    window : (float, float), s
-    samples : int
-        At the rate of the calibrated tests.
-    pareto_k : float
-        Of the last importance weights.
-    method : {"weights", "sampling"}
-        Importance weights alone, or resampled and moved too.
-    effective : float
-        Effective number of draws behind the band.
-    stages : int
-        How often the draws were resampled and moved.
-    accepted : float
-        Share of the last moves that were accepted; 1 for weights alone.
-    """
-
-    window: tuple[float, float]
-    samples: int
-    pareto_k: float
-    method: str
-    effective: float
-    stages: int = 0
-    accepted: float = 1.0
+    window: tuple[float, float]  # s
+    samples: int  # at the rate of the calibrated tests
+    pareto_k: float  # of the last importance weights
+    method: str  # "weights" alone, or "sampling": resampled and moved too
+    effective: float  # effective number of draws behind the band
+    stages: int = 0  # how often the draws were resampled and moved
+    accepted: float = 1.0  # share of the last moves that were accepted; 1 for weights alone
 
     def holds(self, time: Array) -> Mask:
         """Whether times (T,), s, are in the given part."""
@@ -149,9 +132,11 @@ class PartialTest:
         level = self.setting.actuation
         return self.predictor.population.draw_tests(n, level, self.grid, rng)
 
-    def drawn(self, p: Particles, part: Trace) -> Drawn:
+    def drawn(self, p: Particles, part: Trace, *, scatter: bool = True) -> Drawn:
         """Tests of the particles under a part of the motion."""
-        return self.predictor.drawn(part, self.setting, p, self.grid, motion=self.motion)
+        return self.predictor.drawn(
+            part, self.setting, p, self.grid, scatter=scatter, motion=self.motion
+        )
 
     def sums(
         self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
@@ -182,10 +167,8 @@ class PartialTest:
     def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
         """Log likelihood of the counted samples so far, at the end of each block, (n, blocks)."""
         drawn, rows = self.drawn(p, part), np.flatnonzero(counted)
-        values, share = (
-            self.predictor.values(drawn),
-            self.predictor.population.residual.stroke_share,
-        )
+        values = self.predictor.values(drawn)
+        share = self.predictor.population.residual.stroke_share
         force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
         so_far = accumulate(self.sums(part, force, values, counted, rows), Sums.plus)
         return np.stack([s.log_likelihood(values["noise_sd"], share) for s in so_far], axis=1)
@@ -285,23 +268,7 @@ def block_size(own: float, step: float) -> int:
 def predict_given(
     predictor: Predictor, trace: Trace, forecast: Forecast, window: tuple[float, float]
 ) -> Band:
-    """Band of a record of which a part is known; all of it, with the given part.
-
-    Parameters
-    ----------
-    predictor : Predictor
-    trace : Trace
-        With its actuation, and with the force in the window.
-    forecast : Forecast
-        Of the kind `new_test` or `observation`.
-    window : (float, float), s
-        What is given.
-
-    Raises
-    ------
-    FitError
-        When the kind does not allow it, the window is none, or there is no force in it.
-    """
+    """Band of a record of which a part is known; all of it, with the given part."""
     check_kind(forecast)
     setting, population = setting_of(trace, forecast.session), predictor.population
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
@@ -320,11 +287,6 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
     """The motion up to the end of a window, as means over about `step` s, and which count, (T,).
 
     It goes on to the second turn, so that its first direction is known.
-
-    Raises
-    ------
-    FitError
-        When the window is none, not within the record or too short, or has no force.
     """
     begin, end = checked_window(window, "given", FitError)
     words = f"from {begin:g} s to {end:g} s"
@@ -405,8 +367,16 @@ class Forecaster:
         self._waiting, self._rows = np.empty((4, 0)), np.empty((4, 0))
         self._first, self._last, self._resting, self._size = np.nan, np.nan, 0, 0
         psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
-        self._begin(self._test.draw(forecast.draws, self._rng))
+        p = self._test.draw(forecast.draws, self._rng)
+        self._begin(p)
         self._conditioned: Conditioned | None = None
+        self._most_noise = float(np.quantile(self._values["noise_sd"], 0.99))
+        typical = predictor.values(self._test.drawn(p, _at_rest(self._level), scatter=False))
+        self._stopping = Stopping(
+            properties(model, self._values),
+            properties(model, typical),
+            {**units(model), "gap_width": "in"},
+        )
 
     @property
     def time(self) -> float:
@@ -507,9 +477,8 @@ class Forecaster:
 
     def _begin(self, p: Particles) -> None:
         """Particles before the first sample, of even weights."""
-        still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
         self._particles, self._log_prior = p, np.zeros(len(p.draw))
-        self._values = self._predictor.values(self._test.drawn(p, still))
+        self._values = self._predictor.values(self._test.drawn(p, _at_rest(self._level)))
         self._state: Any = None
         none = np.empty((len(p.draw), 0))
         self._sums = Sums(none[0], none, none)
@@ -567,6 +536,54 @@ class Forecaster:
         self._begin(p.of(systematic(weights, n, self._rng)))
         self._advance(AHEAD)
         self._log_prior = -self._log_likelihood()
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether the noise has to be larger than in 99 % of new tests of this device.
+
+        Then the force is not that of such a test, and neither estimates nor bands are reliable.
+        """
+        noise = self._values["noise_sd"]
+        weights = np.exp(self._weights()[0])
+        middle = quantiles(noise, weights, (0.5,))[0]
+        return middle > self._most_noise
+
+    @property
+    def scatter(self) -> dict[str, float]:
+        """Scatter of each property from test to test: standard deviation of its logarithm."""
+        return self._stopping.scatter
+
+    def estimates(self, cycles: int) -> dict[str, Estimate]:
+        """What is known of the test after so many cycles of one motion, by name of the property.
+
+        Slip forces and the width of the gap, beside what a new test of the device would have, and
+        what one more cycle is expected to tell; `stopping.is_enough` says when to stop. Where the
+        weights cannot be trusted, `refresh` comes first.
+        """
+        log_weights, k = self._weights()
+        if k > LARGEST_K and self._may_refresh:
+            self.refresh()
+            log_weights, _ = self._weights()
+        weights = np.exp(log_weights - log_weights.max())
+        return self._stopping.estimates(self._properties(), weights, cycles)
+
+    def _properties(self) -> dict[str, Array]:
+        """Draws of the properties of this test, (n,) each.
+
+        The force tells the sum of slip force and discrepancy: what is not known of the discrepancy,
+        which all tests of the device share, is not known of the slip force, however long the test.
+        """
+        draws, residual = properties(self._model, self._values), self._residual
+        slip = slip_force_of(self._model, self._values)
+        trace = _trace(self._rows)
+        force, functions = np.asarray(trace.force), residual.basis(trace)
+        knots = residual.draw_knots(self._rng, len(slip)) - residual.mean
+        for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
+            sliding = side * force > 0.5 * np.median(slip)
+            if sliding.any():
+                off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
+                draws[name] = draws[name] - side * off
+        return draws
 
     def band(self, trace: Trace) -> Band:
         """Band of the force in the motion that follows, given all samples so far.
@@ -629,6 +646,11 @@ class Forecaster:
         shown = self._predictor.shown(values)
         band = Band.of(joined.time[last], force, forecast, source, shown)
         return self.complete(replace(band, given=given, remarks=given.remarks), joined)
+
+
+def _at_rest(level: float) -> Trace:
+    """A trace without motion."""
+    return Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), level, np.zeros(3))
 
 
 def _trace(rows: Array) -> Trace:

@@ -12,8 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from mfd_bayes.calibration.diagnostics import Convergence, Effort, find_effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress

@@ -36,38 +36,21 @@ Array = NDArray[np.float64]
 STEP = 1e-3  # step of the central differences, in prior units
 EVEN = 30.0  # samples near a knot that an even shape of the noise is worth
 FARTHEST = 8.0  # largest coordinate of a fit, in prior units
-# relative change of the objective below which a step counts as settled; three in a row end
-SETTLED = 1e-3
+SETTLED = 1e-3  # relative change of the objective; three smaller ones in a row end the fit
 
 
 @dataclass(frozen=True, eq=False)
 class TestLikelihood:
-    """Likelihood of one test in prior units x (n, D); a process can be sent it.
+    """Likelihood of one test in prior units x (n, D); a process can be sent it."""
 
-    Attributes
-    ----------
-    posterior : Posterior
-        Of the test, with independent noise.
-    coordinates : Coordinates
-        Of the D quantities.
-    relative : (T,), or None
-        Actuation along the record over its mean, where it changes.
-    laws : mapping of str to (str, float, float)
-        What follows it then: the quantity whose law that is, and the law's share and exponent where
-        the test has none to itself.
-    discrepancy, shape : (T,)
-        δ along the record, kip, and g.
-    information : float
-        Share of independent samples.
-    """
-
-    posterior: Posterior
-    coordinates: Coordinates
-    relative: Array | None = None
+    posterior: Posterior  # of the test, with independent noise
+    coordinates: Coordinates  # of the D quantities
+    relative: Array | None = None  # (T,), actuation over its mean, where it changes
+    # what follows it then: whose law, and its share and exponent where the test has none to itself
     laws: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
-    discrepancy: Array | float = 0.0
-    shape: Array | float = 1.0
-    information: float = 1.0
+    discrepancy: Array | float = 0.0  # (T,), δ along the record, kip
+    shape: Array | float = 1.0  # (T,), g
+    information: float = 1.0  # share of independent samples
 
     __test__ = False  # pytest is not to collect it
 
@@ -118,20 +101,11 @@ class TestLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """All tests near the mode of their joint posterior.
+    """All tests near the mode of their joint posterior."""
 
-    Attributes
-    ----------
-    tests : tuple of TestLikelihood
-        With discrepancy and noise.
-    mean, precision : (J, D), (J, D, D)
-        Gaussian of each test's likelihood, in prior units.
-    residual : Residual
-    """
-
-    tests: tuple[TestLikelihood, ...]
-    mean: Array
-    precision: Array
+    tests: tuple[TestLikelihood, ...]  # with discrepancy and noise
+    mean: Array  # (J, D), of each test's likelihood, in prior units
+    precision: Array  # (J, D, D)
     residual: Residual
 
 
@@ -141,19 +115,7 @@ def fit_jointly(
     common: NDArray[np.bool_],
     evaluate: Evaluate[Array, Array] | None = None,
 ) -> JointFit:
-    """Fit of all tests together.
-
-    Parameters
-    ----------
-    tests : sequence of TestLikelihood
-        J tests without discrepancy.
-    start : (J, D)
-        Where each begins.
-    common : (D,) bool
-        Quantities that are the same in all tests.
-    evaluate : callable, optional
-        Computes `linearised` of pairs of a test's number and x, in several processes.
-    """
+    """Fit of all tests together."""
     fit = _Fit(tests, start, common, evaluate)
     fit.iterate(40, learn=True)
     residual = fit.residual()

@@ -32,31 +32,15 @@ COVARIATES = ("velocity", "amplitude")
 
 @dataclass(frozen=True)
 class LawScore:
-    """Score of one law for one quantity.
-
-    Attributes
-    ----------
-    quantity, law : str
-    elpd : float
-        Sum over levels of the log predictive density of the level's tests given the other levels,
-        in prior units.
-    se : float
-        Standard error of the sum, from the spread of its terms.
-    weight : float
-        Stacking weight among the laws; 0 where its score cannot be trusted.
-    levels : tuple of float
-        The terms of the sum.
-    pareto_k : float
-        Of the importance weights.
-    """
+    """Score of one law for one quantity."""
 
     quantity: str
     law: str
-    elpd: Figure
-    se: Figure
-    weight: Figure
-    levels: tuple[Figure, ...]
-    pareto_k: Figure = np.nan
+    elpd: Figure  # sum of log predictive densities of levels given the others, in prior units
+    se: Figure  # standard error of the sum, from the spread of its terms
+    weight: Figure  # stacking weight among the laws; 0 where its score cannot be trusted
+    levels: tuple[Figure, ...]  # the terms of the sum
+    pareto_k: Figure = np.nan  # of the importance weights
 
     @property
     def trusted(self) -> bool:
@@ -66,39 +50,21 @@ class LawScore:
 
 @dataclass(frozen=True)
 class DependenceScore:
-    """Score of one quantity that follows a covariate besides the actuation.
-
-    Attributes
-    ----------
-    quantity : str
-    covariate : str
-        "velocity", "amplitude", or "" for neither.
-    elpd : float
-        Sum of the log predictive densities of tests that were left out, in prior units.
-    difference, se : float
-        Difference from the score of neither, and its standard error.
-    """
+    """Score of one quantity that follows a covariate besides the actuation."""
 
     quantity: str
-    covariate: str
-    elpd: Figure
-    difference: Figure
+    covariate: str  # "velocity", "amplitude", or "" for neither
+    elpd: Figure  # sum of the log predictive densities of tests that were left out, in prior units
+    difference: Figure  # difference from the score of neither, and its standard error
     se: Figure
 
 
 @dataclass(frozen=True, eq=False)
 class TestGaussians:
-    """Gaussian likelihoods of the tests' free quantities given the common ones.
-
-    Attributes
-    ----------
-    design : Design
-    mean, variance : (J, d)
-        In prior units; those of common quantities are not used.
-    """
+    """Gaussian likelihoods of the tests' free quantities given the common ones."""
 
     design: Design
-    mean: Array
+    mean: Array  # (J, d): in prior units; those of common quantities are not used
     variance: Array
 
     __test__ = False  # pytest is not to collect it
@@ -263,15 +229,7 @@ def free_exponents(tests: TestGaussians) -> dict[str, tuple[float, float, float]
 
 
 def stack(scores: Array, prior: float = 0.0) -> Array:
-    """Stacking weights: those of the mixture that predicts best (Yao et al., 2018), (laws,).
-
-    Parameters
-    ----------
-    scores : (folds, laws)
-        Log predictive densities.
-    prior : float
-        Folds that equal weights are worth.
-    """
+    """Stacking weights: those of the mixture that predicts best (Yao et al., 2018), (laws,)."""
     from scipy import optimize  # which takes long to import
 
     laws = scores.shape[1]

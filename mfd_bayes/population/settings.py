@@ -20,6 +20,7 @@ NESTED = ("device", "new_test", "observation")
 THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
 KINDS = (*NESTED, THIS_TEST)
 
+# what each kind of band is about, in the words of design; the same everywhere
 KIND_NAMES: Mapping[str, str] = MappingProxyType(
     {
         "device": "mean property",
@@ -28,41 +29,25 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
         THIS_TEST: "this very test",
     }
 )
-"""What each kind of band is about, in the words of design; the same everywhere."""
 
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
-# actuation below this share of the largest is zero: what a gauge shows with nothing applied
-ZERO = 1e-3
-FULL = 0.8  # A stroke of at least this share of the largest one is a full stroke
+ZERO = 1e-3  # share of the largest actuation below which one is zero: what an idle gauge shows
+FULL = 0.8  # share of the largest stroke from which one is a full stroke
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Conditions of a test.
+    """Conditions of a test."""
 
-    Attributes
-    ----------
-    actuation : float, ksi or kip
-    session : str
-        Tests of one session were made together; "" where none is declared.
-    covariates : mapping of str to float
-        "velocity" (in/s, its peak), "amplitude" (in, half the stroke) and "full_strokes" (share of
-        the path that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake).
-    """
-
-    actuation: float
-    session: str = ""
+    actuation: float  # ksi or kip
+    session: str = ""  # tests of one session were made together; "" where none is declared
+    # velocity (in/s, its peak), amplitude (in, half the stroke) and full_strokes (share of the path
+    # that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake)
     covariates: Mapping[str, float] = field(default_factory=dict)
 
 
 def setting_of(trace: Trace, session: str = "") -> Setting:
-    """Setting under which a trace was made, or is to be predicted.
-
-    Raises
-    ------
-    FitError
-        When it is no trace, or has no actuation.
-    """
+    """Setting under which a trace was made, or is to be predicted."""
     check_trace("trace", trace, FitError)
     if not np.isfinite(trace.reference_actuation):
         raise FitError("a prediction needs the trace's actuation, in ksi (pressure) or kip (force)")
@@ -83,21 +68,7 @@ def planned_setting(
     session: str,
     planned: Mapping[str, float | None],
 ) -> Setting:
-    """Setting of a test before it is made.
-
-    Parameters
-    ----------
-    tested : sequence of Setting
-        Their geometric means stand for covariates that are None in `planned`.
-    actuation : float, ksi or kip
-    session : str
-    planned : mapping of str to float or None
-
-    Raises
-    ------
-    FitError
-        When the actuation is no number, 0 or more, or a covariate is no number above zero.
-    """
+    """Setting of a test before it is made."""
     units = {"velocity": "in/s", "amplitude": "in"}
     level = real_number("the planned actuation", actuation, FitError, (0.0, np.inf))
     covariates = {}
@@ -128,13 +99,7 @@ def levels_of(settings: Sequence[Setting]) -> list[list[int]]:
 
 
 def with_zeros(settings: Sequence[Setting]) -> tuple[Setting, ...]:
-    """The settings with an actuation of zero where it is next to nothing.
-
-    Raises
-    ------
-    FitError
-        When an actuation is negative or unknown, or all are zero.
-    """
+    """The settings with an actuation of zero where it is next to nothing."""
     actuation = np.array([setting.actuation for setting in settings])
     if not (np.all(actuation >= 0) and np.max(actuation) > 0):
         raise FitError(

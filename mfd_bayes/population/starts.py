@@ -23,10 +23,8 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-# equally probable shapes a of the Beta densities: from anywhere (1) to one place
-SHAPES = np.geomspace(1.0, 100.0, 41)
-# probability that a repeat begins without load or anywhere, and not as the tests did
-ELSEWHERE = 0.2
+SHAPES = np.geomspace(1.0, 100.0, 41)  # of the Beta densities: from anywhere (1) to one place
+ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere
 # probability, before the tests of a run, that tests begin without load and not anywhere. All
 # records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
 # force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here,
@@ -38,21 +36,12 @@ SLOW = 1e3  # time between two displacements of a motion without speed, s
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Density of the place in the gap, from 0 to 1, where a new test begins.
+    """Density of the place in the gap, from 0 to 1, where a new test begins."""
 
-    Attributes
-    ----------
-    weights : (2, A)
-        Posterior of the modes (middle of the gap, where the motion ends) and of the shapes.
-    unloaded : float
-        Probability of a start without load; 0 where the model does not tell load from none.
-    fixed : float, or None
-        The start that the prior file fixes.
-    """
-
+    # (2, A): posterior of the modes (middle of the gap, where the motion ends) and of the shapes
     weights: Array | None = None
-    unloaded: float = 0.0
-    fixed: float | None = None
+    unloaded: float = 0.0  # probability of a start without load; 0 where the model tells of none
+    fixed: float | None = None  # the start that the prior file fixes
 
     @classmethod
     def of(cls, prior: Prior | None) -> Starts:
@@ -62,16 +51,7 @@ class Starts:
     def learned(
         self, begun: Array, left: Array | None, without_load: Sequence[tuple[Array, Array] | None]
     ) -> Starts:
-        """What draws of the places (n, J) say where tests began.
-
-        Parameters
-        ----------
-        begun : (n, J)
-        left : (J,) or None
-            Where the tests' own motions leave the device.
-        without_load : sequence of two (n,), or None
-            Ends of the part of the gap without load, of each test.
-        """
+        """What draws of the places (n, J) say where tests began."""
         w = np.clip(np.median(begun, axis=0), 1e-6, 1.0 - 1e-6)
         log = np.full((2, SHAPES.size), -np.inf)
         for i, mode in enumerate((np.full(w.size, 0.5), left)):
@@ -97,17 +77,7 @@ class Starts:
         *,
         repeat: bool,
     ) -> Array:
-        """Places of tests, (n,), of standard normal numbers (n, 2): which density, and where in it.
-
-        Parameters
-        ----------
-        numbers : (n, 2)
-        left : float or None
-            Where the new motion leaves the device.
-        without_load : two (n,), or None
-        repeat : bool
-            Whether the motion repeats those of the calibrated tests.
-        """
+        """Places of tests, (n,), of normal numbers (n, 2): which density, and where in it."""
         if self.fixed is not None:
             return np.full(len(numbers), self.fixed)
         which, u = ndtr(numbers).T
@@ -145,23 +115,12 @@ def without_load(model: Model, values: Mapping[str, Array]) -> tuple[Array, Arra
 
 @dataclass(frozen=True, eq=False)
 class Ending:
-    """Where a test ended, as draws: another that follows without a reset begins there.
+    """Where a test ended, as draws: another that follows without a reset begins there."""
 
-    Attributes
-    ----------
-    test : str
-        Its id.
-    theta : (m, p)
-    place : (m,), 1
-        Place in the gap when the next test begins, as `Model.end` has it.
-    predicted : bool
-        Whether it was predicted itself, and not calibrated.
-    """
-
-    test: str
-    theta: Array
-    place: Array
-    predicted: bool = False
+    test: str  # its id
+    theta: Array  # (m, p)
+    place: Array  # (m,), 1: place in the gap when the next test begins, as `Model.end` has it
+    predicted: bool = False  # whether it was predicted itself, and not calibrated
 
     @classmethod
     def of(

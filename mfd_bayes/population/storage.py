@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.prior_files import PriorFile
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import design_of
@@ -31,13 +31,7 @@ _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
 
 
 def save_population(path: Path, population: Population) -> None:
-    """Write the draws of a population: slopes and intercepts, scatter, and all else that it holds.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be written.
-    """
+    """Write the draws of a population, and all else that it holds."""
     design, residual, starts = population.design, population.residual, population.starts
     arrays: dict[str, Array] = {
         **population.slopes,
@@ -68,13 +62,7 @@ def save_population(path: Path, population: Population) -> None:
 
 
 def load_population(path: Path, priors: PriorFile, model: Model | None = None) -> Population:
-    """Population of a file written by `save_population`; `model` is that of its tests.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, damaged or of another version of the program.
-    """
+    """Population of a file written by `save_population`; `model` is that of its tests."""
     arrays, facts = load_arrays(path)
     if facts.get("format") != FORMAT:
         raise StoreError(

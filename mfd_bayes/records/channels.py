@@ -28,14 +28,12 @@ from mfd_bayes.units import (
 )
 
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
-_ORDER = 3  # of the polynomial of the differentiator
 DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
-ORDERS = ("day first", "month first")  # of dates such as 05/03/2024
 
 
 @dataclass(frozen=True)
 class Subtracted:
-    """A column that is taken off, times a quantity such as an area; its unit as in `Source`."""
+    """A column that is taken off, times a quantity such as an area."""
 
     column: str | int
     unit: str | None = None
@@ -46,29 +44,8 @@ class Subtracted:
 class Source:
     """A column of a file, by its name or its number from 1, and what is done to it.
 
-    Attributes
-    ----------
-    column : str or int
-    unit : str, optional
-        By default that of the column's name, or of the file.
-    minus : Subtracted, optional
-    minus_mass : str
-        Mass whose inertia the load cell feels, "3 kg": times the acceleration, it is taken off.
-    tare : str
-        What the column reads at zero, "12 N", or a window over which it is 0 on average,
-        "0 s to 2 s".
-    arm : str
-        Radius, "4 in", at which the displacement is wanted: times an angle, it is the travel;
-        a torque over it is the force.
-    measured_at : str
-        Radius at which a travel or a force was measured, where that is not `arm`.
-    sign : 1 or -1
-        -1 turns the sign of the column, before anything is taken off.
-    rate : str
-        In place of a column of times: the samples were taken at this rate, "100 Hz", or with this
-        step, "10 ms".
-    dates : str
-        Order of the dates in time stamps: "day first" or "month first".
+    The keys of a column in a campaign file (`campaign.schema`), which checks which role may have
+    which; `rate` stands in place of a column of times.
     """
 
     column: str | int | None = None
@@ -86,55 +63,6 @@ class Source:
     def plain(self) -> bool:
         """Whether it is the column alone."""
         return self == Source(self.column, self.unit)
-
-    def check(self, role: str, path: object) -> None:
-        """Refuse parts that a role cannot have."""
-        of, minus = f"the {role} of {path}", self.minus
-        if not isinstance(minus, Subtracted | None):
-            raise RecordError(
-                f"minus of {of} must be a Subtracted, such as "
-                f"Subtracted('pressure', times='518.7 mm^2'), got {minus!r}"
-            )
-        times = minus.times if minus is not None else ""
-        quantities = {
-            "minus_mass": (self.minus_mass, "3 kg"),
-            "tare": (self.tare, "12 N"),
-            "arm": (self.arm, "4 in"),
-            "measured_at": (self.measured_at, "4 in"),
-            "times": (times, "518.7 mm^2"),
-        }
-        for name, (value, example) in quantities.items():
-            if not isinstance(value, str):
-                raise UnitError(f"{name} of {of} must be text such as {example!r}, got {value!r}")
-        if (self.rate or self.dates) and role != "time":
-            raise RecordError(f"rate and dates belong to the time of {path}, not to the {role}")
-        if (self.column is None) != bool(self.rate):
-            raise RecordError(
-                f"{of} needs a column"
-                + (", or a rate such as '100 Hz' and no column" if role == "time" else "")
-            )
-        if self.dates not in ("", *ORDERS):
-            raise RecordError(
-                f"dates of {path} must be {' or '.join(map(repr, ORDERS))}, got {self.dates!r}"
-            )
-        if self.sign not in (1, -1) or isinstance(self.sign, bool):
-            raise RecordError(f"sign of {of} must be 1 or -1, got {self.sign!r}")
-        if self.sign != 1 and role in ("time", "actuation"):
-            raise RecordError(
-                f"sign of {path} belongs to force, displacement or velocity, not to the {role}"
-            )
-        if minus is not None or any(value for value, _ in quantities.values()):
-            if role not in ("force", "displacement"):
-                raise RecordError(
-                    f"{role} of {path} is a column alone: only force and displacement "
-                    "may have minus, minus_mass, tare and arm"
-                )
-            if self.minus_mass and role != "force":
-                raise RecordError(f"minus_mass of {path} belongs to the force, not to the {role}")
-            if self.measured_at and not self.arm:
-                raise RecordError(
-                    f"measured_at of {of} needs an arm, the radius at which it is wanted"
-                )
 
     def words(self) -> str:
         """What the signal is, in words."""
@@ -197,12 +125,8 @@ def step_of(rate: str, of: str) -> float:
 def _take_off(
     table: Table, role: str, source: Source, signals: Mapping[str, Array], raw: Mapping[str, Array]
 ) -> Array:
-    """Signal of a role, internal units, less all that its source takes off.
-
-    `signals` has time, displacement and this one; `raw` the columns in the file's units, by name.
-    """
-    signal = signals[role]
-    of = f"the {role} of {table.path}"
+    """Signal of a role, internal units, less all that its source takes off."""
+    signal, of = signals[role], f"the {role} of {table.path}"
     if source.minus is not None:
         other, minus = source.minus, f"minus of {role}"
         name = table.name_of(other.column)
@@ -254,9 +178,9 @@ def acceleration(time: Array, displacement: Array) -> Array:
         even = np.linspace(t[0], t[-1], t.size)
         turns = turning_points(x, smallest_turn(x))
         half = float(np.median(np.diff(turns))) if turns.size > 1 else float(t.size)
-        window = min(max(2 * int(0.5 * SHARE * half) + 1, _ORDER + 2), t.size - 1 + t.size % 2)
+        window = min(max(2 * int(0.5 * SHARE * half) + 1, 5), t.size - 1 + t.size % 2)
         smooth = np.interp(even, t, x)
-        smooth = savgol_filter(smooth, window, _ORDER, deriv=2, delta=even[1] - even[0])
+        smooth = savgol_filter(smooth, window, 3, deriv=2, delta=even[1] - even[0])
         result[piece] = np.interp(t, even, smooth)
     return result
 
@@ -282,7 +206,10 @@ def sources_of(
     given = {r: c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()}
     stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units or {})
     for role, source in given.items():
-        source.check(role, table.path)
+        if source.measured_at and not source.arm:
+            raise RecordError(
+                f"measured_at of the {role} of {table.path} needs an arm, the radius of interest"
+            )
     by_column = {r: s.column for r, s in given.items() if s.column is not None}
     rated = "time" in given and bool(given["time"].rate)
     roles = roles_of(table, by_column, stated, actuation=actuation, timed=not rated)

@@ -1,24 +1,29 @@
-"""Tests compared with each other: duplicates, signs, units, and laws of what a loop shows."""
+"""Tests compared with each other: duplicates, clocks, signs, and laws of what a loop shows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from typing import ClassVar
 
 import numpy as np
+from scipy import special
 
 from mfd_bayes.records.data_quality import Fault
-from mfd_bayes.records.duplicates import Signature, find_twin
-from mfd_bayes.records.loop_features import LoopFeatures, asymmetry, loop_estimate
-from mfd_bayes.records.loops import channels_swapped, find_loops
+from mfd_bayes.records.loops import (
+    LoopFeatures,
+    asymmetry,
+    channels_swapped,
+    find_loops,
+    loop_estimate,
+)
 from mfd_bayes.records.motion import Array
-from mfd_bayes.records.outliers import QUANTITIES, SAME_LEVEL, Cause, find_odd, likely_cause
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.spikes import without_spikes
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import actuation_factor
+from mfd_bayes.units import actuation_factor, factor
 
 STEADY = 3  # fewest loops at full stroke of a record that is compared
 OTHERS, OTHERS_OF_NEGATIVE = 3, 2
@@ -26,16 +31,10 @@ OTHERS, OTHERS_OF_NEGATIVE = 3, 2
 for saying which of two signs is swapped in one whose force does negative work."""
 ENERGY = 0.2  # energies of a record and of a part of it differ by less than this share
 WHOLE = 0.98  # a twin of at least this share of a record is the whole record
-FAR, ALIKE = 4.0, 1.6
-"""An actuation of more than `FAR` times the nearest one changes the slip force by `ALIKE`."""
+FAR_LEVEL, ALIKE = 4.0, 1.6
+"""An actuation of more than `FAR_LEVEL` times the nearest one changes the slip force by `ALIKE`."""
 UNLIKE, SPEED = 1.6, 3.0
 """Slip forces at like actuation, and at speeds within `SPEED`, differ by less than `UNLIKE`."""
-
-_LOOP_HAS = {
-    "gap": ("a gap of {value}", "in"),
-    "slope": ("a build-up of {value}", "kip/in"),
-    "plateau": ("a slip force of {value}", "kip"),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +77,10 @@ class Tested:
     level: float
     actuation: str
     units: dict[str, str]
-    step: float = 0.0
-    cycle: float = 0.0
-    speed: float = float("nan")
-    swapped: bool = False
+    step: float
+    cycle: float
+    speed: float
+    swapped: bool
 
     @classmethod
     def of(cls, name: str, record: Record, trace: Trace, actuation: str = "") -> Tested:
@@ -150,11 +149,11 @@ def _twins(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
             energies = abs(test.features.energy), abs(other.features.energy)
             if not min(energies) > (1.0 - ENERGY) * max(energies):
                 continue
-        twin = find_twin(test.signature, other.signature)
-        if twin is None:
+        share = twin_share(test.signature, other.signature)
+        if share is None:
             continue
         twins.add(test.id)
-        share = twin.share * test.signature.bins / max(test.signature.bins, other.signature.bins)
+        share *= test.signature.bins / max(test.signature.bins, other.signature.bins)
         what = "same record as {other}"
         if share < WHOLE:
             what = f"the same measurement as {{other}} in {share:.0%} of the longer record"
@@ -216,13 +215,14 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 "sensor's factor"
             )
         k = int(np.nanargmax(np.abs(deviation.values) / deviation.sds))
-        has, unit = _LOOP_HAS[QUANTITIES[k]]
-        value = float(getattr(test.features, QUANTITIES[k]))
+        name, unit = list(QUANTITIES.items())[k]
+        value = float(getattr(test.features, name))
         yield (
             test.id,
             Fault.of(
                 cause.name,
-                f"its loop has {has}, where the other tests suggest {{expected}}: {{why}}",
+                f"its loop has a {_WORDS[name]} of {{value}}, where the other tests suggest "
+                "{expected}: {why}",
                 value=(value, unit),
                 expected=(value / float(np.exp(deviation.values[k])), unit),
                 why=why,
@@ -244,7 +244,7 @@ def _far_levels(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         force = np.log([test.plateau / t.plateau for t in others])
         near, like = int(np.argmin(np.abs(away))), int(np.argmin(np.abs(force)))
         spread = np.ptp([np.log(t.level) for t in others])
-        if abs(away[near]) > max(np.log(FAR), spread) and abs(force[near]) < np.log(ALIKE):
+        if abs(away[near]) > max(np.log(FAR_LEVEL), spread) and abs(force[near]) < np.log(ALIKE):
             cause = Cause("actuation", factor=test.level / others[like].level)
             fault = Fault.of(
                 "actuation",
@@ -338,3 +338,298 @@ def _of_actuation(test: Tested, cause: Cause, others: Sequence[Tested]) -> str:
         f"the actuation{f', {given},' if given else ''} is probably wrong{hint}{about}, or the "
         "file is that of another test"
     )
+
+
+# One measurement in two files: whole, cut out of the other, or sampled anew.
+
+BIN = 1.0 / 32.0  # s; signals are compared as means over bins: the same at any sampling rate
+SHORTEST, LONGEST = 64, 1 << 20  # fewest bins that must overlap, and most, nine hours, of a record
+CORRELATION = 0.97  # least of two forces for a closer look
+LARGER = 1.1  # most by which the rms of one force may exceed the other's
+PLACES = 6  # most places, of those at which two forces are alike, that are looked at: cycles repeat
+SAME, NEAR = 0.025, 0.25  # most difference of one measurement, in sds; before its lag is refined
+NOISE = 1.2
+"""Two forces are one measurement if they typically differ by less than so many sds of their noise:
+tests that were repeated differ by 1.4 of them, and by what friction scatters."""
+QUIET = 1e-3  # least noise that is expected of a force, as a share of its sd
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """Integrals of force and displacement over time, from which means over any bins follow."""
+
+    time: Array
+    force: Array
+    displacement: Array
+
+    @classmethod
+    def of(cls, trace: Trace) -> Signature:
+        """Signature of a trace with a force."""
+        time = trace.time - trace.time[0]
+        means = (0.5 * (v[1:] + v[:-1]) for v in (np.asarray(trace.force), trace.displacement))
+        sums = (np.cumsum(mean * np.diff(time)) for mean in means)
+        return cls(time, *(np.concatenate([[0.0], total]) for total in sums))
+
+    @property
+    def bins(self) -> int:
+        """Number of whole bins."""
+        return int(self.time[-1] / BIN)
+
+    @cached_property
+    def forces(self) -> Array:
+        """Mean force in every whole bin, (bins,)."""
+        return np.asarray(self.means(np.zeros(1), self.bins)[0][0])
+
+    def energy(self, begin: Array, end: Array) -> Array:
+        """Sum of the squared mean force over bins."""
+        total = np.concatenate([[0.0], np.cumsum(self.forces**2)])
+        return np.asarray(total[end] - total[begin])
+
+    def means(self, first: Array, count: int) -> tuple[Array, Array]:
+        """Mean force and displacement in `count` bins from each time `first` (n,), s, on."""
+        edges = first[:, None] + BIN * np.arange(count + 1)
+        parts = (np.interp(edges, self.time, values) for values in (self.force, self.displacement))
+        force, displacement = (np.diff(part) / BIN for part in parts)
+        return force, displacement
+
+
+def twin_share(own: Signature, other: Signature) -> float | None:
+    """Share of a record that is the same measurement as another, up to 1; None if none of it is."""
+    if min(own.bins, other.bins) < SHORTEST or max(own.bins, other.bins) > LONGEST:
+        return None
+    near = [_refined(own, other, k * BIN, BIN / 4) for k in _coarse_lags(own, other)]
+    lag, misfit = min(near, key=lambda pair: pair[1], default=(0.0, np.inf))
+    if misfit > NEAR:
+        return None
+    for step in (BIN / 16, BIN / 64, BIN / 256):
+        lag, misfit = _refined(own, other, lag, step)
+    if misfit > SAME or not _of_same_noise(own, other, lag):
+        return None
+    return min(1.0, _overlap(own, other, np.array([lag]))[1] / own.bins)
+
+
+def _coarse_lags(own: Signature, other: Signature) -> list[int]:
+    """Bins by which `own` begins after `other`, where both look alike, the likest first."""
+    shifts = np.arange(1 - own.bins, other.bins)
+    size = 1 << (own.bins + other.bins - 1).bit_length()
+    spectra = [np.fft.rfft(each.forces, size) for each in (own, other)]
+    products = np.fft.irfft(spectra[1] * np.conj(spectra[0]), size)[shifts]
+    begin, end = np.maximum(0, -shifts), np.minimum(own.bins, other.bins - shifts)
+    energies = own.energy(begin, end), other.energy(begin + shifts, end + shifts)
+    enough = end - begin > max(SHORTEST, 0.5 * min(own.bins, other.bins)) - 0.5
+    norm = np.sqrt(np.maximum(energies[0] * energies[1], 0.0))
+    safe = np.maximum(norm, 1e-9 * max(float(norm.max()), 1e-300))
+    alike = np.where(enough, products / safe, -1.0)  # correlation of the forces in the overlap
+    least, most = np.minimum(*energies), np.maximum(*energies)
+    larger = np.sqrt(most / np.maximum(least, 1e-9 * max(float(most.max()), 1e-300)))
+    padded = np.concatenate([[-1.0], alike, [-1.0]])
+    peaks = (alike >= padded[:-2]) & (alike > padded[2:]) & (alike >= CORRELATION)
+    best = sorted(np.flatnonzero(peaks).tolist(), key=lambda k: -alike[k])[:PLACES]
+    return [int(shifts[k]) for k in best if larger[k] < LARGER]
+
+
+def _refined(own: Signature, other: Signature, lag: float, step: float) -> tuple[float, float]:
+    """The lag within two steps of a given one, s, at which two records differ least, and by what.
+
+    By the rms difference of force, or of displacement if greater, over its sd.
+    """
+    lags = lag + step * np.arange(-2.0, 3.0)
+    begin, count = _overlap(own, other, lags)
+    if count < SHORTEST:
+        return lag, np.inf
+    pairs = zip(own.means(np.array([begin]), count), other.means(begin + lags, count), strict=True)
+    misfits = [np.std(a - b, axis=1) / max(float(np.std(a)), 1e-300) for a, b in pairs]
+    worst = np.maximum(*misfits)
+    best = int(np.argmin(worst))
+    return float(lags[best]), float(worst[best])
+
+
+def _of_same_noise(own: Signature, other: Signature, lag: float) -> bool:
+    """Whether two forces that are alike differ by less than independent noise would make them.
+
+    The noise is read off the smallest third differences, which the loop's corners leave alone.
+    """
+    begin, count = _overlap(own, other, np.array([lag]))
+    first, second = own.means(np.array([begin]), count), other.means(np.array([begin + lag]), count)
+    forces = first[0][0], second[0][0]
+    noise = max(_sd_of_small(np.diff(force, 3)) / np.sqrt(20.0) for force in forces)
+    away = forces[0] - forces[1]
+    typical = _sd_of_small(away - np.median(away), 0.5)
+    return typical < NOISE * max(float(noise), QUIET * float(np.std(forces[0])))
+
+
+def _sd_of_small(values: Array, share: float = 0.25) -> float:
+    """Standard deviation of normal values of which a share is as small as that of these."""
+    return float(np.quantile(np.abs(values), share) / special.ndtri(0.5 + 0.5 * share))
+
+
+def _overlap(own: Signature, other: Signature, lags: Array) -> tuple[float, int]:
+    """Begin of what is in both with each of the lags, in the time of `own`, s, and its bins."""
+    begin = max(0.0, -float(lags.min()))
+    end = min(own.time[-1], other.time[-1] - float(lags.max()))
+    return begin, max(int((end - begin) / BIN), 0)
+
+
+# Tests whose gap, build-up or slip force does not follow the others, and the likely cause.
+
+QUANTITIES = {"gap": "in", "slope": "kip/in", "plateau": "kip"}
+_WORDS = {"gap": "gap", "slope": "build-up", "plateau": "slip force"}
+FEWEST = 3  # fewest tests among which one can be odd
+SCATTER = np.array([0.08, 0.25, 0.15])  # sd of each logarithm between tests of one device
+FAR = 3.3  # a test is odd where a quantity is further away than this many sds of the others
+SAME_LEVEL = 0.05  # actuations that differ by less than this share are one level
+BEND = np.array([0.3, 0.5, 0.7])  # prior sd of the exponent of each quantity over the actuation
+_MIDDLE = np.array([0.0, 0.0, 0.5])  # and its prior mean
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """Logarithms of `QUANTITIES` over what the law of the other tests lets expect, (3,).
+
+    NaN where unknown; with their standard deviations, and the exponents of the laws over the
+    actuation.
+    """
+
+    values: Array
+    sds: Array
+    exponents: Array
+
+    @property
+    def distance(self) -> float:
+        """Largest deviation in standard deviations."""
+        return float(np.nanmax(np.abs(self.values) / self.sds, initial=0.0))
+
+
+def find_odd(logs: Array, levels: Array) -> dict[int, Deviation]:
+    """Odd tests by their number, the oddest first, each against the tests that are not odd.
+
+    `logs` (J, 3) are logarithms of `QUANTITIES`, NaN where one is not known, `levels` (J,) the
+    actuations. A test at 0 is not compared; where the level is not known, slip forces are not.
+    """
+    logs = logs.copy()
+    logs[np.isnan(levels), 2] = np.nan
+    logs[levels == 0.0] = np.nan
+    place = np.log(np.where(levels > 0.0, levels, np.nan))
+    left = list(range(len(levels)))
+    for _ in range(len(levels) // 3):  # without the worst, others that are odd show
+        if len(left) > FEWEST - 1:
+            rest = {j: [i for i in left if i != j] for j in left}
+            left.remove(min(left, key=lambda j: _disagreement(logs, place, rest[j])))
+    every = set(range(len(levels)))
+    odd = []
+    for j in sorted(every - set(left)):  # against the trimmed tests, or all the others
+        if any(_deviation(logs, place, j, some).distance > FAR for some in (left, every - {j})):
+            odd.append(j)
+    core = sorted(every - set(odd))
+    odd = [j for j in odd if _deviation(logs, place, j, core).distance > FAR]
+    core = sorted(every - set(odd))
+    deviations = {j: _deviation(logs, place, j, core) for j in odd}
+    deviations = {j: away for j, away in deviations.items() if not _shared(j, deviations, place)}
+    return dict(sorted(deviations.items(), key=lambda item: -item[1].distance))
+
+
+def _shared(j: int, deviations: dict[int, Deviation], place: Array) -> bool:
+    """Whether another odd test at the same level deviates alike: the level, not the test, is odd.
+
+    A deviation beyond twice `FAR` is no level's.
+    """
+    alike = (
+        np.nanmax(np.abs(deviations[i].values - deviations[j].values) / SCATTER, initial=0.0) < FAR
+        for i in deviations
+        if i != j and abs(place[i] - place[j]) < SAME_LEVEL
+    )
+    return deviations[j].distance < 2.0 * FAR and any(alike)
+
+
+def _deviation(logs: Array, place: Array, j: int, others: Iterable[int]) -> Deviation:
+    """Deviation of test j from the law of others."""
+    others = sorted(others)
+    values, sds, exponents = np.full(3, np.nan), np.full(3, np.inf), _MIDDLE.copy()
+    for k in range(3):
+        finite = [i for i in others if np.isfinite(logs[i, k]) and np.isfinite(place[i])]
+        if not finite:
+            finite = [i for i in others if np.isfinite(logs[i, k])]
+        if not np.isfinite(logs[j, k]) or len(finite) < FEWEST - 1:
+            continue
+        x, at = (np.nan_to_num(v) for v in (place[finite], place[j]))
+        middle, value, slope, spread, far = _line(x, logs[finite, k], k)
+        values[k] = logs[j, k] - value - slope * (float(at) - middle)
+        few = 1.0 + 1.0 / (len(finite) - 1)
+        sds[k] = few * np.sqrt(spread**2 + (far * (float(at) - middle)) ** 2)
+        exponents[k] = slope
+    return Deviation(values, sds, exponents)
+
+
+def _line(x: Array, y: Array, k: int) -> tuple[float, float, float, float, float]:
+    """Middle, value there, slope, scatter and error of the slope, of a line with a prior."""
+    middle, value = float(x.mean()), float(y.mean())
+    away, noise = x - middle, SCATTER[k] ** 2
+    weight = float(away @ away) / noise + 1.0 / BEND[k] ** 2
+    slope = (float(away @ (y - value)) / noise + _MIDDLE[k] / BEND[k] ** 2) / weight
+    rest = y - value - slope * away
+    spread = float(np.sqrt((rest @ rest + 2.0 * noise) / (y.size - 1 + 2.0)))
+    return middle, value, slope, max(spread, float(SCATTER[k])), float(weight**-0.5)
+
+
+def _disagreement(logs: Array, place: Array, tests: Sequence[int]) -> float:
+    """Sum of squares of what is left of lines through tests, in units of the scatter."""
+    total = 0.0
+    for k in range(3):
+        y, x = logs[list(tests), k], np.nan_to_num(place[list(tests)])
+        finite = np.isfinite(y)
+        if np.count_nonzero(finite) < 2:
+            continue
+        middle, value, slope, _, _ = _line(x[finite], y[finite], k)
+        rest = y[finite] - value - slope * (x[finite] - middle)
+        prior = ((slope - _MIDDLE[k]) / BEND[k]) ** 2
+        total += float(np.sum((rest / SCATTER[k]) ** 2)) + prior
+    return total
+
+
+UNITS = {
+    "displacement": ("in", "mm", "cm", "m"),
+    "force": ("kip", "lbf", "kN", "N", "MN", "kgf"),
+}
+"""Units that a column may be in instead of the one that it was read in."""
+WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0, 1.0])}
+"""By how much the logarithms of gap, build-up and slip force grow with that of a wrong factor."""
+FREE = 4.0  # penalty of a cause with a free factor: a unit that explains as much is the likelier
+ANYTHING = 14.0  # penalty of another device, which explains every deviation
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What may be wrong with a test, and the factor by which it is too large.
+
+    Of a wrong unit: whose role, the unit that it seems to be in, and the one it was read in.
+    """
+
+    name: str
+    factor: float = 1.0
+    role: str = ""
+    unit: str = ""
+    read_in: str = ""
+
+
+def likely_cause(deviation: Deviation, units: dict[str, str]) -> Cause:
+    """The cause that explains a deviation best.
+
+    A length that is too large by f makes the gap f times as wide and the build-up f times less
+    steep; a force that is too large by f makes build-up and slip force f times as large; an
+    actuation that is too large by f leaves the loop as it is and moves the law's value.
+    """
+    finite = np.isfinite(deviation.values)
+    values = np.where(finite, deviation.values, 0.0)
+    weights = np.where(finite, 1.0 / deviation.sds**2, 0.0)
+    causes = [(ANYTHING, Cause("another device"))]
+    for role, way in (*WAYS.items(), ("actuation", -deviation.exponents)):
+        size = float(way**2 @ weights)
+        log = float((way * values) @ weights) / size if size > 0 else 0.0
+        misfit = float((values - way * log) ** 2 @ weights)
+        causes.append((misfit + FREE, Cause(role, float(np.exp(log)))))
+        for unit in UNITS.get(role, ()):
+            wrong = factor(units[role], role) / factor(unit, role)
+            if abs(np.log(wrong)) > 0.2:
+                misfit = float((values - way * np.log(wrong)) ** 2 @ weights)
+                causes.append((misfit, Cause(f"unit of {role}", wrong, role, unit, units[role])))
+    return min(causes, key=lambda pair: pair[0])[1]

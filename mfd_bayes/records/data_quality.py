@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.records.lag import estimate_lag
-from mfd_bayes.records.loop_features import loop_estimate
-from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops
+from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops, loop_estimate
 from mfd_bayes.records.motion import Array, sensor_noise
-from mfd_bayes.records.resampling import crossing_times
 from mfd_bayes.records.spikes import force_spikes, interpolated, runs, spikes_of, without_spikes
+from mfd_bayes.records.time_axis import crossing_times
 from mfd_bayes.records.trace import Trace
 
 Samples = NDArray[np.intp]
@@ -46,23 +45,20 @@ while the force goes through this share of its range (or it jumps when it comes 
 noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
 
 
+_NONE: Samples = np.empty(0, dtype=np.intp)
+
+
 @dataclass(frozen=True, eq=False)
 class Fault:
     """A fault of a record that would spoil its fit.
 
-    Attributes
-    ----------
-    name : str
-        As in "force sign", by which `runs.findings` knows what spoils a test.
-    message : Message
-        The finding with its figures, and its possible cause.
-    samples : (K,), int
-        Those at which it was found; empty for the whole record.
+    Of a kind such as "force sign", with its figures and its possible cause, and the samples at
+    which it was seen; none for the whole record.
     """
 
     name: str
     message: Message
-    samples: Samples = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    samples: Samples
 
     @classmethod
     def of(
@@ -78,8 +74,7 @@ class Fault:
             key: v if isinstance(v, str) else Quantity.of(v[0], unit=v[1])
             for key, v in values.items()
         }
-        none = np.empty(0, dtype=np.intp)
-        return cls(name, Message(template, quantities), none if samples is None else samples)
+        return cls(name, Message(template, quantities), _NONE if samples is None else samples)
 
 
 def time_unit(trace: Trace) -> Iterator[Fault]:
@@ -312,7 +307,7 @@ def _jumps(trace: Trace, values: Array) -> Samples:
     """Samples to which a signal jumps."""
     steps = np.diff(values) / np.diff(trace.time)
     if steps.size < 9:
-        return np.empty(0, dtype=np.intp)
+        return _NONE
     padded = np.pad(steps, 2, mode="edge")
     neighbours = np.array([padded[k : k + steps.size] for k in (0, 1, 3, 4)])
     off = np.abs(steps - np.median(neighbours, axis=0))
@@ -340,7 +335,7 @@ def held(trace: Trace) -> Iterator[Fault]:
 def _held_displacement(trace: Trace) -> Samples:
     """Samples in which the displacement is frozen."""
     if trace.force is None:
-        return np.empty(0, dtype=np.intp)
+        return _NONE
     starts, lengths = _equal(trace.displacement)
     swing = SWING * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
     long = (lengths >= HELD) & (lengths > LONGER * _usual(trace, starts, lengths))
@@ -356,7 +351,7 @@ def _held_force(trace: Trace) -> Samples:
     It jumps when it comes back, or has held over more than a stroke, or its noise has stopped.
     """
     if trace.force is None or np.ptp(trace.force) == 0.0:
-        return np.empty(0, dtype=np.intp)
+        return _NONE
     starts, lengths = _equal(trace.force)
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(trace.displacement)))])
     travel = path[starts + lengths] - path[starts]
@@ -388,7 +383,7 @@ def _usual(trace: Trace, starts: Samples, sizes: Array | Samples) -> float:
 def _spread(starts: Samples, lengths: Samples) -> Samples:
     """All samples of runs, with the one before each."""
     pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
-    return np.concatenate(pieces or [np.empty(0)]).astype(np.intp)
+    return np.concatenate([_NONE, *pieces]).astype(np.intp)
 
 
 def zero_moves(trace: Trace) -> Iterator[Fault]:
@@ -497,11 +492,11 @@ def _steady_drift(trace: Trace) -> tuple[float, float]:
 
 
 def _drift_of_few(trace: Trace) -> float | None:
-    """Drift over a whole record with ramps, kip; None where it cannot be told.
+    """Drift over a whole record with ramps, kip; None where it cannot be seen.
 
     The mean force of ramps differs from that of strong loops without any drift. So the trend of
-    the strong loops, continued over the record, and the change of the force at its quiet ends must
-    agree in sign; the smaller of both counts.
+    the strong loops and the change of the force at its quiet ends must agree in sign; the smaller
+    counts.
     """
     loops = find_loops(trace)
     if loops.offset is None or trace.force is None or np.count_nonzero(loops.strong) < FEWEST:
@@ -531,10 +526,9 @@ _CONSEQUENCES = {
 
 
 def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
-    """Faults of a record, the most serious first; empty where there is none.
+    """Faults of a record, the most serious first, of a trace with every sample.
 
-    The trace must have every sample of its record: decimation hides faults. `gap` is the median
-    width of the device's gap, in; without it, rate and stroke are not checked.
+    `gap` is the median width of the device's gap, in; without it, rate and stroke are not checked.
     """
     clean = without_spikes(trace)
     faults = [
@@ -559,3 +553,80 @@ def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
     ]
     hidden = {name for fault in faults for name in _CONSEQUENCES.get(fault.name, ())}
     return tuple(fault for fault in faults if fault.name not in hidden)
+
+
+NEAR_TURN = 0.05  # the fit uses this share of the peak-to-peak displacement around a reversal
+STROKES = 0.4  # shorter strokes, by their share of the longest, have no clear reversal
+REVERSALS = 40  # most reversals that are used
+REACH = 0.06  # largest lag, s; eight samples or 3 % of a cycle where that is more
+LIKELY = 0.85  # a lag counts up to this share of the squared misfit without a lag
+_TURN_SAMPLES = 120  # of one reversal, at any rate
+_LENGTHS = np.geomspace(0.02, 1.5, 10)  # of the release, over the distance that is used
+
+
+def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
+    """Lag of the force behind the displacement, s, and the reversals that it was found at.
+
+    After a turn of the motion the friction force falls, fastest at the turn itself: by
+    A (1 − exp(−s/λ)) at the distance s from it. A and a line in time, for the level before the
+    turn and viscous friction, are fitted to each reversal, λ and the lag to all reversals
+    together. A late force begins to fall after the turn, an early one before it. None without a
+    force or reversals, or where no lag fits clearly better.
+    """
+    x, turns = trace.displacement, trace.cycle_turns
+    ends = np.concatenate([[0], turns, [x.size - 1]])
+    strokes = np.array([abs(x[b] - x[a]) for a, b in pairwise(ends)])
+    long = strokes >= STROKES * np.ptp(x)
+    turns = turns[long[:-1] & long[1:]]  # away from the ends, between long strokes
+    turns = turns[:: max(1, -(-turns.size // REVERSALS))]
+    if trace.force is None or np.ptp(trace.force) == 0.0 or turns.size < 2:
+        return None
+    step = float(np.median(np.diff(trace.time)))
+    cycle = 2 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
+    reach = max(REACH, 8 * step, 0.03 * cycle)
+    coarse = np.linspace(-reach, reach, 49)
+    lag, misfit, at_rest = _best_lag(trace, turns, coarse)
+    if abs(lag) >= reach * 0.999 or misfit > LIKELY * at_rest:
+        return None
+    spacing = coarse[1] - coarse[0]
+    lag, _, _ = _best_lag(trace, turns, lag + np.linspace(-spacing, spacing, 9))
+    return lag, turns
+
+
+def _best_lag(trace: Trace, turns: NDArray[np.intp], lags: Array) -> tuple[float, float, float]:
+    """Lag with the smallest misfit, that misfit, and the misfit at the lag nearest to 0."""
+    misfit = np.zeros((_LENGTHS.size, lags.size))
+    for turn in turns.tolist():
+        misfit += _lag_misfit(trace, turn, lags)
+    least = misfit.min(axis=0)
+    at = int(np.argmin(least))
+    return float(lags[at]), float(least[at]), float(least[int(np.argmin(np.abs(lags)))])
+
+
+def _lag_misfit(trace: Trace, turn: int, lags: Array) -> Array:
+    """Squared misfit of the release to the force around one turn, (lengths, lags)."""
+    near = NEAR_TURN * float(np.ptp(trace.displacement))
+    away = np.abs(trace.displacement - trace.displacement[turn])
+    before, behind = np.flatnonzero(away[:turn] > near), np.flatnonzero(away[turn:] > near)
+    first = int(before[-1]) + 1 if before.size else 0
+    last = turn + int(behind[0]) - 1 if behind.size else away.size - 1
+    if last - first < 4:
+        return np.zeros((_LENGTHS.size, lags.size))
+    count = min(_TURN_SAMPLES, last - first + 1)
+    time = np.linspace(trace.time[first], trace.time[last], count)
+    force = np.interp(time, trace.time[first : last + 1], np.asarray(trace.force)[first : last + 1])
+    released = np.where(np.arange(away.size) > turn, away, 0.0)
+    begin = max(0, first - (last - first))
+    distance = np.interp(
+        time[None, :] - lags[:, None], trace.time[begin : last + 1], released[begin : last + 1]
+    )
+    shape = -np.expm1(-distance[None] / (near * _LENGTHS[:, None, None]))
+    # Parts that are linear in time, as a viscous force is at a turn, are removed from both.
+    line = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), 1)
+    basis = np.linalg.qr(line)[0]
+    shape -= (shape @ basis) @ basis.T
+    force = force - basis @ (basis.T @ force)
+    square = np.sum(shape**2, axis=2)
+    along = shape @ force
+    gain = np.divide(along**2, square, out=np.zeros_like(along), where=square > 1e-12)
+    return np.asarray(np.sum(force**2) - gain)

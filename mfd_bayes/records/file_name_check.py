@@ -23,13 +23,10 @@ from mfd_bayes.units import (
     same_unit,
 )
 
-TOLERANCE = 0.1
-"""A name and its record agree if they differ by no more than this share of the name's value."""
-
+TOLERANCE = 0.1  # most difference of a record from its name, as a share of the name's value
 SLOW_RATE, SLOW_PERIOD = 5.0, 3600.0
 """Where no unit of time is stated, a slower rate (Hz) with longer cycles (s) is not of a time in s:
-qualification tests take a sample each few seconds, and up to an hour.
-"""
+qualification tests take a sample each few seconds, and up to an hour."""
 
 NUMBER = (
     r"(?<![\d.])(?<!\d[eE])(?<![A-Za-z]\d,)"  # no part of 1.5e3, nor of "seal3,5bar"
@@ -61,9 +58,8 @@ def contradictions(
 
     Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
     stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
-    ``pp``); a rate may also be that of the samples. Where a name has several of one kind it is
-    enough that one agrees. Names without such words, and motions without a full loop, are not
-    compared; nor are roles whose unit is not among those that are `roles`.
+    ``pp``); a rate may also be that of the samples. Of several it is enough that one agrees. Only
+    roles whose unit is known, `roles`, are compared.
     """
     trace = record.trace() if trace is None else trace
     faults = []
@@ -152,10 +148,7 @@ def _sizes(name: str, amplitude: float) -> list[float]:
 
 
 def length_in_name(record: Record) -> tuple[str, str] | None:
-    """Unit with which a displacement that has none is as long as the file's name says, and why.
-
-    None where no unit is, or several are. The record was read as if it were in inches.
-    """
+    """The one unit with which a displacement, read as inches, is as long as its name says; why."""
     loops, name = find_loops(record.trace()), record.path.stem
     if not loops.period.size:
         return None

@@ -1,16 +1,19 @@
-"""The full loops of a record: amplitude, period, energy, mean force, and their drift."""
+"""Loops of a record: their size and energy, and slip force, stiffness and gap read off them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.records.motion import Array, turning_points
+from mfd_bayes.records.spikes import without_spikes
 from mfd_bayes.records.trace import Trace
 
-STRONG = 0.95  # a loop is strong from this share of the largest amplitude on; others ramp in or out
+STRONG = 0.95  # a loop is strong from this share of the largest amplitude; others ramp in or out
 TURN = 0.1  # for shapes a motion turns when it goes back by this share of its range
 FEWEST = 3  # fewest strong loops for which a drift is computed
 
@@ -19,28 +22,17 @@ FEWEST = 3  # fewest strong loops for which a drift is computed
 class Loops:
     """Full loops, each from one of `Trace.cycle_turns` to the second after it.
 
-    Attributes
-    ----------
-    bounds : (L + 1,), int
-        Samples at which the loops begin, and at which the last one ends; empty without a loop.
-    period : (L,), s
-    amplitude : (L,), in
-        Half the peak-to-peak displacement.
-    middle : (L,), in
-        Middle between the largest and the smallest displacement.
-    energy : (L,), kip·in, or None
-        Dissipated energy, ∮ F dx, by the trapezoidal rule; None without a force.
-    offset : (L,), kip, or None
-        Mean of both half cycles' mean forces ∫ F dx / ∫ dx: from the load cell's zero, dead weight,
-        and the difference between the two directions of the device.
+    `bounds` (L + 1,) are the samples at which loops begin, and at which the last one ends. The
+    `offset` (L,) is the mean of both half cycles' mean forces ∫ F dx / ∫ dx: from the load cell's
+    zero, dead weight, and the difference between the two directions of the device.
     """
 
     bounds: NDArray[np.intp]
-    period: Array
-    amplitude: Array
-    middle: Array
-    energy: Array | None
-    offset: Array | None
+    period: Array  # s
+    amplitude: Array  # in; half the peak-to-peak displacement
+    middle: Array  # in; between the largest and the smallest displacement
+    energy: Array | None  # kip·in, ∮ F dx; None without a force
+    offset: Array | None  # kip
 
     @property
     def strong(self) -> NDArray[np.bool_]:
@@ -123,3 +115,217 @@ def follows(motion: Array, force: Array) -> float:
     if not np.ptp(way[inside]) > 0.0 or not np.ptp(force[inside]) > 0.0:
         return 0.0
     return abs(float(np.corrcoef(way[inside], force[inside])[0, 1]))
+
+
+SLIP = (0.5, 0.95)  # shares of a stroke between which the damper slips
+RISE = (0.2, 0.8)  # shares of the plateau between which the force builds up after the gap
+UNLOADING = (0.8, 0.2)  # shares of the slip force between which the slope after a turn is read
+_FASTEST = 0.9  # quantile of the speed that is the speed of a record
+_FALLBACK = 0.05  # of the stroke: length of a build-up that cannot be read
+
+
+@dataclass(frozen=True)
+class LoopFeatures:
+    """What a person reads off the full strokes of a loop; NaN where it cannot be read.
+
+    A stroke is the way from one of `Trace.cycle_turns` to the next; full strokes are those of at
+    least `STRONG` of the longest. Every figure but the energy is the median over full strokes.
+    """
+
+    plateau_fwd: float  # kip; slip force: the median over the part `SLIP` of a stroke
+    plateau_bwd: float
+    slope: float  # kip/in, of the build-up, between the shares `RISE` of the plateau
+    gap: float  # in; travel after a turn at which the line of the build-up meets the plateau
+    energy: float  # kip*in, of a cycle at full stroke, their mean
+
+    @property
+    def plateau(self) -> float:
+        """Mean of the slip forces of both directions, kip; free of the load cell's offset."""
+        return 0.5 * (self.plateau_fwd + self.plateau_bwd)
+
+
+@dataclass(frozen=True, eq=False)
+class Strokes:
+    """What each of the S strokes of a motion shows of forces (n, T), (n, S) each, as LoopFeatures.
+
+    NaN where nothing is seen; `sign` (S,) is its direction, `full` (S,) whether it is a full one.
+    """
+
+    sign: Array
+    full: NDArray[np.bool_]
+    plateau: Array  # kip
+    slope: Array  # kip/in
+    gap: Array  # in
+
+    def slip(self, sign: float) -> Array:
+        """Slip force in a direction, (n,), kip: the median plateau of its full strokes."""
+        return _median(self.plateau[:, self.full & (self.sign == sign)])
+
+
+def stroke_estimates(trace: Trace, force: Array) -> Strokes:
+    """What is read off each stroke of a motion under forces (n, T), kip."""
+    x, turns = trace.displacement, trace.cycle_turns
+    first, last = turns[:-1], turns[1:]
+    way = x[last] - x[first]
+    full = np.abs(way) >= STRONG * np.max(np.abs(way), initial=0.0)
+    nothing = np.full((len(force), first.size), np.nan)
+    strokes = Strokes(np.sign(way), full, nothing, nothing.copy(), nothing.copy())
+    spans = list(zip(first.tolist(), last.tolist(), strokes.sign.tolist(), strict=True))
+    for k, (a, b, sign) in enumerate(spans):
+        share = (x[a : b + 1] - x[a]) / (x[b] - x[a])
+        inside = (share >= SLIP[0]) & (share <= SLIP[1])
+        if inside.any():
+            strokes.plateau[:, k] = sign * np.median(force[:, a : b + 1][:, inside], axis=1)
+    slip = {sign: strokes.slip(sign) for sign in (1.0, -1.0)}
+    for k, (a, b, sign) in enumerate(spans):
+        travel = np.abs(x[a : b + 1] - x[a])
+        strokes.slope[:, k], strokes.gap[:, k] = _rise(
+            sign * force[:, a : b + 1], travel, slip[sign]
+        )
+    return strokes
+
+
+def loop_estimate(trace: Trace, offset: float = 0.0) -> LoopFeatures:
+    """What a record shows less the offset of its load cell, kip.
+
+    A motion without a full stroke, or without a force, has none: all are NaN.
+    """
+    nan = float("nan")
+    if trace.force is None or trace.cycle_turns.size < 2:
+        return LoopFeatures(nan, nan, nan, nan, nan)
+    strokes = stroke_estimates(trace, trace.force[None] - offset)
+    slope, gap = (float(_median(v[:, strokes.full])[0]) for v in (strokes.slope, strokes.gap))
+    loops = find_loops(trace)
+    energy = np.asarray(loops.energy)[loops.strong]
+    mean = float(energy.mean()) if energy.size else nan
+    return LoopFeatures(float(strokes.slip(1.0)[0]), float(strokes.slip(-1.0)[0]), slope, gap, mean)
+
+
+def asymmetry(trace: Trace) -> Array:
+    """How far the loop is from the same in both directions, along a stroke, (P,), kip.
+
+    The mean of the forward force and of the backward force, less its own mean: a record with both
+    signs swapped has the opposite. NaN without full strokes in both directions.
+    """
+    along = np.linspace(0.02, 0.98, 60)
+    force, sides = np.asarray(trace.force), []
+    for sign in (1, -1):
+        curves = []
+        for first, last, way in _strokes(trace):
+            x = trace.displacement[first : last + 1]
+            travel = np.maximum.accumulate((x - x[0]) / (x[-1] - x[0]))
+            if way == sign:
+                curves.append(np.interp(along, travel, force[first : last + 1]))
+        sides.append(np.median(curves, axis=0) if curves else np.full(along.size, np.nan))
+    mean = 0.5 * (sides[0] + sides[1])
+    return np.asarray(mean - mean.mean())
+
+
+def _strokes(trace: Trace) -> list[tuple[int, int, int]]:
+    """First and last sample, and direction, of every full stroke."""
+    x = trace.displacement
+    strokes = [(int(a), int(b), 1 if x[b] > x[a] else -1) for a, b in pairwise(trace.cycle_turns)]
+    longest = max((abs(x[b] - x[a]) for a, b, _ in strokes), default=0.0)
+    return [s for s in strokes if abs(x[s[1]] - x[s[0]]) >= STRONG * longest]
+
+
+def _rise(force: Array, travel: Array, slip: Array) -> tuple[Array, Array]:
+    """Slope of the build-up, kip/in, and travel at which it meets the slip force, in, (n,) each.
+
+    Of forces (n, m) in the direction of the motion, over the travel (m,) of one stroke.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(slip[:, None] > 0.0, force / slip[:, None], np.nan)
+        top = np.argmax(share >= RISE[1], axis=1)
+        below = (share <= RISE[0]) & (np.arange(travel.size) < top[:, None])
+        bottom = travel.size - 1 - np.argmax(below[:, ::-1], axis=1)
+        bottom[~below.any(axis=1)] = 0
+        low, high = (
+            _crossing(share, travel, at, level)
+            for at, level in ((bottom, RISE[0]), (np.maximum(top - 1, 0), RISE[1]))
+        )
+        good = below.any(axis=1) & (high > low)
+        slope = np.where(good, (RISE[1] - RISE[0]) * slip / (high - low), np.nan)
+        return slope, np.asarray(high + (1.0 - RISE[1]) * slip / slope)
+
+
+def _crossing(share: Array, travel: Array, at: NDArray[np.intp], level: float) -> Array:
+    """Travel, (n,), at which shares (n, m) cross a level between samples `at` and `at` + 1."""
+    rows, behind = np.arange(len(share)), np.minimum(at + 1, travel.size - 1)
+    before, after = share[rows, at], share[rows, behind]
+    part = np.where(after > before, (level - before) / (after - before), 0.0)
+    return np.asarray(travel[at] + part * (travel[behind] - travel[at]))
+
+
+def _median(values: Array) -> Array:
+    """Median over the last axis of values (n, S) that are known, (n,); NaN where none is."""
+    if not values.shape[-1]:
+        return np.full(len(values), np.nan)
+    known = np.ma.masked_invalid(values)
+    return np.asarray(np.ma.median(known, axis=-1).filled(np.nan))  # type: ignore[no-untyped-call]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What a record shows of its device, internal units; all positive but the offset."""
+
+    force: float  # slip force: the plateau of the loop, else half the range of the force
+    unloading: float  # slope of the force right after a turn
+    build_up: float  # slope at which the force comes back
+    length: float  # travel from a turn until the force has come back, the gap included
+    stroke: float  # from one end of the motion to the other
+    speed: float
+    noise: float  # standard deviation of what differs from sample to sample
+    offset: float  # middle of the plateaus of both directions
+
+
+def scales_of(trace: Trace) -> Scales | None:
+    """Scales of one record; None where it has no force or no motion."""
+    trace = without_spikes(trace)
+    force = trace.force
+    if force is None or not np.ptp(force) > 0.0 or not np.ptp(trace.displacement) > 0.0:
+        return None
+    loops = find_loops(trace)
+    known = loops.offset is not None and loops.offset.size
+    offset = float(np.median(np.asarray(loops.offset))) if known else float(np.mean(force))
+    read = loop_estimate(trace, offset)
+    slip = _positive(read.plateau, 0.5 * float(np.ptp(force)))
+    # White noise whose second differences have the size of these.
+    noise = float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))
+    length = _positive(read.gap, _FALLBACK * float(np.ptp(trace.displacement)))
+    return Scales(
+        force=slip,
+        unloading=_positive(_unloading(trace, np.asarray(force) - offset, slip), slip / length),
+        build_up=_positive(read.slope, slip / length),
+        length=length,
+        stroke=float(np.ptp(trace.displacement)),
+        speed=_positive(float(np.quantile(np.abs(trace.velocity), _FASTEST)), 1e-9),
+        noise=_positive(noise, 1e-3 * slip),
+        offset=offset,
+    )
+
+
+def middle(scales: Iterable[Scales]) -> Scales:
+    """Scales in the middle of several records: the median of each."""
+    several = list(scales)
+    return Scales(
+        **{f.name: float(np.median([getattr(s, f.name) for s in several])) for f in fields(Scales)}
+    )
+
+
+def _positive(value: float, other: float) -> float:
+    return value if np.isfinite(value) and value > 0.0 else other
+
+
+def _unloading(trace: Trace, force: Array, slip: float) -> float:
+    """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
+    x = trace.displacement
+    slopes = []
+    for first, last, sign in _strokes(trace):
+        share = -sign * force[first : last + 1] / slip  # falls from 1 after the turn
+        below = [int(np.argmax(share <= level)) for level in UNLOADING]
+        travel = abs(x[first + below[1]] - x[first + below[0]])
+        drop = share[below[0]] - share[below[1]]
+        if share[0] > UNLOADING[0] and travel > 0.0 < drop:
+            slopes.append(drop * slip / travel)
+    return float(np.median(slopes)) if slopes else float("nan")

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.loop_features import stroke_estimates
-from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.loops import find_loops, stroke_estimates
 from mfd_bayes.records.motion import Array
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.spikes import without_spikes
@@ -58,67 +57,35 @@ FORMULAS: Mapping[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCycles:
-    """Measured values of the L full cycles of a record, (L,) each, as recorded.
+    """Measured values of the L full cycles of a record, (L,) each, in internal units (`UNITS`).
 
     They are of the record's own samples: no model, no filter, and no offset is taken off. Forces
     are positive in the direction of the motion.
-
-    Attributes
-    ----------
-    time : s
-        At which each cycle begins.
-    stroke : in
-        From the smallest to the largest displacement.
-    frequency : Hz
-    full_stroke : bool
-        Whether the cycle has at least 95 % of the largest stroke; others ramp in or out.
-    slip_fwd, slip_bwd : kip
-        Force at zero displacement.
-    peak_fwd, peak_bwd : kip
-    effective_stiffness : kip/in
-    effective_damping : 1
-    energy : kip*in
-    c_eq : kip*s/in
-        Equivalent viscous damping coefficient.
-    build_up_slope, gap : kip/in and in
-        NaN where they cannot be read off.
-    offset : kip
-        Correction that would make the mean force of both directions equal; it is not applied.
-    largest_fwd, largest_bwd : float, kip
-        Peak force of all samples, also of those in no full cycle.
-    total_energy : float, kip*in
-        Of all samples, likewise.
     """
 
-    time: Array
-    stroke: Array
-    frequency: Array
-    full_stroke: NDArray[np.bool_]
-    slip_fwd: Array
+    time: Array  # s, at which each cycle begins
+    stroke: Array  # in, from the smallest to the largest displacement
+    frequency: Array  # Hz
+    full_stroke: NDArray[np.bool_]  # at least 95 % of the largest stroke; others ramp in or out
+    slip_fwd: Array  # force at zero displacement
     slip_bwd: Array
     peak_fwd: Array
     peak_bwd: Array
     effective_stiffness: Array
     effective_damping: Array
     energy: Array
-    c_eq: Array
-    build_up_slope: Array
+    c_eq: Array  # equivalent viscous damping coefficient
+    build_up_slope: Array  # this and the gap are NaN where they cannot be read off
     gap: Array
-    offset: Array
-    largest_fwd: float
+    offset: Array  # kip; would make the mean force of both directions equal; it is not applied
+    largest_fwd: float  # kip, of all samples, also of those in no full cycle; so are the next two
     largest_bwd: float
     total_energy: float
 
     def of_test(self) -> dict[str, float]:
-        """One value of each quantity: the largest peak, and of others the mean at full stroke.
-
-        NaN where there is no full cycle, or no cycle has the value.
-        """
-        found = {name: mean_of(getattr(self, name), self.full_stroke) for name in UNITS}
-        return {name: float(value) for name, value in found.items()} | {
-            "peak_fwd": self.largest_fwd,
-            "peak_bwd": self.largest_bwd,
-        }
+        """One value of each quantity: the largest peak, of others the mean at full stroke."""
+        means = {name: float(mean_of(getattr(self, name), self.full_stroke)) for name in UNITS}
+        return means | {"peak_fwd": self.largest_fwd, "peak_bwd": self.largest_bwd}
 
     def to_content(self) -> dict[str, tuple[float, ...]]:
         """The values as plain numbers by name, for JSON."""
@@ -127,13 +94,7 @@ class MeasuredCycles:
 
     @classmethod
     def from_content(cls, content: Mapping[str, Sequence[float]]) -> MeasuredCycles:
-        """The values from `to_content`.
-
-        Raises
-        ------
-        ValueError
-            When one is missing, or they are not of the same cycles.
-        """
+        """The values from `to_content`; ValueError where some are missing."""
         if missing := [f.name for f in fields(cls) if f.name not in content]:
             raise ValueError(f"{missing[0]} is missing")
         values: dict[str, Any] = {f.name: np.array(content[f.name]) for f in fields(cls)}
@@ -174,9 +135,9 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
     """Values of every full cycle of a motion under forces (n, T), kip: (n, L) each, by name."""
     loops, x = find_loops(trace), trace.displacement
     n, count = len(force), max(loops.bounds.size - 1, 0)
-    found = {name: np.full((n, count), np.nan) for name in UNITS}
+    values = {name: np.full((n, count), np.nan) for name in UNITS}
     if not count:
-        return found
+        return values
     strokes = stroke_estimates(trace, force)
     turns = trace.cycle_turns[: 2 * count + 1]
     for cycle, (begin, end) in enumerate(pairwise(loops.bounds.tolist())):
@@ -187,20 +148,22 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
         stiffness = (force[:, high] - force[:, low]) / stroke
         stiffness[stiffness == 0.0] = np.nan
         energy = np.trapezoid(f, motion, axis=1)
-        found["peak_fwd"][:, cycle], found["peak_bwd"][:, cycle] = f.max(axis=1), -f.min(axis=1)
-        found["effective_stiffness"][:, cycle] = stiffness
-        found["effective_damping"][:, cycle] = 2.0 / np.pi * energy / (stiffness * stroke**2)
-        found["energy"][:, cycle] = energy
-        found["c_eq"][:, cycle] = energy / np.trapezoid(trace.velocity[kept] ** 2, trace.time[kept])
+        values["peak_fwd"][:, cycle], values["peak_bwd"][:, cycle] = f.max(axis=1), -f.min(axis=1)
+        values["effective_stiffness"][:, cycle] = stiffness
+        values["effective_damping"][:, cycle] = 2.0 / np.pi * energy / (stiffness * stroke**2)
+        values["energy"][:, cycle] = energy
+        values["c_eq"][:, cycle] = energy / np.trapezoid(
+            trace.velocity[kept] ** 2, trace.time[kept]
+        )
         halves = turns[2 * cycle : 2 * cycle + 3].tolist()
         for first, last in pairwise(halves):
             sign = 1.0 if x[last] > x[first] else -1.0
             side = "slip_fwd" if sign > 0.0 else "slip_bwd"
-            found[side][:, cycle] = sign * _at(x, force, first, last, 0.5 * (x[high] + x[low]))
+            values[side][:, cycle] = sign * _at(x, force, first, last, 0.5 * (x[high] + x[low]))
         both = slice(2 * cycle, 2 * cycle + 2)
-        for name, values in (("build_up_slope", strokes.slope), ("gap", strokes.gap)):
-            found[name][:, cycle] = mean_of(values[:, both])
-    return found
+        for name, read in (("build_up_slope", strokes.slope), ("gap", strokes.gap)):
+            values[name][:, cycle] = mean_of(read[:, both])
+    return values
 
 
 def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:

@@ -20,27 +20,14 @@ SMOOTH = 0.1  # share of a step by which a smooth turn may differ from constant 
 
 @dataclass(frozen=True, eq=False)
 class MotionPath:
-    """The motion of a trace with a sample added at the vertex of every turn.
+    """The motion of a trace with a sample added at the vertex of every turn, (P,) samples.
 
     The true extreme lies between two samples. Without it, the distance since the turn would be
-    too short by up to a (ω Δt)²/8, which shows in a stiff unloading.
-
-    Attributes
-    ----------
-    time, displacement, velocity : (P,), s, in, in/s
-    step, rate : (P,), in, in/s
-        Motion since the sample before, and its mean velocity; 0 at the first sample.
-    turning_points : (K,), int
-        Samples of the path at which the motion turns. The last turn counts however small it
-        is, because the motion after it is not known.
-    direction : int
-        +1 or -1, the direction of the first stretch of motion.
-    nearest : (P,), int
-        For each sample of the path, the sample of the trace at or beside it.
-    samples : (T,), int
-        Samples of the path that are the trace's.
-    stretch : (T,), int
-        Number of turning points before each of `samples`.
+    too short by up to a (ω Δt)²/8, which shows in a stiff unloading. `step` and `rate` are the
+    motion since the sample before and its mean velocity. The last of the `turning_points` counts
+    however small it is, because the motion after it is not known. Each sample of the path is at or
+    beside the `nearest` one of the trace; `samples` (T,) of the path are the trace's, and
+    `stretch` (T,) counts the turning points before each of them.
     """
 
     time: Array
@@ -123,20 +110,10 @@ def vertex_of_turn(
 def turning_points(
     displacement: Array, hysteresis: float | Array, *, last: bool = False
 ) -> NDArray[np.intp]:
-    """Samples at which the motion turns by more than `hysteresis`, without the ends.
+    """Samples, (K,), at which the motion turns by more than `hysteresis`, in, without the ends.
 
-    Parameters
-    ----------
-    displacement : (T,), in
-    hysteresis : float or (T,), in
-        A turn counts when the motion goes back from its extreme by more than this, at the extreme.
-    last : bool
-        Whether the last turn counts however small it is.
-
-    Returns
-    -------
-    (K,) int
-        Alternating maxima and minima. Of equal extremes the last counts.
+    Alternating maxima and minima, from which the motion goes back by more than the hysteresis
+    there; of equal extremes the last. With `last`, the last turn counts however small it is.
     """
     steps = np.diff(displacement)
     moving = np.flatnonzero(steps)

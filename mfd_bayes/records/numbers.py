@@ -18,11 +18,8 @@ Array = NDArray[np.float64]
 def real_numbers(name: str, values: ArrayLike, error: type[MfdError] = RecordError) -> Array:
     """Array of what is given, float64, not copied where it is one already.
 
-    Raises
-    ------
-    MfdError
-        Of the kind `error`, when it holds masked values, complex numbers, text or no numbers, is
-        true or false, or has a unit: units would be lost.
+    Masked values, complex numbers, text, true and false, and units, which would be lost, raise
+    `error`.
     """
     if type(values) is np.ndarray and values.dtype == np.float64:
         return values

@@ -19,7 +19,6 @@ from mfd_bayes.records.motion import Array, smallest_turn, turning_points
 from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import hash_file, path_of
-from mfd_bayes.records.resampling import decimate, default_rate
 from mfd_bayes.records.spikes import mended
 from mfd_bayes.records.time_axis import (
     JITTER,
@@ -28,6 +27,8 @@ from mfd_bayes.records.time_axis import (
     check_increasing,
     checked_window,
     clock_of,
+    decimate,
+    default_rate,
     longest_piece,
     parse_window,
 )
@@ -140,14 +141,7 @@ class Record:
         window : (float, float), s, optional
             In the record's own time; `fit` by default.
         gap : float, in, optional
-            Width of the device's gap. Without a rate, `default_rate` for this gap is taken;
-            without both, every sample.
-
-        Raises
-        ------
-        RecordError
-            When the window or the rate leaves fewer than 20 samples, or the rate or the gap is not
-            positive.
+            Width of the device's gap: without a rate, one that resolves it is taken.
         """
         if gap is not None:
             gap = real_number("gap, in inches,", gap, RecordError, (0.0, math.inf), inside=True)
@@ -159,7 +153,7 @@ class Record:
         signals = {role: v for role, v in signals.items() if isinstance(v, np.ndarray)}
         if rate is None and gap is not None:
             x = self.displacement[cut]
-            rate = default_rate(self.time[cut], x, _turns(x), gap, rate=self.rate)
+            rate = default_rate(self.time[cut], x, _turns(x), gap, self.rate)
         if rate is None or rate >= self.rate * (1 - 1e-9):
             return self._as_trace(grid[cut], {role: v[cut] for role, v in signals.items()})
         if self.jitter > JITTER:  # only even samples can be filtered

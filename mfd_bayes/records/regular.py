@@ -45,13 +45,7 @@ def file_inside(folder: Path, name: str) -> Path | None:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal.
-
-    Raises
-    ------
-    OSError
-        When it cannot be read, or is a pipe or a device.
-    """
+    """SHA-256 of a file's bytes, in hexadecimal; raises OSError where it cannot be read."""
     if reason := why_no_file(path):
         raise OSError(errno.EINVAL, reason, str(path))
     with path.open("rb") as file:

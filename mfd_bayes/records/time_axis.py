@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import pairwise
-from math import inf
+from math import ceil, inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,24 +27,12 @@ JITTER = 0.01  # above this jitter, in steps, samples are interpolated onto a un
 
 @dataclass(frozen=True)
 class Clock:
-    """When samples were taken.
+    """When samples were taken."""
 
-    Attributes
-    ----------
-    rate : float, Hz
-        (T - 1) over the duration, without pauses, which rounded time stamps do not change.
-    jitter : float
-        Largest distance of a sample from a uniform grid between the ends, in steps.
-    pauses : int
-        Number of steps longer than `PAUSE` median steps.
-    longest : float, s
-        Longest step.
-    """
-
-    rate: float
-    jitter: float
-    pauses: int
-    longest: float
+    rate: float  # Hz; (T - 1) over the duration without pauses
+    jitter: float  # largest distance of a sample from a uniform grid between the ends, in steps
+    pauses: int  # number of steps longer than `PAUSE` median steps
+    longest: float  # s; longest step
 
     def words(self) -> str:
         """Rate, and how even it is, in words."""
@@ -68,14 +58,7 @@ def longest_piece(
 ) -> tuple[slice, str]:
     """Samples of the longest piece of a time without a gap, and a sentence where there is one.
 
-    Parameters
-    ----------
-    time : (T,), s
-        Increasing.
-    place : callable
-        Name of a row, from 0: "line 17".
-    window : (float, float), s, optional
-        Only the part of a piece inside it counts.
+    `place` names a row, from 0; only the part of a piece inside the window counts.
     """
     steps, after = np.diff(time), after_gaps(time)
     if not after.size:
@@ -161,3 +144,67 @@ def parse_window(text: str, *, of: str = "") -> tuple[float, float]:
     if not start < end:
         raise UnitError(f"{of or 'a window'} must end after it starts, got {text!r}")
     return start, end
+
+
+MOST_SAMPLES = 6000  # most samples of a trace at the default rate
+
+
+def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
+    """Signal, (N,), from sample `first` to `last` at a lower rate, without delay.
+
+    `share` is the new rate over the old. A symmetric low-pass filter, flat to 0.7 of the new
+    Nyquist frequency and at least 40 dB down above it. It also uses the samples before `first` and
+    after `last`, and beyond the ends of the signal its point reflection, which keeps value and
+    slope there.
+    """
+    from scipy.signal import firwin, resample_poly
+
+    up, down = share.numerator, share.denominator
+    # The filter reaches over ten new samples; the padding is a whole number of new samples.
+    blocks = -(-10 // up)
+    pad = blocks * down
+    padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
+    taps = firwin(20 * down + 1, 0.84 / down, window=("kaiser", 5.0))
+    window: Any = taps  # scipy's documentation allows taps here, its type stubs do not
+    piece = padded[first : last + 2 * pad + 1]
+    fine = resample_poly(piece, up, down, window=window, padtype="line")
+    count = (last - first) * up // down + 1
+    return np.asarray(fine[blocks * up :][:count], dtype=np.float64)
+
+
+def default_rate(
+    time: Array,
+    displacement: Array,
+    turns: NDArray[np.intp],
+    gap: float,
+    record_rate: float,
+) -> float:
+    """Lowest sampling rate, Hz, that resolves the crossing of a gap and the half-cycles.
+
+    At least 20 samples per crossing of the gap after a turning point, by the lower quartile of
+    the crossing times, and 40 per median half-cycle, if the record has them; then the next
+    higher rate that is the record's over a whole number. At most `MOST_SAMPLES` samples, which
+    comes before all else: a long record gets fewer samples per crossing.
+    """
+    crossings = crossing_times(time, displacement, turns, gap)
+    needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
+    if turns.size > 1:
+        needs.append(40 / float(np.median(np.diff(time[turns]))))
+    needed = max(needs, default=record_rate)
+    divisor = max(1, int(record_rate / needed * (1 + 1e-9)))
+    return record_rate / max(divisor, ceil(time.size / MOST_SAMPLES))
+
+
+def crossing_times(
+    time: Array, displacement: Array, turns: NDArray[np.intp], gap: float
+) -> list[float]:
+    """Times, s, from each turning point to a distance `gap` from it, if reached before the next."""
+    times = []
+    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=False):  # there may be none
+        away = np.abs(displacement[start : end + 1] - displacement[start])
+        reached = int(np.argmax(away >= gap))
+        if away[reached] >= gap and reached > 0:
+            part = (gap - away[reached - 1]) / (away[reached] - away[reached - 1])
+            at = start + reached
+            times.append(float(time[at - 1] + part * (time[at] - time[at - 1]) - time[start]))
+    return times

@@ -77,8 +77,8 @@ class Trace:
         velocity : (T,), in/s, optional
             By default central differences of the displacement.
         hysteresis : float, in, optional
-            Smallest reversal that counts as a turning point; by default `smallest_turn`, a
-            thousandth of the peak-to-peak displacement or what its noise needs.
+            Smallest reversal that counts as a turning point; by default a thousandth of the
+            peak-to-peak displacement or what its noise needs.
 
         Raises
         ------

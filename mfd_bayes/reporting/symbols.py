@@ -9,7 +9,7 @@ from html import unescape
 
 from markupsafe import Markup, escape
 
-from mfd_bayes.calibration.prior_files import known_quantities
+from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import html_of

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors
+from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.errors import FitError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model
@@ -52,16 +52,7 @@ Item = TypeVar("Item")
 
 
 class ByName(Mapping[str, Item]):
-    """Items of a run by name, in their order; each is read when it is first asked for.
-
-    Parameters
-    ----------
-    what : str
-        What one of them is, for messages: "calibrated test".
-    names : iterable of str
-    read : callable
-        Item of a name.
-    """
+    """Items of a run by name, in their order; each is read when it is first asked for."""
 
     def __init__(self, what: str, names: Iterable[str], read: Callable[[str], Item]) -> None:
         self._what, self._names, self._read = what, tuple(names), read
@@ -127,15 +118,7 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
 
 
 def model_of(folder: Path, manifest: Manifest) -> Model:
-    """Model of a run; of a user's own, the run folder's copy of its file is run.
-
-    Raises
-    ------
-    StoreError
-        When the copy is missing, lies elsewhere, or is not what the run wrote.
-    FitError
-        When it holds no model.
-    """
+    """Model of a run; of a user's own, the run folder's copy of its file is run."""
     name = manifest.settings.model
     if not file_of(name):
         return find_model(name)

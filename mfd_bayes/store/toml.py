@@ -1,7 +1,8 @@
-"""A TOML file as a dict, within limits on its size."""
+"""A TOML file as a dict, within limits on its size; texts as TOML strings and comments."""
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -18,15 +19,7 @@ class TomlError(Exception):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be read.
-    TomlError
-        When it is too large, or not TOML.
-    """
+    """Content of a TOML file."""
     if reason := why_no_file(path):
         raise TomlError(reason)
     with path.open("rb") as file:
@@ -40,3 +33,14 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # also thousands of digits
         raise TomlError(f"is not valid TOML: {why_invalid(error)}") from error
+
+
+def quoted(text: str) -> str:
+    """TOML basic string of a text."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
+
+
+def commented(text: str) -> str:
+    """TOML comment of a text: on one line, with escapes for all that cannot be printed."""
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return f"# {shown}"

@@ -6,8 +6,11 @@ from scipy import optimize, stats
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.modes import climb, least_squares
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Adaptive, Mixture, Proposal, around_modes, fit_mixture
-from mfd_bayes.calibration.sampling import mode_shares, sample_density
+from mfd_bayes.calibration.sampling import generator_of, sample, sample_density
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
 
 DIM = 5
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])
@@ -16,12 +19,12 @@ COVARIANCE = SD * SD[:, None] * (0.8 ** np.abs(np.subtract.outer(np.arange(DIM),
 EFFORT = Effort(ess=800, limit=4000, ensembles=4, walkers=24)
 
 
-def normal(q, _=-np.inf):
+def normal(q):
     """A correlated normal of very different widths, unnormalised."""
     return -0.5 * np.einsum("ni,ij,nj->n", q - MEAN, np.linalg.inv(COVARIANCE), q - MEAN)
 
 
-def bent(q, _=-np.inf):
+def bent(q):
     """The same normal, whose first coordinate bends the fourth; its moments are known."""
     return normal(np.column_stack([q[:, :3], q[:, 3] - 0.7 * (q[:, 0] ** 2 - 1.0), q[:, 4]]))
 
@@ -86,37 +89,6 @@ def test_progress_names_the_targets_that_are_missing():
     assert told[-1].missing == ""
 
 
-def test_what_is_surely_rejected_needs_no_density():
-    def bounded(q, least):
-        found = normal(q) - 3.0 * np.sum(((q - MEAN) / SD) ** 6, axis=1)
-        spared.append(int(np.sum(found < least)))
-        return np.where(found < least, -np.inf, found)
-
-    def draws(density):
-        modes = [climb(lambda q: bounded(q, -np.inf), MEAN + 0.1 * SD, np.diag(SD), SD)]
-        return sample_density(density, modes, short, np.random.default_rng(1)).q
-
-    spared = []
-    short = Effort(ess=50, limit=250, length=1.0, ensembles=2, walkers=20)
-    every = draws(lambda q, _: bounded(q, -np.inf))
-    spared.clear()
-    np.testing.assert_array_equal(draws(bounded), every)
-    assert sum(spared) > 0
-
-
-def funnel(q, _=-np.inf):
-    """Neal's funnel, which no mixture fits."""
-    wide = q[:, :1]
-    return -0.5 * (wide[:, 0] / 2) ** 2 - 0.5 * np.sum(q[:, 1:] ** 2 * np.exp(-wide) + wide, axis=1)
-
-
-def test_the_second_half_of_the_limit_is_kept():
-    effort = Effort(ess=1e6, limit=600, ensembles=2, walkers=20)
-    chains = draws_of(funnel, np.full(DIM, 0.1), effort=effort)
-    assert chains.steps == effort.limit
-    assert chains.discarded <= effort.limit // 2 + 200
-
-
 # --- modes
 
 
@@ -131,13 +103,6 @@ def test_a_climb_ends_at_the_mode_with_its_covariance():
 def test_a_climb_that_meets_a_known_mode_ends_there():
     (known,) = modes_of(normal, MEAN + SD)
     assert climb(normal, MEAN - 2.0 * SD, np.diag(SD), SD, [known]) is known
-
-
-def test_draws_are_shared_out_to_the_nearest_mode():
-    near, far = modes_of(normal, MEAN)[0], MEAN + 20.0 * SD
-    other = type(near)(far, 0.0, near.covariance)
-    q = np.stack([np.stack([MEAN, far, far, far]), np.stack([MEAN, MEAN, MEAN, far])])
-    np.testing.assert_allclose(mode_shares([near, other], q), [[0.25, 0.75], [0.75, 0.25]])
 
 
 TIME = np.linspace(0.0, 3.0, 60)
@@ -164,10 +129,9 @@ def test_least_squares_ends_where_scipy_does(reach):
     np.testing.assert_allclose(least_squares(decay, begin, reach), expected, atol=1e-3)
 
 
-@pytest.mark.parametrize("hole", [np.nan, np.inf])
-def test_least_squares_stays_where_there_is_no_number(hole):
+def test_least_squares_stays_where_there_is_no_number():
     def residual(points, _):
-        return np.where(points < 1.0, hole, points - 0.5)
+        return np.where(points < 1.0, np.nan, points - 0.5)
 
     with np.errstate(all="ignore"):
         found = least_squares(residual, np.array([[0.0], [1.00005], [3.0]]), 8.0)
@@ -193,17 +157,6 @@ def test_the_density_of_a_mixture_is_that_of_scipy():
     np.testing.assert_allclose(np.exp(MIXTURE.log_density(points)), known, rtol=1e-8)
     both = Proposal((0.25, 0.75), (MIXTURE, MIXTURE))
     np.testing.assert_allclose(both.log_density(points), MIXTURE.log_density(points))
-
-
-def test_draws_of_a_mixture_have_its_density():
-    # the mean of f/q over draws from q is the integral of f, which is 1
-    draws = MIXTURE.draw(np.random.default_rng(1), 20000)
-    f = stats.multivariate_normal(MIXTURE.means[1], 0.4 * COVARIANCE).pdf(draws)
-    other = Mixture(MIXTURE.weights[::-1], MIXTURE.means, MIXTURE.factors, MIXTURE.dof)
-    for mixture, close in ((MIXTURE, True), (other, False)):
-        ratios = f / np.exp(mixture.log_density(draws))
-        error = abs(ratios.mean() - 1.0) / (ratios.std() / np.sqrt(len(draws)))
-        assert (error < 4.0) == close
 
 
 def test_a_fitted_mixture_follows_narrow_parts_that_are_far_apart():
@@ -232,3 +185,46 @@ def test_weighted_draws_have_the_moments_of_the_density():
     assert np.any(np.abs(plain - MEAN) > 4.0 * sd / np.sqrt(found.size)) or np.any(
         np.abs(found.q.std(axis=0) / sd - 1.0) > 0.1
     )
+
+
+# --- what is given
+
+
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        ({"ess": np.nan}, "ess"),
+        ({"r_hat": "1"}, "r_hat"),
+        ({"limit": 0}, "limit"),
+        ({"walkers": 1.5}, "walkers"),
+        ({"length": -1.0}, "length"),
+    ],
+)
+def test_an_effort_has_numbers_that_can_be(changed, name):
+    with pytest.raises(FitError, match=name):
+        Effort(**{"ess": 100, "limit": 200} | changed)
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ({"posterior": None}, "posterior"),
+        ({"effort": "pink"}, "effort"),
+        ({"report": 5}, "report"),
+        *[({"seed": seed}, "seed") for seed in ([], "12", b"ab", [[1]], True, -1)],
+    ],
+)
+def test_what_cannot_be_sampled_is_refused(given, name):
+    time = np.arange(100) / 25.0
+    trace = Trace.from_arrays(time, np.sin(np.pi * time), 0.5, np.cos(np.pi * time))
+    with pytest.raises(FitError, match=name):
+        sample(**{"posterior": Posterior(trace, "mfd"), "effort": "quick"} | given)
+
+
+def test_seeds_of_another_length_give_other_numbers():
+    seeds = (1, 0, 2**32 + 1, [1, 0], [1, 0, 0], (1, 2), [0, 0], [0, 1], [1, 2, 0])
+    numbers = {tuple(generator_of(seed).integers(2**62, size=2)) for seed in seeds}
+    assert len(numbers) == len(seeds)
+    for seed in (12345, [7], (3, 4), [1, 0, 5]):  # these are those of NumPy
+        expected = np.random.default_rng(seed).integers(2**62, size=2)
+        np.testing.assert_array_equal(generator_of(seed).integers(2**62, size=2), expected)

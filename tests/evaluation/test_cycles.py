@@ -6,7 +6,7 @@ from scipy import integrate, stats
 
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.errors import FitError
 from mfd_bayes.evaluation.compare import (
     FEWEST_CYCLES,

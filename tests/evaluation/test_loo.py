@@ -6,7 +6,7 @@ from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import Effort, psis
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.evaluation.compare import (
     LARGEST_K,

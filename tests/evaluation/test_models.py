@@ -12,7 +12,7 @@ import mfd_bayes as mb
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.evidence import Evidence
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.evaluation import compare as comparison

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.evaluation.verdict import zero_pressure_sentences
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.settings import Setting

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.records.trace import Trace

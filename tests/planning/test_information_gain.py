@@ -50,7 +50,7 @@ def judged(goals, summaries):
     return gain_of(Goals(goals), left, np.random.default_rng(0)), left
 
 
-@pytest.mark.parametrize("noise", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("noise", [0.3, 3.0])
 def test_a_linear_gaussian_population_gives_its_closed_form(noise):
     for seed in range(3):
         case = LinearGaussian(seed, noise=noise)
@@ -62,14 +62,6 @@ def test_a_linear_gaussian_population_gives_its_closed_form(noise):
         np.testing.assert_allclose(left.var(axis=0) / goals.var(axis=0), closed, rtol=0.06)
 
 
-def test_errors_are_as_large_as_the_differences_between_repetitions():
-    case, found = LinearGaussian(1), []
-    for _ in range(25):
-        found.append(judged(*(part[:500] for part in case.draw()))[0])
-    spread = np.std([gain.reduction for gain in found])
-    assert 0.7 * spread < np.mean([gain.error for gain in found]) < 1.5 * spread
-
-
 def test_a_test_that_tells_nothing_has_no_gain():
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -77,14 +69,6 @@ def test_a_test_that_tells_nothing_has_no_gain():
         gain, _ = judged(goals, rng.standard_normal((1000, 8)))
         assert 0.0 <= gain.reduction < 0.004
         assert 0.0 <= gain.information < 0.01
-
-
-def test_summaries_that_are_constant_tell_nothing():
-    goals = np.random.default_rng(1).standard_normal((200, 1))
-    gain, left = judged(goals, np.full((200, 3), 7.0))
-    assert gain.reduction == 0.0
-    others = np.array([np.delete(goals, k).mean() for k in range(200)])
-    np.testing.assert_allclose(left[:, 0], goals[:, 0] - others)
 
 
 def test_what_is_left_is_that_of_draws_left_out_by_brute_force():
@@ -111,15 +95,6 @@ def test_a_curved_dependence_is_found():
     )
     assert curved < 0.05
     assert straight > 0.9
-
-
-def test_outliers_and_the_form_of_a_summary_do_not_matter():
-    rng = np.random.default_rng(5)
-    x = rng.standard_normal((1000, 1))
-    goals = x + 0.5 * rng.standard_normal((1000, 1))
-    plain, _ = judged(goals, x)
-    bent, _ = judged(goals, np.exp(5.0 * x))
-    assert bent.reduction == pytest.approx(plain.reduction, abs=0.002)
 
 
 ROWS = [(2.0, 0.0), (2.0, 0.0), (0.0, 1.5), (0.3, 0.3)]

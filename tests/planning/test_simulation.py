@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.cycles import cycle_energies
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.simulation import Loop
-from mfd_bayes.records.loop_features import loop_estimate
+from mfd_bayes.records.loops import loop_estimate
 from mfd_bayes.records.sine import Harmonic
 from mfd_bayes.records.trace import Trace
 
@@ -49,14 +48,6 @@ def test_a_loop_is_a_full_stroke_and_then_a_full_loop(waveform):
     assert fastest == pytest.approx(Candidate(1.0, 0.5, 1.0, waveform=waveform).speed, rel=0.02)
 
 
-def test_few_samples_give_the_energy_of_many():
-    fine = Harmonic(1.0, 0.5, 4).trace(1.0)
-    energy = cycle_energies(ThreeStage().force(theta(), fine), fine)[0, -1]
-    loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
-    few = loop.energy(ThreeStage().force(theta(), loop.trace))[0]
-    assert few == pytest.approx(energy, rel=0.01)
-
-
 def test_where_the_test_began_does_not_matter():
     loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
     one, other = (ThreeStage().force(theta(), loop.trace, [w]) for w in (0.05, 0.95))
@@ -74,15 +65,3 @@ def test_summaries_are_what_is_read_off_a_record():
     assert found["slip_fast_bwd"][0] == pytest.approx(read.plateau_bwd, rel=0.03)
     assert found["energy"][0] == pytest.approx(read.energy, rel=0.01)
     assert 0.7 * read.gap < found["gap_fwd"][0] < read.gap
-
-
-def test_a_wider_gap_and_a_stiffer_build_up_are_seen():
-    loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
-    columns = ThreeStage().parameters
-    wide, soft = theta(), theta()
-    wide[0, columns.index("d2")] += 0.05
-    soft[0, columns.index("k3")] = 8.0
-    force = ThreeStage().force(np.concatenate([theta(), wide, soft]), loop.trace)
-    found = loop.summaries(force, GAP)
-    assert found["gap_fwd"][1] - found["gap_fwd"][0] == pytest.approx(0.05, abs=0.01)
-    assert found["rise_bwd"][2] > 1.2 * found["rise_bwd"][0]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES

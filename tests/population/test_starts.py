@@ -7,8 +7,6 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.priors import Prior
-from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor
@@ -19,7 +17,6 @@ from mfd_bayes.population.starts import (
     Ending,
     Starts,
     place_left,
-    without_load,
 )
 from mfd_bayes.records.trace import Trace
 from tests.population.made import THREE_STAGE, make_population
@@ -120,18 +117,6 @@ def test_tests_that_began_without_load_make_others_begin_without_load():
     inside = np.mean((found >= 0.4) & (found <= 0.6))
     expected = learned.unloaded + 0.2 * (1.0 - learned.unloaded)
     assert abs(inside - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / DRAWS)
-
-
-def test_a_fixed_start_stays():
-    fixed = Starts.of(Prior("fixed", {"value": 0.3}))
-    np.testing.assert_array_equal(fixed.place(np.zeros((5, 2)), 0.7, None, repeat=True), 0.3)
-    assert Starts.of(Prior("uniform", {"lower": 0.0, "upper": 1.0})).fixed is None
-
-
-def test_only_a_model_with_a_gap_says_where_a_motion_leaves_it():
-    lugre = LuGre()
-    assert place_left(lugre, {}, SINE) is None
-    assert without_load(lugre, {}) is None
 
 
 @pytest.mark.parametrize("name", ["three_stage", "backlash"])

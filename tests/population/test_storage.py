@@ -15,9 +15,8 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.population.starts import SHAPES, Starts
-from mfd_bayes.population.storage import load_population, save_population, save_test_draws
+from mfd_bayes.population.storage import load_population, save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.netcdf import load_arrays
 from tests.population.made import make_population, no_residual
 
 TIME = np.arange(120) / 40.0
@@ -82,10 +81,9 @@ HISTORY = np.linspace(0.5, 1.5, TIME.size)
 
 
 @pytest.mark.parametrize(
-    "actuation", [0.8, 1.1, 3.0, HISTORY], ids=["tested", "new", "far", "history"]
+    ("actuation", "kind", "session"),
+    [(0.8, "device", "b"), (3.0, "new_test", "new"), (HISTORY, "observation", "b")],
 )
-@pytest.mark.parametrize("kind", ["device", "new_test", "observation"])
-@pytest.mark.parametrize("session", ["b", "new"])
 def test_predictions_come_back_bit_by_bit(population, stored, priors, actuation, kind, session):
     back = load_population(stored, priors)
     forecast = Forecast(kind, draws=30, seed=3, session=session)
@@ -122,9 +120,8 @@ def test_arviz_reads_the_file_by_the_papers_names(stored, population):
         assert data.posterior[name].dims == ("chain", "draw")
 
 
-@pytest.mark.parametrize("other", ["mixed model 0", 7, None])
-def test_a_population_of_another_version_is_refused_in_one_sentence(path, priors, other):
-    change(path, format=other)
+def test_a_population_of_another_version_is_refused_in_one_sentence(path, priors):
+    change(path, format="mixed model 0")
     with pytest.raises(
         StoreError, match=r"population\.nc .*another version.*run mfd-bayes calibrate"
     ) as raised:
@@ -135,42 +132,16 @@ def test_a_population_of_another_version_is_refused_in_one_sentence(path, priors
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("names", None),
         ("names", ["sigma0"]),
-        ("names", ["../x"]),
-        ("settings", []),
-        ("settings", [{"actuation": -1.0, "session": "", "covariates": {}}] * 3),
         ("settings", [{"weight": 1.0}]),
         ("laws", {"Fc_fwd": "cubic"}),
-        ("laws", {"k2": "constant", **LAWS}),
-        ("dependence", {"Fc_fwd": ["weight"]}),
-        ("alternatives", {}),
-        ("residual", {"slip_force": 1.0}),
-        ("discrepancy", {"mean": 0.0}),
         ("basis", {"shortest": 1.0}),
-        ("walkers", "many"),
         ("r_hat", None),
     ],
 )
 def test_facts_that_do_not_fit_together_are_refused(path, priors, key, value):
     load_population(path, priors)  # the control
     change(path, **{key: value})
-    with pytest.raises(StoreError, match=r"population\.nc is damaged"):
-        load_population(path, priors)
-
-
-@pytest.mark.parametrize("name", ["draws_h", "draws_z", "draws_share", "law"])
-def test_draws_that_are_no_numbers_or_missing_are_refused(path, priors, name):
-    with h5py.File(path, "r+") as file:
-        kept = file["posterior"][name][...]
-        file["posterior"][name][0, 1, 0] = np.nan
-    with pytest.raises(StoreError, match=r"population\.nc is damaged"):
-        load_population(path, priors)
-    with h5py.File(path, "r+") as file:
-        file["posterior"][name][...] = kept
-    load_population(path, priors)  # the control
-    with h5py.File(path, "r+") as file:
-        del file["posterior"][name]
     with pytest.raises(StoreError, match=r"population\.nc is damaged"):
         load_population(path, priors)
 
@@ -183,11 +154,3 @@ def test_what_is_no_such_file_is_refused(path, priors, tmp_path):
         (tmp_path / "bad.nc").write_bytes(text)
         with pytest.raises(StoreError, match=r"bad\.nc"):
             load_population(tmp_path / "bad.nc", priors)
-
-
-def test_a_pooled_test_is_written_by_its_quantities(tmp_path):
-    values = {"k3": np.arange(8.0).reshape(2, 4), "d2": np.ones((2, 4))}
-    save_test_draws(tmp_path / "test.nc", values, {"k3": "kip/in"}, "first")
-    arrays, facts = load_arrays(tmp_path / "test.nc")
-    assert facts == {"test": "first"}
-    np.testing.assert_array_equal(arrays["k3"], values["k3"])

@@ -1,44 +1,63 @@
-"""Each fault is found in a record that has it, and nothing in one that has none."""
+"""Each fault is named in a record that has it, and nothing in one that has none.
+
+Of the sensors and the clock, of a file's name, and of one test among others.
+"""
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import find_faults
-from mfd_bayes.records.lag import estimate_lag
-from mfd_bayes.records.record import read_record
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.file_name_check import contradictions
+from mfd_bayes.records.summary import inspect_record
 
 GAP = 0.15  # in
 
 
+def bristle(motion):
+    """Force of a bristle that slips at 1 kip."""
+    fine = np.interp(np.arange(8 * motion.size) / 8, np.arange(motion.size), motion)
+    force = np.zeros(fine.size)
+    for n, step in enumerate(np.diff(fine), 1):
+        force[n] = force[n - 1] + 40.0 * (step - abs(step) * force[n - 1])
+    return force[::8]
+
+
 def signals(rate=200.0, frequency=0.5, cycles=6, amplitude=1.0, seed=0):
-    """Time, displacement and force, (T,) each, of a bristle that slips at 1 kip, with noise."""
+    """Time, displacement and force, (T,) each, with noise."""
     time = np.arange(int(rate * cycles / frequency) + 1) / rate
-    displacement = amplitude * np.sin(2 * np.pi * frequency * time)
-    fine = np.linspace(0.0, time[-1], 20 * time.size)
-    steps = np.diff(amplitude * np.sin(2 * np.pi * frequency * fine), prepend=0.0)
-    bristle = np.zeros(fine.size)
-    for i in range(1, fine.size):
-        bristle[i] = bristle[i - 1] + 40.0 * (steps[i] - abs(steps[i]) * bristle[i - 1])
-    force = np.interp(time, fine, bristle)
+    motion = amplitude * np.sin(2 * np.pi * frequency * time)
     noise = np.random.default_rng(seed).standard_normal((2, time.size))
-    return time, displacement + 1e-5 * noise[0], force + 0.01 * noise[1]
+    return time, motion + 1e-5 * noise[0], bristle(motion) + 0.01 * noise[1]
 
 
-def faults(time, displacement, force, gap=GAP):
-    return find_faults(Trace.from_arrays(time, displacement, None, force), gap)
+def faults(time, motion, force, gap=GAP, velocity=None):
+    return find_faults(mb.Trace.from_arrays(time, motion, None, force, velocity), gap)
 
 
 def names(*arrays, **options):
     return [fault.name for fault in faults(*arrays, **options)]
 
 
+CLEAN = signals()
 NOISE = np.random.default_rng(1).standard_normal(2401)
 SHAKE = np.random.default_rng(3).uniform(-1.0, 1.0, 2401)
 
 
 def stepped(values, step):
     return np.round(values / step) * step
+
+
+def ringing(t):
+    return 0.3 * np.exp(-((t % 1.0) / 0.1)) * np.sin(2 * np.pi * 40 * t)
 
 
 FAULTY = {
@@ -48,23 +67,28 @@ FAULTY = {
     "no force": (lambda t, x, f: (t, x, 0 * f), "no force", "0 kip"),
     "a clipped force": (lambda t, x, f: (t, x, np.minimum(f, 0.9)), "clipping", "0.9 kip"),
     "coarse steps": (lambda t, x, f: (t, stepped(x, 0.02), f), "resolution", "0.02 in"),
-    "noise": (
-        lambda t, x, f: (t, x + 0.004 * NOISE, f),
-        "noise",
-        "noise of about 0.00394 in, 7% of the travel",
+    "noise": (lambda t, x, f: (t, x + 0.004 * NOISE, f), "noise", "0.00394 in"),
+    "a drift": (lambda t, x, f: (t, x, f + 0.1 * t / t[-1]), "drift", "+0.1"),
+    "a drift downward": (lambda t, x, f: (t, x, f - 0.1 * t / t[-1]), "drift", "-0.0"),
+    "a zero that steps": (
+        lambda t, x, f: (s := signals(cycles=8), (s[0], s[1], s[2] + 0.1 * (s[0] > 8.0)))[1],
+        "drift",
+        "kip",
     ),
-    "a drift": (lambda t, x, f: (t, x, f + 0.1 * t / t[-1]), "drift", "+0.101 kip"),
-    "samples that were dropped": (
+    "dropped samples": (
         lambda t, x, f: [np.delete(values, [700, 701]) for values in (t, x, f)],
         "dropped samples",
-        "1 step of time",
+        "1 step",
     ),
+    "a late force": (lambda t, x, f: (t, x, np.interp(t - 0.04, t, f)), "lag", "behind"),
+    "an early force": (lambda t, x, f: (t, x, np.interp(t + 0.025, t, f)), "lag", "before"),
 }
 
 
-@pytest.mark.parametrize(("change", "name", "words"), FAULTY.values(), ids=FAULTY)
-def test_a_fault_is_named_alone_with_its_figures(change, name, words):
-    (fault,) = faults(*change(*signals()))
+@pytest.mark.parametrize("kind", FAULTY)
+def test_a_fault_is_named_alone_with_its_figures(kind):
+    change, name, words = FAULTY[kind]
+    (fault,) = faults(*change(*CLEAN))
     assert fault.name == name
     assert words in str(fault.message)
 
@@ -79,89 +103,46 @@ SOUND = {
     "a lag of a sample": lambda t, x, f: (t, x, np.interp(t - 0.005, t, f)),
     "viscous friction": lambda t, x, f: (t, x, f + np.cos(np.pi * t)),
     "a clock that trembles": lambda t, x, f: (t + 1e-3 * SHAKE, x, f),
+    "a slow test": lambda t, x, f: signals(100.0, 0.05, seed=1),
+    "a fast logger": lambda t, x, f: signals(1024.0, 1.0, seed=2),
+    "one-sided strokes that grow": lambda t, x, f: (
+        t,
+        (y := np.linspace(0.8, 1.0, t.size) * (1.0 - np.cos(np.pi * t))),
+        bristle(y) + 0.01 * NOISE,
+    ),
+    "a pause": lambda t, x, f: (
+        t,
+        (y := np.sin(np.pi * np.minimum(t, 5.5)) + np.where(t > 7.5, np.sin(np.pi * t) + 1.0, 0.0)),
+        bristle(y) + 0.01 * NOISE,
+    ),
 }
 
 
-@pytest.mark.parametrize("change", SOUND.values(), ids=SOUND)
-def test_what_is_no_fault_is_not_named(change):
-    assert names(*change(*signals())) == []
+@pytest.mark.parametrize("kind", SOUND)
+def test_what_is_no_fault_is_not_named(kind):
+    assert names(*SOUND[kind](*CLEAN)) == []
 
 
 def test_a_force_that_rings_has_no_spikes_and_an_actuator_at_rest_repeats_nothing():
-    time, displacement, force = signals()
-    ringing = 0.3 * np.exp(-((time % 1.0) / 0.1)) * np.sin(2 * np.pi * 40 * time)
-    assert "spikes" not in names(time, displacement, force + ringing)
-    rest = np.clip(displacement, -0.5, 0.5)
-    assert "repeated samples" not in names(time, rest, stepped(force, 0.1))
-
-
-@pytest.mark.parametrize(("rate", "frequency"), [(200.0, 0.5), (100.0, 0.05), (1024.0, 1.0)])
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_sound_record_has_no_fault(rate, frequency, seed):
-    assert names(*signals(rate, frequency, seed=seed)) == []
+    time, motion, force = CLEAN
+    assert "spikes" not in names(time, motion, force + ringing(time))
+    assert "repeated samples" not in names(time, np.clip(motion, -0.5, 0.5), stepped(force, 0.1))
+    held = np.arange(time.size) // 2 * 2
+    assert "repeated samples" in names(time, motion[held], force[held])
 
 
 def test_the_samples_of_a_fault_are_given():
-    time, displacement, force = signals()
-    (fault,) = faults(time, displacement, np.minimum(force, 0.9))
+    time, motion, force = CLEAN
+    (fault,) = faults(time, motion, np.minimum(force, 0.9))
     assert np.all(force[fault.samples] >= 0.9)
     assert fault.samples.size > 0.8 * np.count_nonzero(force >= 0.9)
-    both = names(time, displacement, np.clip(force, -0.9, 0.9))
-    assert both == ["clipping", "clipping"]
-    kept = np.setdiff1d(np.arange(time.size), [700, 701])
-    (fault,) = faults(time[kept], displacement[kept], force[kept])
-    assert fault.samples.tolist() == [700]
-
-
-@pytest.mark.parametrize("signal", [1, 2])
-def test_spikes_are_told_with_their_places(signal):
-    arrays, at = signals(), [333, 1000, 1777]
-    arrays[signal][at] += 1.0
-    fault = next(fault for fault in faults(*arrays) if fault.name == "spikes")
-    assert fault.samples.tolist() == at
-    assert f"3 isolated samples of the {('displacement', 'force')[signal - 1]}" in str(
-        fault.message
-    )
-
-
-@pytest.mark.parametrize("times", [2, 3])
-def test_repeated_samples_are_told(times):
-    arrays = signals()
-    held = np.arange(arrays[0].size) // times * times
-    assert "repeated samples" in names(arrays[0], arrays[1][held], arrays[2][held])
-
-
-@pytest.mark.parametrize("lag", [-0.04, -0.025, 0.02, 0.04])
-def test_a_force_out_of_step_is_told_with_its_lag(lag):
-    time, displacement, force = signals()
-    late = np.interp(time - lag, time, force)
-    (fault,) = faults(time, displacement, late)
-    assert ("behind" if lag > 0 else "before") in str(fault.message)
-    estimate = estimate_lag(Trace.from_arrays(time, displacement, None, late))
-    assert estimate is not None
-    assert estimate[0] == pytest.approx(lag, abs=0.008)
-
-
-def test_a_force_that_does_not_follow_the_motion_has_no_lag():
-    time, displacement, _ = signals()
-    assert estimate_lag(Trace.from_arrays(time, displacement, None, NOISE)) is None
-
-
-def test_a_zero_that_steps_is_a_drift():
-    time, displacement, force = signals(cycles=8)
-    assert names(time, displacement, force + 0.1 * (time > 8.0)) == ["drift"]
-
-
-def test_a_drift_is_seen_although_most_cycles_ramp():
-    time = np.arange(0.0, 20.0, 1 / 200)
-    size = np.clip(np.minimum(time, 20.0 - time) / 6.5, 0.0, 1.0)
-    displacement = size * np.sin(np.pi * time)
-    force = size * np.tanh(8.0 * np.gradient(displacement, time))
-    force += 0.002 * np.random.default_rng(0).normal(size=time.size)
-    assert "drift" not in names(time, displacement, force)
-    assert "drift" in names(time, displacement, force + 0.8 * time / time[-1])
-    uneven = force + 0.4 * np.sin(np.pi * time / 20.0)  # it comes back: no drift
-    assert "drift" not in names(time, displacement, uneven)
+    assert names(time, motion, np.clip(force, -0.9, 0.9)) == ["clipping", "clipping"]
+    for signal in (1, 2):
+        arrays, at = [values.copy() for values in CLEAN], [333, 1000, 1777]
+        arrays[signal][at] += 1.0
+        spikes = next(fault for fault in faults(*arrays) if fault.name == "spikes")
+        assert spikes.samples.tolist() == at
+        assert "3 isolated samples" in str(spikes.message)
 
 
 def test_some_faults_depend_on_the_gap():
@@ -175,59 +156,364 @@ def test_some_faults_depend_on_the_gap():
     ):
         assert name in names(*arrays)
         assert name not in names(*arrays, gap=other)
-    (sentence,) = [str(fault.message) for fault in faults(*slow) if fault.name == "rate"]
-    assert "in the first 0.15 in after a reversal, where the force builds up" in sentence
-    assert names(small[0], small[1], None) == ["stroke"]
 
 
-def test_a_short_record_is_told_and_the_gravest_fault_comes_first():
-    assert "short record" in names(*signals(cycles=1.5))
-    time, displacement, force = signals(rate=20.0, cycles=1.5)
-    order = names(1000 * time, displacement, -force)
+def test_a_short_record_is_named_and_the_gravest_fault_comes_first():
+    time, motion, force = signals(rate=20.0, cycles=1.5)
+    order = names(1000 * time, motion, -force)
     assert order[0] == "force sign"
     assert order.index("short record") < order.index("rate")
+    assert "short record" in names(*(values[:90] for values in CLEAN))  # without a turn
 
 
-def test_a_motion_without_a_turn_is_judged_too():
-    time, displacement, force = (values[:90] for values in signals())
-    assert "short record" in names(time, displacement, force)
+def test_a_drift_is_seen_although_most_cycles_ramp():
+    time = np.arange(0.0, 20.0, 1 / 200)
+    size = np.clip(np.minimum(time, 20.0 - time) / 6.5, 0.0, 1.0)
+    motion = size * np.sin(np.pi * time)
+    force = size * np.tanh(8.0 * np.gradient(motion, time))
+    force += 0.002 * np.random.default_rng(0).normal(size=time.size)
+    assert "drift" not in names(time, motion, force)
+    assert "drift" in names(time, motion, force + 0.8 * time / time[-1])
+    back = force + 0.4 * np.sin(np.pi * time / 20.0)  # it comes back: no drift
+    assert "drift" not in names(time, motion, back)
 
 
-def test_real_records_raise_no_false_alarm(data_folder):
-    for path in sorted(data_folder.glob("20*.csv")):
-        assert find_faults(read_record(path).trace(), 0.2) == (), path.name
-
-
-# --- the velocity
-
-
-def velocity_faults(change):
-    """Faults of the velocity of a noisy displacement in coarse steps, its own changed."""
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        (lambda v: v, False),
+        (lambda v: 1.1 * v, False),
+        (lambda v: -v, True),
+        (lambda v: 25.4 * v, True),
+        (lambda v: v / 2, True),
+        (np.zeros_like, True),
+        (lambda v: v[::-1].copy() ** 2, True),
+    ],
+)
+def test_a_velocity_must_be_that_of_the_displacement(change, wrong):
     time = np.arange(801) / 100.0
     noise = np.random.default_rng(3).normal(0.0, 2e-3, time.size)
     motion = stepped(np.sin(np.pi * time) + noise, 1 / 500)
     velocity = np.pi * np.cos(np.pi * time) + 0.05  # with a zero that is a little off
-    trace = Trace.from_arrays(time, motion, 0.5, np.sign(velocity), change(velocity))
-    return [str(fault.message) for fault in find_faults(trace) if fault.name == "velocity"]
+    given = change(velocity)
+    assert ("velocity" in names(time, motion, np.sign(velocity), velocity=given)) == wrong
+
+
+# --- what inspect says
+
+RATE, CYCLES, CYCLE = 200.0, 10, 400
+MOTION = np.cos(2 * np.pi * (np.arange(CYCLES * CYCLE) / CYCLE + 0.1))
+
+
+def force_of(motion):
+    return bristle(motion) + 0.005 * np.random.default_rng(0).normal(size=motion.size)
+
+
+def write(path, motion, force, rate=RATE, head="time_s,displacement_in,force_kip"):
+    table = np.column_stack([np.arange(motion.size) / rate, motion, force])
+    np.savetxt(path, table, "%.6g", ",", header=head, comments="")
+    return path
+
+
+def inspected(folder, motion, force):
+    """Facts of a record and names of its faults."""
+    inspection = inspect_record("a", mb.read_record(write(folder / "a.csv", motion, force)))
+    facts = {name: str(text) for name, text in inspection.facts.items()}
+    return facts, [fault.name for fault in inspection.faults]
+
+
+def figures(facts):
+    """Number of loops at full stroke, their frequency in Hz and mean energy, and the offset."""
+    loops = re.match(r"(\d+).*frequency ([\d.]+)", facts["full loops"])
+    numbers = (facts[name].split()[0] for name in ("energy per cycle", "force offset"))
+    return int(loops[1]), float(loops[2]), *map(float, numbers)
+
+
+def test_the_command_counts_cycles_and_names_the_overflow_value(tmp_path, small_pictures):
+    motion, force = MOTION.copy(), force_of(MOTION)
+    motion[np.flatnonzero(np.diff(np.sign(np.diff(MOTION))) < 0) + 1] -= 0.007
+    force[1500] = 1e6
+    path = write(tmp_path / "a.csv", motion, force)
+    ran = CliRunner().invoke(app, ["inspect", str(path), "-o", str(tmp_path)])
+    assert ran.exit_code == 0
+    assert re.search(r"turning points +19 \(9.5 cycles\)", ran.stdout)
+    assert re.findall(r"warning +([a-z ]+):", ran.stdout) == ["spikes"]
+    assert inspected(tmp_path, force_of(MOTION), MOTION)[1] == ["channels"]
+    assert inspected(tmp_path, MOTION, -force_of(MOTION))[1] == ["force sign"]
+
+
+@pytest.mark.parametrize("samples", [1, 10])
+@pytest.mark.parametrize("share", [0.0035, 0.1])
+@pytest.mark.parametrize("sides", [(1,), (1, -1)], ids=["one end", "both ends"])
+def test_a_tremble_at_the_turns_begins_no_cycle(tmp_path, samples, share, sides):
+    motion = MOTION.copy()
+    for side in sides:
+        for top in np.flatnonzero(np.diff(np.sign(np.diff(side * MOTION))) < 0) + 1:
+            for first in (top - 2 * samples, top, top + 2 * samples):
+                motion[max(first, 0) : max(first, 0) + samples] -= side * 2.0 * share
+    loops, frequency, energy, offset = figures(inspected(tmp_path, motion, force_of(MOTION))[0])
+    assert (loops, frequency) == (9, pytest.approx(0.5, rel=0.03))
+    assert energy == pytest.approx(3.9, rel=0.02 if share <= 0.01 else 0.12)
+    assert abs(offset) < 0.06
+    noise = 0.3 * share * np.random.default_rng(1).normal(size=MOTION.size)
+    assert figures(inspected(tmp_path, MOTION + noise, force_of(MOTION))[0])[0] == 9
+
+
+@pytest.mark.parametrize("order", [1, -1], ids=["growing", "decaying"])
+def test_small_cycles_of_a_loading_protocol_are_cycles(tmp_path, order):
+    sizes = np.repeat(np.arange(0.1, 1.05, 0.1), 2)[::order]
+    cycle = np.sin(2 * np.pi * np.arange(CYCLE) / CYCLE)
+    motion = np.concatenate([size * cycle for size in sizes])
+    loops = inspected(tmp_path, motion, force_of(motion))[0]["full loops"]
+    assert loops.startswith("19, 2 of them")
+
+
+@pytest.mark.parametrize("signal", [0, 1])
+@pytest.mark.parametrize("value", [1e6, -9999.0])
+@pytest.mark.parametrize("at", [[0], [700, 701, 702], list(range(900, 960))])
+def test_overflow_values_are_named_alone_and_left_out(tmp_path, signal, value, at):
+    arrays = [MOTION.copy(), force_of(MOTION)]
+    sound = figures(inspected(tmp_path, *arrays)[0])
+    arrays[signal][at] = value
+    facts, warned = inspected(tmp_path, *arrays)
+    assert warned == ["spikes"]
+    assert figures(facts) == pytest.approx(sound, rel=0.01, abs=0.01)
+    assert not re.search(r"e\+|9999", facts["displacement"] + facts["force"])
+
+
+@pytest.mark.parametrize("lost", [CYCLE // 10, CYCLE // 2])
+def test_a_lost_block_and_a_frozen_channel_are_named(tmp_path, lost):
+    first = CYCLE * 5 - CYCLE // 3  # in the middle of a stroke
+    force = force_of(MOTION)
+    kept = np.delete(np.arange(MOTION.size), np.arange(first, first + lost))
+    assert "jump" in inspected(tmp_path, MOTION[kept], force[kept])[1]
+    for signal in (0, 1):
+        arrays = [MOTION.copy(), force.copy()]
+        arrays[signal][first : first + lost] = arrays[signal][first]
+        assert "held" in inspected(tmp_path, *arrays)[1]
+    assert inspected(tmp_path, MOTION, force)[1] == []
+
+
+@pytest.mark.parametrize("over", [1, CYCLE])
+@pytest.mark.parametrize("by", [0.2, -0.2])
+def test_a_zero_that_moves_by_a_tenth_of_the_stroke_is_named(tmp_path, by, over):
+    since = np.clip((np.arange(MOTION.size) - 5 * CYCLE) / over, 0.0, 1.0)
+    assert "displacement zero" in inspected(tmp_path, MOTION + by * since, force_of(MOTION))[1]
+
+
+# --- the name of a file
+
+
+def named(folder, name, actuation=None, column=""):
+    """What contradicts the name of a file: 1 in at 0.25 Hz."""
+    time = np.arange(0.0, 16.0, 1 / 64)
+    motion = np.sin(0.5 * np.pi * time)
+    path = write(folder / f"{name}.csv", motion, np.tanh(5 * np.cos(0.5 * np.pi * time)), 64)
+    if column:
+        head, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([f"{head},{column}", *(f"{row},7.0" for row in rows)]) + "\n")
+    return [str(f.message) for f in contradictions(mb.read_record(path, actuation=actuation))]
 
 
 @pytest.mark.parametrize(
-    "change",
+    "name",
     [
-        lambda v: -100 * v,
-        lambda v: -v,
-        lambda v: 25.4 * v,
-        lambda v: v / 2,
-        np.zeros_like,
-        lambda v: v[::-1].copy() ** 2,
+        *("36lb_0.25Hz_1.0in", "0p25hz_1in", "25.4mm 0.25 Hz", "test_2in", "2.0in_stroke"),
+        *("amp_1.0in_64Hz", "harmonic0.03ea1forward", "run3in_lab", "p500_f9", "5in_1in"),
     ],
-    ids=["-100 times", "sign", "mm/s as in/s", "half", "zero", "another channel"],
 )
-def test_a_velocity_that_contradicts_the_displacement_is_a_fault(change):
-    (sentence,) = velocity_faults(change)
-    assert "not that of the displacement" in sentence
+def test_a_name_that_agrees_or_says_nothing_is_not_named(tmp_path, name):
+    assert named(tmp_path, name) == []
 
 
-@pytest.mark.parametrize("change", [lambda v: v, lambda v: 1.1 * v, lambda v: None])
-def test_a_velocity_that_agrees_or_is_not_there_is_none(change):
-    assert velocity_faults(change) == []
+@pytest.mark.parametrize(
+    ("name", "given", "words"),
+    [
+        ("36lb_0.25Hz_1.5in", {}, "says 1.5in, but the record has an amplitude of 1 in"),
+        ("amp_2.0in", {}, "says 2.0in"),
+        ("1in_peak-to-peak", {}, "a stroke of 2 in"),
+        ("1.0in_0.1Hz", {}, "0.25 Hz"),
+        ("30lb_a", {"actuation": "36 lbf"}, "says 30lb, but the campaign has an actuation of 36"),
+        ("500psi", {"actuation": "3 MPa"}, "says 500psi"),
+        ("5MPa", {"column": "actuation_MPa"}, "but its column has an actuation of 7 MPa"),
+        ("36lb_a", {"actuation": "500 psi"}, ""),  # of another kind: not compared
+        ("0.16kN", {"actuation": "36 lbf"}, ""),
+    ],
+)
+def test_a_name_that_the_record_contradicts_is_named(tmp_path, name, given, words):
+    said = named(tmp_path, name, **given)
+    assert len(said) == bool(words)
+    assert all(words in sentence for sentence in said)
+
+
+def test_commands_say_it_once(tmp_path, small_pictures):
+    named(tmp_path, "36lb_0.25Hz_1.5in")
+    sentence = "the name of 36lb_0.25Hz_1.5in.csv says 1.5in"
+    run = CliRunner().invoke
+    assert sentence in run(app, ["init", str(tmp_path)]).output
+    campaign = str(tmp_path / "campaign.toml")
+    dry = run(app, ["calibrate", campaign, "-o", str(tmp_path / "out"), "--dry-run"])
+    assert dry.exit_code == 0, dry.output
+    assert " ".join(dry.output.split()).count(sentence) == 1
+
+
+def test_real_records_raise_no_false_alarm(data_folder, tmp_path):
+    for path in sorted(data_folder.glob("20*.csv")):
+        record = mb.read_record(path)
+        assert find_faults(record.trace(), 0.2) == (), path.name
+        assert contradictions(record) == (), path.name
+    record = mb.read_record(data_folder / "2023_36lb_0.10Hz_1.0in_SI.csv")
+    wrong = write(tmp_path / record.path.name, 1.5 * record.displacement, record.force, record.rate)
+    (fault,) = contradictions(mb.read_record(wrong))
+    assert "says 1.0in, but the record has an amplitude of 1.51 in" in str(fault.message)
+
+
+# --- one test among others
+
+LEVELS = (20.0, 30.0, 35.0, 60.0, 80.0)
+DEVICE = [80, 0, 0, 1, 1, 1.1, 1.1, 0.3, 25, 0.1, 0.12, 1, 0.01, 0.5]
+
+
+def trace_of(level, seed, *, length=1.0, force=1.0, actuation=1.0, noise=0, theta=None):
+    """A damper at a level in lbf; the record is wrong by the factors."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 12.0, 1 / 128)
+    x = np.minimum(1.0, time / 2.0) * (1.0 + 0.01 * rng.normal()) * np.sin(np.pi * time)
+    slip = 0.4 * level**0.5 * (1.0 + 0.05 * (-1) ** seed)
+    values = np.array([theta or DEVICE], dtype=float)
+    if theta is None:
+        values[:, 3:7] *= slip
+    clean = ThreeStage().force(values, mb.Trace.from_arrays(time, x, 0.03))[0]
+    clean += 0.15 * slip * x**2  # both directions differ
+    own = np.random.default_rng(100 + seed + 1000 * noise)
+    measured = force * (clean + 0.03 * own.normal(size=time.size))
+    return mb.Trace.from_arrays(time, length * x, actuation * level / 1000.0, measured)
+
+
+def put(name, trace, actuation=None):
+    columns = {"displacement": ("x", "in"), "force": ("f", "kip")}
+    record = SimpleNamespace(columns=columns, path=Path("a.csv"))
+    return Tested.of(name, record, trace, actuation or f"{1e3 * trace.reference_actuation:g} lbf")
+
+
+def campaign(k=None, **wrong):
+    """Five tests; of test k the record is wrong."""
+    return [
+        put(f"t{level:g}", trace_of(level, n, **(wrong if n == k else {})))
+        for n, level in enumerate(LEVELS)
+    ]
+
+
+def compared(tests):
+    return [(name, fault.name, str(fault.message)) for name, fault in compare_tests(tests)]
+
+
+WRONG = [
+    ({"length": 25.4}, "unit of displacement", "in mm, not in in"),
+    ({"length": 4.0}, "displacement", "times too large"),
+    ({"force": 1000.0}, "unit of force", "in lbf, not in kip"),
+    ({"force": 4.448}, "unit of force", "in kN, not in kip"),
+    ({"force": -1.0}, "force sign", "that of the force"),
+    ({"length": -1.0}, "force sign", "that of the displacement"),
+    ({"length": -1.0, "force": -1.0}, "both signs", "both swapped"),
+    (
+        {"theta": [300, 0, 0, 9, 9, 9.5, 9.5, 0.5, 300, 0.02, 0.03, 1, 0.002, 0.5]},
+        "another device",
+        "another device",
+    ),
+]
+
+
+@pytest.mark.parametrize(("wrong", "kind", "words"), WRONG)
+def test_the_test_that_is_wrong_is_named_with_its_cause(wrong, kind, words):
+    for k in (0, 2, 4) if "theta" not in wrong else (2,):
+        ((test, name, sentence),) = compared(campaign(k, **wrong))
+        assert (test, name) == (f"t{LEVELS[k]:g}", kind)
+        assert words in sentence
+
+
+def test_tests_of_one_device_are_not_named_and_two_cannot_tell_which_is_wrong():
+    assert compared(campaign()) == []
+    assert compared(campaign(0, length=25.4)[:2]) == []
+    assert compared(campaign(1, force=-1.0)[:2]) == []
+    ((test, name, _),) = compared(campaign(1, force=-1.0)[:3])
+    assert (test, name) == ("t30", "force sign")
+
+
+@pytest.mark.parametrize(("k", "actuation"), [(2, 10.0), (4, 10.0), (2, 0.1)])
+def test_an_actuation_that_is_wrong_by_ten_or_in_another_unit_is_named(k, actuation):
+    ((test, name, sentence),) = compared(campaign(k, actuation=actuation))
+    assert (test, name) == (f"t{LEVELS[k]:g}", "actuation")
+    assert "by a factor of ten" in sentence
+    tests = campaign()
+    tests[2] = put("t35", trace_of(35.0, 2, actuation=224.8089), "35 kN")
+    ((test, _, sentence),) = compared(tests)
+    assert test == "t35"
+    assert "35 lbf, not 35 kN" in sentence
+
+
+@pytest.mark.parametrize(
+    ("levels", "sizes", "odd"),
+    [
+        ((35, 35, 35), (1.0, 1.0, 0.5), ["r2"]),
+        ((30, 35, 40), (1.0, 0.5, 1.0), ["r1"]),
+        ((20, 35, 35), (1.0, 1.0, 0.5), ["r2"]),
+        ((35, 35), (1.0, 0.5), ["r0", "r1"]),
+        ((35, 35, 35), (1.0, 0.8, 1.2), []),
+        ((20, 35, 80), (1.0, 1.4, 2.0), []),
+    ],
+)
+def test_a_test_with_half_of_its_neighbours_force_is_named(levels, sizes, odd):
+    pairs = zip(levels, sizes, strict=True)
+    tests = [put(f"r{n}", trace_of(at, n, force=by)) for n, (at, by) in enumerate(pairs)]
+    assert [name for name, _, _ in compared(tests)] == odd
+
+
+def test_scatter_of_one_device_seldom_makes_a_test_odd():
+    rng = np.random.default_rng(0)
+    alarms = 0
+    for seed in range(12):
+        sizes = np.exp(0.12 * rng.normal(size=5))
+        tests = [
+            put(f"t{n}", trace_of(level, 10 * seed + n, force=by))
+            for n, (level, by) in enumerate(zip(LEVELS, sizes, strict=True))
+        ]
+        alarms += bool(compared(tests))
+    assert alarms <= 1
+
+
+# --- one measurement in two files
+
+
+def sampled_anew(trace, rate, begin, end):
+    last = trace.time[-1]
+    grid = np.arange(begin * last, end * last, 1.0 / rate)
+    motion, force = (np.interp(grid, trace.time, v) for v in (trace.displacement, trace.force))
+    return mb.Trace.from_arrays(grid - grid[0], motion, 0.035, force)
+
+
+@pytest.mark.parametrize(
+    ("rate", "begin", "end"), [(128, 0.0, 1.0), (100, 0.21, 0.9), (64, 0.137, 0.8)]
+)
+def test_a_record_that_was_cut_or_sampled_anew_is_named_once(rate, begin, end):
+    trace = trace_of(35.0, 2)
+    again = put("again", sampled_anew(trace, rate, begin, end))
+    for tests in ([put("first", trace), again], [*campaign(), again]):
+        ((name, kind, sentence),) = compared(tests)
+        assert (name, kind) == ("again", "duplicate")
+        share = re.search(r"in (\d+)% of the longer", sentence)
+        assert (float(share[1]) if share else 100) == pytest.approx(100 * (end - begin), abs=2)
+
+
+def test_a_test_that_was_repeated_is_no_duplicate():
+    first = trace_of(35.0, 2)
+    for other in (
+        trace_of(35.0, 3),
+        trace_of(35.0, 2, noise=1, force=1.02),  # as near as a copy, but of other noise
+        trace_of(35.0, 2, force=1.05),
+    ):
+        assert compared([put("a", first), put("b", other)]) == []
+    smooth = np.sin(np.pi * first.time) + 0.2 * np.sin(0.4 * np.pi * first.time)
+    quiet = mb.Trace.from_arrays(first.time, first.displacement, 0.035, smooth)
+    tests = [put("a", quiet), put("b", sampled_anew(quiet, 250, 0.0, 1.0))]
+    assert [kind for _, kind, _ in compared(tests)] == ["duplicate"]

@@ -1,48 +1,65 @@
+"""Loops and what is read off them: their definitions, and one number everywhere."""
+
+import csv
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from mfd_bayes import ThreeStage, Trace, read_record
 from mfd_bayes.calibration.cycles import cycle_energies
-from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.cli.commands import app
+from mfd_bayes.records.loops import find_loops, loop_estimate
+from mfd_bayes.records.measured import MeasuredCycles, measured_cycles
+
+FORWARD, BACKWARD, SLOPE, GAP = 2.0, 2.5, 25.0, 0.3
+TIME = np.arange(0.0, 8.0, 1 / 500)
 
 
-def harmonic(cycles=6, force=True, grow=0.0):
+def ellipse(cycles=6, force=True, grow=0.0):
     """Trace of amplitude 1 in at 0.5 Hz whose force is a circle about 0.2 kip, with a drift."""
     time = np.arange(int(200 * cycles) + 1) / 100.0
-    angle = np.pi * time
-    sign = 1 + grow * time / time[-1]
-    return Trace.from_arrays(
-        time,
-        np.sin(angle),
-        force=0.2 + sign * np.cos(angle) + grow * time / time[-1] if force else None,
-    )
+    angle, by = np.pi * time, grow * time / time[-1]
+    load = 0.2 + (1 + by) * np.cos(angle) + by
+    return Trace.from_arrays(time, np.sin(angle), force=load if force else None)
+
+
+def drawn_loop(cycles=5, ramp=0):
+    """A loop of straight lines: no force in the gap, a build-up, then slip."""
+    time = np.arange(0.0, cycles / 0.5, 1 / 256)
+    size = np.minimum(1.0, time / max(ramp / 0.5, 1e-9)) if ramp else 1.0
+    x = size * np.sin(np.pi * time)
+    force, travel, way = np.zeros(time.size), 0.0, 1.0
+    for n in range(1, time.size):
+        step = x[n] - x[n - 1]
+        if step * way < 0:
+            way, travel = -way, 0.0
+        travel += abs(step)
+        level = FORWARD if way > 0 else BACKWARD
+        force[n] = way * np.clip(SLOPE * (travel - GAP + level / SLOPE), 0.0, level)
+    return Trace.from_arrays(time, x, 0.03, force)
 
 
 def test_a_loop_has_its_amplitude_its_period_and_the_energy_of_its_ellipse():
-    loops = find_loops(harmonic())
+    loops = find_loops(trace := ellipse())
     assert loops.bounds.size == loops.period.size + 1 == 6
     np.testing.assert_allclose(loops.period, 2.0)
     np.testing.assert_allclose(loops.amplitude, 1.0)
     np.testing.assert_allclose(loops.energy, np.pi, rtol=1e-3)
     np.testing.assert_allclose(loops.offset, 0.2, atol=1e-3)
+    np.testing.assert_allclose(loops.energy, cycle_energies(trace.force[None], trace)[0])
 
 
-def test_energies_are_those_that_derived_quantities_are_compared_with():
-    trace = harmonic(grow=0.3)
-    np.testing.assert_allclose(
-        find_loops(trace).energy, cycle_energies(trace.force[None], trace)[0]
-    )
-
-
-def test_drifts_compare_the_first_loops_with_the_last():
-    steady, growing = find_loops(harmonic()), find_loops(harmonic(grow=0.5))
+def test_drifts_compare_the_first_strong_loops_with_the_last():
+    steady, growing = find_loops(ellipse()), find_loops(ellipse(grow=0.5))
     assert steady.energy_drift == pytest.approx(0.0, abs=1e-9)
     assert steady.offset_drift == pytest.approx(0.0, abs=1e-9)
     assert growing.energy_drift == pytest.approx(0.30, abs=0.05)
     assert growing.offset_drift == pytest.approx(0.33, abs=0.05)
-
-
-def test_ramps_are_not_strong_and_tell_no_drift():
     time = np.arange(1001) / 100.0
     ramped = np.minimum(time / 6, 1) * np.sin(np.pi * time)
     loops = find_loops(Trace.from_arrays(time, ramped, force=np.cos(np.pi * time)))
@@ -50,14 +67,125 @@ def test_ramps_are_not_strong_and_tell_no_drift():
     assert loops.energy_drift is None
 
 
-def test_a_motion_without_force_has_loops_without_energy():
-    loops = find_loops(harmonic(force=False))
+def test_without_a_force_or_a_full_loop_there_is_less():
+    loops = find_loops(ellipse(force=False))
     assert loops.period.size == 5
-    assert loops.energy is None
-    assert loops.energy_drift is loops.offset_drift is None
+    assert loops.energy is loops.energy_drift is loops.offset_drift is None
+    loops = find_loops(ellipse(cycles=1))
+    assert loops.bounds.size == loops.period.size == loops.energy.size == loops.strong.size == 0
+    time = np.arange(100) / 50
+    for force in (None, np.ones(100)):
+        read = loop_estimate(Trace.from_arrays(time, time, 0.03, force))
+        assert np.isnan([read.plateau_fwd, read.slope, read.gap, read.energy]).all()
 
 
-def test_a_motion_that_turns_twice_has_no_full_loop():
-    loops = find_loops(harmonic(cycles=1))
-    assert loops.bounds.size == loops.period.size == loops.energy.size == 0
-    assert not loops.strong.size
+@pytest.mark.parametrize(("offset", "ramp"), [(0.0, 0), (0.4, 0), (0.0, 3)])
+def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
+    trace = drawn_loop(8, ramp)
+    shifted = Trace.from_arrays(trace.time, trace.displacement, 0.03, trace.force + offset)
+    assert loop_estimate(shifted).plateau_fwd == pytest.approx(FORWARD + offset, abs=1e-6)
+    read = loop_estimate(shifted, offset)
+    assert read.plateau_fwd == pytest.approx(FORWARD)
+    assert read.plateau_bwd == pytest.approx(BACKWARD)
+    assert read.slope == pytest.approx(SLOPE, rel=0.02)
+    assert read.gap == pytest.approx(GAP, rel=0.02)
+    loops = find_loops(trace)
+    assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
+
+
+def test_the_model_reads_as_its_parameters():
+    trace = drawn_loop()
+    theta = np.array([[200, 0, 0, 2.0, 2.0, 2.4, 2.4, 0.1, 20, 0.15, 0.1, 1, 0.001, 0.5]])
+    force = ThreeStage().force(theta, trace)[0]
+    read = loop_estimate(Trace.from_arrays(trace.time, trace.displacement, 0.03, force))
+    assert (read.plateau_fwd, read.plateau_bwd) == pytest.approx((2.0, 2.4), rel=0.02)
+    assert read.gap == pytest.approx(0.25, rel=0.1)
+
+
+@given(
+    amplitude=st.floats(0.1, 5.0),
+    frequency=st.sampled_from([0.5, 1.0, 2.0]),
+    stiffness=st.floats(0.0, 20.0),
+    damping=st.floats(0.05, 2.0),
+    zero=st.floats(-3.0, 3.0),
+)
+def test_a_spring_and_a_dashpot_have_their_textbook_values(
+    amplitude, frequency, stiffness, damping, zero
+):
+    w = 2.0 * np.pi * frequency
+    x, v = amplitude * np.sin(w * TIME), amplitude * w * np.cos(w * TIME)
+    trace = Trace.from_arrays(TIME, x + zero, force=stiffness * x + damping * v, velocity=v)
+    cycles = measured_cycles(trace)
+    assert cycles.full_stroke.all()
+    np.testing.assert_allclose(cycles.stroke, 2.0 * amplitude, rtol=1e-3)
+    np.testing.assert_allclose(cycles.frequency, frequency, rtol=5e-3)
+    own = cycles.of_test()
+    assert own["energy"] == pytest.approx(np.pi * damping * w * amplitude**2, rel=1e-2)
+    assert own["c_eq"] == pytest.approx(damping, rel=1e-2)
+    assert own["slip_fwd"] == pytest.approx(damping * w * amplitude, rel=2e-2)
+    assert own["slip_bwd"] == pytest.approx(damping * w * amplitude, rel=2e-2)
+    close = {"rel": 5e-3, "abs": 0.02 * damping * w}
+    assert own["effective_stiffness"] == pytest.approx(stiffness, **close)
+
+
+def test_the_damping_of_a_rectangular_loop_and_a_record_without_values():
+    x = np.sin(np.pi * TIME)
+    force = 2.0 * np.sign(np.cos(np.pi * (TIME + 1e-9)))
+    own = measured_cycles(Trace.from_arrays(TIME, x, force=force)).of_test()
+    expected = 4.0 / np.pi / own["effective_stiffness"]
+    assert own["effective_damping"] == pytest.approx(expected, rel=1e-2)
+    assert measured_cycles(Trace.from_arrays(TIME, x)) is None
+    part = measured_cycles(Trace.from_arrays(TIME[:300], x[:300], force=x[:300]))
+    assert part.energy.size == 0
+    assert np.isnan(part.of_test()["energy"])
+    assert part.of_test()["peak_fwd"] == x[:300].max()
+
+
+TITLES = {
+    "peak force": ("peak_fwd", "peak_bwd"),
+    "energy per cycle": ("energy",),
+    "slip force": ("slip_fwd", "slip_bwd"),
+    "effective stiffness": ("effective_stiffness",),
+    "effective damping": ("effective_damping",),
+    "equivalent damping": ("c_eq",),
+    "gap": ("gap",),
+    "build-up slope": ("build_up_slope",),
+}
+"""What inspect calls the values, by the titles of its lines."""
+
+
+def test_inspect_shows_the_measured_values_of_shared_records(data_folder, tmp_path, small_pictures):
+    for path in sorted(data_folder.glob("20*.csv")):
+        record = read_record(path)
+        cycles = measured_cycles(record)
+        assert np.nanmax(cycles.peak_fwd) <= cycles.largest_fwd == record.force.max(), path
+        assert np.nanmax(cycles.peak_bwd) <= cycles.largest_bwd == -record.force.min(), path
+        content = cycles.to_content()
+        for name, value in MeasuredCycles.from_content(content).to_content().items():
+            np.testing.assert_array_equal(content[name], value, err_msg=name)
+        asked = ["inspect", str(path), "-o", str(tmp_path), "--units", "us"]
+        shown, own = CliRunner().invoke(app, asked).stdout, cycles.of_test()
+        for title, names in TITLES.items():
+            line = re.search(rf"^  {title} +(.*)$", shown, re.MULTILINE)
+            if line is None:
+                assert np.isnan(own[names[0]]), (path, title)
+                continue
+            numbers = re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", line[1])[: len(names)]
+            assert [float(n) for n in numbers] == [float(f"{own[n]:.4g}") for n in names], path
+
+
+@pytest.mark.slow
+def test_predict_compares_with_the_measured_values(data_folder, tmp_path, small_pictures):
+    """The run is of another device: only the measured column is looked at."""
+    run = Path(__file__).parents[1] / "data" / "run"
+    for path in sorted(data_folder.glob("20*.csv"))[:2]:
+        bands = tmp_path / f"{path.stem}.csv"
+        asked = ["--motion", path, "--actuation", "700 psi", "--extrapolate", "--compare"]
+        asked += ["--rate", "32 Hz", "--units", "us", "-o", bands]
+        CliRunner().invoke(app, ["predict", str(run), *map(str, asked)], catch_exceptions=False)
+        own = measured_cycles(read_record(path)).of_test()
+        text = bands.with_name(f"{bands.stem}_derived.csv").read_text().splitlines()
+        rows = csv.DictReader(line for line in text if not line.startswith("#"))
+        known = {row["quantity"]: row for row in rows}
+        for name in ("peak_fwd", "peak_bwd", "slip_fwd", "effective_stiffness", "gap"):
+            assert float(known[name]["measured"]) == pytest.approx(own[name], rel=1e-5), name

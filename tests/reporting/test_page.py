@@ -18,7 +18,6 @@ import pytest
 
 from mfd_bayes.calibration.identifiability import Pair, Sensitivity
 from mfd_bayes.campaign.campaign import load_campaign
-from mfd_bayes.campaign.draft.toml import commented, quoted
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.views import (
@@ -36,6 +35,7 @@ from mfd_bayes.reporting.tables import report_tables
 from mfd_bayes.runs.scores import Comparison, ComparisonRow
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
+from mfd_bayes.store.toml import commented, quoted
 
 ROOT = Path(__file__).parents[2]
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from mfd_bayes.calibration.prior_files import known_quantities
+from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.reporting import symbols
 
 NAMES = symbols.Symbols()

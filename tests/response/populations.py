@@ -6,7 +6,7 @@ import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.prior_files import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.design import design_of

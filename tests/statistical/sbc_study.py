@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors, sampled_quantities
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors, sampled_quantities
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.trace import Trace

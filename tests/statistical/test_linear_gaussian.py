@@ -10,8 +10,7 @@ from scipy.stats import multivariate_normal
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
@@ -126,15 +125,3 @@ def test_the_mode_is_exact_and_so_is_its_covariance(fitted: tuple[Posterior, Dra
     sd = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(draws.modes[0].q - mean) < 0.01 * sd)
     np.testing.assert_allclose(draws.modes[0].covariance, covariance, rtol=1e-3, atol=1e-9)
-
-
-def test_log_prior_and_log_likelihood_add_up(fitted: tuple[Posterior, Draws]) -> None:
-    _, draws = fitted
-    np.testing.assert_allclose(draws.log_prior + draws.log_likelihood, draws.log_prob)
-
-
-def test_the_same_seed_gives_the_same_draws() -> None:
-    effort = Effort(ess=1, limit=40, r_hat=2.0, length=0.0)
-    first, again, other = (sample(make_posterior(), effort, seed=s) for s in (7, 7, 8))
-    np.testing.assert_array_equal(first.q, again.q)
-    assert not np.array_equal(first.q, other.q)

@@ -7,8 +7,7 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.prior_files import PriorFile, load_priors
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.trace import Trace
 

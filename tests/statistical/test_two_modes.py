@@ -27,9 +27,7 @@ def modes_at(*places):
 
 @pytest.fixture(scope="module")
 def chains():
-    return sample_density(
-        lambda q, _: density(q), modes_at(0.3, APART + 0.1), EFFORT, np.random.default_rng(1)
-    )
+    return sample_density(density, modes_at(0.3, APART + 0.1), EFFORT, np.random.default_rng(1))
 
 
 def test_both_modes_get_their_shares(chains):

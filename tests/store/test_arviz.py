@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.prior_files import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import CalibratedTest, save_test

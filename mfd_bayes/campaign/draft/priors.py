@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mfd_bayes.calibration.prior_files import SCALED, find_priors, load_priors
-from mfd_bayes.campaign.draft.toml import commented, quoted
-from mfd_bayes.records.loop_features import Scales, middle
-from mfd_bayes.store.toml import read_toml
+from mfd_bayes.calibration.priors import SCALED, find_priors, load_priors
+from mfd_bayes.records.loops import Scales, middle
+from mfd_bayes.store.toml import commented, quoted, read_toml
 from mfd_bayes.units import convert, in_digits
 
 OTHER = 2.0

@@ -7,12 +7,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.excel import read_excel
-from mfd_bayes.records.readers.json import read_json
-from mfd_bayes.records.readers.matlab import read_matlab
+from mfd_bayes.records.readers.binary import read_excel, read_matlab, read_tdms
 from mfd_bayes.records.readers.table import Table
-from mfd_bayes.records.readers.tdms import read_tdms
-from mfd_bayes.records.readers.text import read_text
+from mfd_bayes.records.readers.text import read_json, read_text
 from mfd_bayes.records.regular import why_no_file
 
 __all__ = ["SUFFIXES", "Table", "read_table"]
@@ -32,13 +29,7 @@ SUFFIXES = tuple(FORMATS)  # suffixes of the files that can be read, in lower ca
 
 
 def read_table(path: Path) -> Table:
-    """Table of a file whose suffix is one of `SUFFIXES`.
-
-    Raises
-    ------
-    RecordError
-        When it cannot be read, is not what its suffix says, or is larger than is read.
-    """
+    """Table of a file whose suffix is one of `SUFFIXES`, if it is what that says."""
     suffix = path.suffix.lower()
     try:
         if path.is_dir():

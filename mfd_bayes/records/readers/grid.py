@@ -7,12 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.table import NUMBER, Cell, Column, Table, bare_unit, labels, parse
-from mfd_bayes.records.readers.time_stamps import is_stamp
+from mfd_bayes.records.readers.table import (
+    NUMBER,
+    Cell,
+    Column,
+    Table,
+    bare_unit,
+    is_stamp,
+    labels,
+    parse,
+)
 from mfd_bayes.units import DIMENSIONS, UNREAD, measure
 
 Row = Sequence[Cell]
@@ -30,11 +39,11 @@ _ACCELERATION = re.compile(r"%?\s*g|gals?|(?:[cm]?m|in|ft)/s(?:ec)?\^?2", re.IGN
 
 @dataclass(frozen=True)
 class Layout:
-    """Rows of a table, counted from 0, and how many of its cells hold numbers."""
+    """Rows of a table, from 0: its names and units, if it has any, and its first numbers."""
 
-    names: int | None  # None where no row of names stands above the numbers
+    names: int | None
     units: int | None  # right below the names
-    data: int  # first row of numbers
+    data: int
     share: float  # numbers over filled cells
     count: int  # numbers, up to the next row without any
 
@@ -58,11 +67,10 @@ def kinds(row: Row) -> str:
 def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
     """Layout of the table that weighs most, or else of the longest block of rows of numbers.
 
-    A table is a row of at least two names, perhaps a row of units, and a row with a number.
-    Titles and settings above it ("Station", "Rate 1024") are no table, or a small one, which
-    counts the less the fewer numbers it has. With `exact`, a row beyond whose end the numbers go on
-    is a title too. Of tables with the same names the first is taken: a heading may stand above
-    every block.
+    A table is a row of at least two names, perhaps a row of units, and a row with a number; the
+    fewer numbers it has, the less it counts, so that titles and settings above it ("Rate 1024") do
+    not win. With `exact`, a row beyond whose end the numbers go on is a title too. Of tables with
+    the same names the first is taken: a heading may stand above every block.
     """
     rows = rows[:SEARCHED]
     kind = [kinds(row) for row in rows]
@@ -103,181 +111,175 @@ def gives_units(row: Row, names: Row) -> bool:
     return telling >= 2 and 2 * (measures.count(None) - unread) <= len(under)
 
 
-def table_of(
-    path: Path,
-    rows: Sequence[Row],
-    places: Sequence[str],
-    layout: Layout,
-    *,
-    sheet: str = "",
-    heading: tuple[Sequence[str], Row] | None = None,
-    numbers: Sequence[Column] | None = None,
-    blank: Cell = None,
-    decimals: tuple[str, ...] = (".",),
-    doubts: tuple[str, ...] = (),
-    head: tuple[str, ...] = (),
-) -> tuple[Table, Sequence[int]]:
-    """Table of a grid whose layout is known, and its rows of numbers.
+@dataclass(frozen=True)
+class Grid:
+    """Cells of a file or a sheet: its rows, perhaps only the first ones, and their numbers."""
 
-    Parameters
-    ----------
-    path : Path
-    rows : sequence of rows
-        With `numbers` perhaps only the first ones.
-    places : sequence of str
-        Name of each row in its file or sheet: "line 17".
-    layout : Layout
-    sheet : str
-        Which sheet of the file it is.
-    heading : (names, units), optional
-        Of the columns, where they do not stand in the layout's rows.
-    numbers : sequence of columns, optional
-        All columns, where nothing stands between the numbers.
-    blank : cell
-        In place of a cell that a short row lacks.
-    decimals, doubts, head
-        As in `Table`.
-    """
-    of = f"{sheet} of {path}" if sheet else str(path)
-    first = rows[layout.data] if layout.data < len(rows) else ()
-    if heading is not None:
-        names, units = heading
-        at = list(range(len(names)))
-    else:
-        title: Row = () if layout.names is None else rows[layout.names]
-        units = () if layout.units is None else rows[layout.units]
-        filled, kind = len(kinds(title).rstrip("-")), kinds(first)
-        at = [
-            k
-            for k in range(max(filled, len(kind)))
-            if (k < filled and title[k] is not None)
-            or kind[k : k + 1] == "n"
-            or (not title and kind[k : k + 1] == "t")
-        ]
-        texts = [" ".join(str(title[k] or "").split()) if k < len(title) else "" for k in at]
-        names = labels(texts, [k + 1 for k in at])
-    headed = heading is not None or layout.names is not None
-    body: Sequence[int] = range(layout.data, len(places))
-    blocks: dict[int, str] = {}
-    footer: list[int] = []
-    if numbers is None:
-        body, blocks, footer = _body(of, rows, places, layout, len(names))
-    notes = _above(of, rows, places, layout.data, names, headed=headed)
-    if len(footer) >= TABLE:
-        raise RecordError(
-            f"{of} holds more than one table: from {places[footer[0]]}, rows begin with words"
-        )
-    if footer:
-        notes.append(f"{places[footer[0]]} and below: numbers below the table, not used")
-    cells: dict[str, Column] = {}
-    for name, k in zip(names, at, strict=True):
-        if numbers is None:
-            cells[name] = [rows[i][k] if k < len(rows[i]) else blank for i in body]
+    path: Path
+    rows: Sequence[Row]
+    numbers: Sequence[int]
+    word: str = "line"
+    sheet: str = ""
+
+    @property
+    def of(self) -> str:
+        """What it is, for messages."""
+        return f"{self.sheet} of {self.path}" if self.sheet else str(self.path)
+
+    def place(self, row: int) -> str:
+        """Name of a row: "line 17"."""
+        return f"{self.word} {self.numbers[row]}"
+
+    def table(
+        self,
+        layout: Layout,
+        heading: tuple[Sequence[str], Row] | None = None,
+        columns: Sequence[Column] | None = None,
+        **more: Any,
+    ) -> tuple[Table, Sequence[int]]:
+        """Table of a layout, and its rows of numbers; `more` goes to the table.
+
+        `heading` are names and units that do not stand in the layout's rows; `columns` are all
+        numbers, where nothing stands between them.
+        """
+        rows, data = self.rows, layout.data
+        first = rows[data] if data < len(rows) else ()
+        if heading is not None:
+            names, units = heading
+            at = list(range(len(names)))
         else:
-            cells[name] = numbers[k]
-    first = rows[body[0]] if len(body) else ()
-    stamped = [
-        name for name, k in zip(names, at, strict=True) if k < len(first) and is_stamp(first[k])
-    ]
-    stated = {
-        name: unit
-        for name, k in zip(names, at, strict=True)
-        if k < len(units) and (unit := bare_unit(str(units[k] or "")))
-    }
-    above = (
-        " ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in row if c is not None)
-        for row in rows[: layout.data]
-    )
-    table = Table(
-        path,
-        cells,
-        [f"{places[row]} of {sheet}" if sheet else places[row] for row in body],
-        units=stated | dict.fromkeys(stamped, "s"),
-        numbers=tuple(k + 1 for k in at),
-        headed=headed,
-        blocks=blocks,
-        notes=tuple(notes),
-        doubts=doubts,
-        decimals=decimals,
-        head=head or tuple(above),
-    )
-    return table, body
-
-
-def _body(
-    of: str, rows: Sequence[Row], places: Sequence[str], layout: Layout, width: int
-) -> tuple[list[int], dict[int, str], list[int]]:
-    """Rows of numbers; of these the first below a repeated heading, to its place; and the footer.
-
-    Rows of text that stand together are a heading where they hold the row of names, or begin as
-    the rows above the table do; below the names, only the same row of units may stand. All others
-    are kept, and refused once a column of them is read.
-    """
-    names, units = (None if k is None else _filled(rows[k]) for k in (layout.names, layout.units))
-    beginnings = {_beginning(row) for row in rows[: layout.names or 0]}
-    first = rows[layout.data] if layout.data < len(rows) else ()
-    column = next((k for k, cell in enumerate(first) if kinds([cell]) == "n" or is_stamp(cell)), 0)
-    words = [at for at in range(layout.data, len(rows)) if _is_text(rows[at], column)]
-    dropped: set[int] = set()
-    below: dict[int, str] = {}  # row below a repeated heading, to the heading's place
-    footer: list[int] = []
-    for _, pairs in groupby(enumerate(words), lambda pair: pair[1] - pair[0]):
-        group = [at for _, at in pairs]
-        if _goes_on(rows, group[0], layout.data):
-            continue
-        texts, end = [_filled(rows[at]) for at in group], group[-1] + 1
-        again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
-        if end == len(rows):
-            dropped.update(group)
-            if names not in texts and any("n" in kinds(text) for text in texts):
-                footer = group
-        elif again or all(_beginning(t) in beginnings and _shared(t, names) == 0 for t in texts):
-            dropped.update(group)
-            below[end] = places[group[0]]
-        elif any(_shared(text, names) >= 2 for text in texts):
+            title: Row = () if layout.names is None else rows[layout.names]
+            units = () if layout.units is None else rows[layout.units]
+            filled, kind = len(kinds(title).rstrip("-")), kinds(first)
+            at = [
+                k
+                for k in range(max(filled, len(kind)))
+                if (k < filled and title[k] is not None)
+                or kind[k : k + 1] == "n"
+                or (not title and kind[k : k + 1] == "t")
+            ]
+            texts = [" ".join(str(title[k] or "").split()) if k < len(title) else "" for k in at]
+            names = labels(texts, [k + 1 for k in at])
+        headed = heading is not None or layout.names is not None
+        body: Sequence[int] = range(data, len(self.numbers))
+        blocks: dict[int, str] = {}
+        footer: list[int] = []
+        if columns is None:
+            body, blocks, footer = self._body(layout, len(names))
+        notes = self._above(data, names, headed=headed)
+        if len(footer) >= TABLE:
             raise RecordError(
-                f"{of} has another heading at {places[group[0]]}, with other units, or with its "
-                "names in another order: keep one table in a file"
+                f"{self.of} holds more than one table: from {self.place(footer[0])}, rows begin "
+                "with words"
             )
-    kept = [at for at in range(layout.data, len(rows)) if at not in dropped]
-    while kept and len(rows[kept[-1]]) != width and "n" not in kinds(rows[kept[-1]]):
-        kept.pop()  # other text below the numbers
-    return kept, {n: below[at] for n, at in enumerate(kept) if at in below}, footer
+        if footer:
+            notes.append(f"{self.place(footer[0])} and below: numbers below the table, not used")
+        blank = "" if self.word == "line" else None  # of a short row
+        cells: dict[str, Column] = {}
+        given = {}
+        first = rows[body[0]] if len(body) else ()
+        for name, k in zip(names, at, strict=True):
+            if columns is None:
+                cells[name] = [rows[i][k] if k < len(rows[i]) else blank for i in body]
+            else:
+                cells[name] = columns[k]
+            if k < len(first) and is_stamp(first[k]):
+                given[name] = "s"
+            elif k < len(units) and (unit := bare_unit(str(units[k] or ""))):
+                given[name] = unit
+        head = tuple(
+            " ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in row if c is not None)
+            for row in rows[:data]
+        )
+        table = Table(
+            self.path,
+            cells,
+            [self.numbers[row] for row in body],
+            (f"{self.word} ", f" of {self.sheet}" if self.sheet else ""),
+            given,
+            [k + 1 for k in at],
+            headed,
+            blocks,
+            notes=tuple(notes),
+            **{**more, "head": more.get("head") or head},
+        )
+        return table, body
 
+    def _body(self, layout: Layout, width: int) -> tuple[list[int], dict[int, str], list[int]]:
+        """Rows of numbers; the first below a repeated heading, to its place; and the footer.
 
-def _above(
-    of: str, rows: Sequence[Row], places: Sequence[str], data: int, names: Row, *, headed: bool
-) -> list[str]:
-    """Sentences on rows of numbers above a table, which are not used.
+        Rows of text that stand together are a heading where they hold the row of names, or begin
+        as the rows above the table do; below the names, only the same row of units may stand. All
+        others are kept, and refused once a column of them is read.
+        """
+        rows, data = self.rows, layout.data
+        names, units = (
+            None if k is None else _cells(rows[k]) for k in (layout.names, layout.units)
+        )
+        beginnings = {_beginning(row) for row in rows[: layout.names or 0]}
+        first = rows[data] if data < len(rows) else ()
+        numbers = (k for k, cell in enumerate(first) if kinds([cell]) == "n" or is_stamp(cell))
+        column = next(numbers, 0)
+        words = [at for at in range(data, len(rows)) if _is_text(rows[at], column)]
+        dropped: set[int] = set()
+        below: dict[int, str] = {}  # row below a repeated heading, to the heading's place
+        footer: list[int] = []
+        for _, pairs in groupby(enumerate(words), lambda pair: pair[1] - pair[0]):
+            group = [at for _, at in pairs]
+            if _goes_on(rows, group[0], data):
+                continue
+            texts, end = [_cells(rows[at]) for at in group], group[-1] + 1
+            again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
+            if end == len(rows):
+                dropped.update(group)
+                if names not in texts and any("n" in kinds(text) for text in texts):
+                    footer = group
+            elif again or all(
+                _beginning(t) in beginnings and _shared(t, names) == 0 for t in texts
+            ):
+                dropped.update(group)
+                below[end] = self.place(group[0])
+            elif any(_shared(text, names) >= 2 for text in texts):
+                raise RecordError(
+                    f"{self.of} has another heading at {self.place(group[0])}, with other units, "
+                    "or with its names in another order: keep one table in a file"
+                )
+        kept = [at for at in range(data, len(rows)) if at not in dropped]
+        while kept and len(rows[kept[-1]]) != width and "n" not in kinds(rows[kept[-1]]):
+            kept.pop()  # other text below the numbers
+        return kept, {n: below[at] for n, at in enumerate(kept) if at in below}, footer
 
-    Refused where there are so many that they are a table too, or such as it has, and it has no
-    names to tell them apart.
-    """
-    notes = []
-    kind = [kinds(row) for row in rows[:data]]
-    for has_numbers, group in groupby(range(data), lambda at: kind[at].count("n") >= 2):
-        members = list(group)
-        if not has_numbers:
-            continue
-        first, last = members[0], members[-1]
-        where = places[first]
-        if last > first:
-            where = f"{where.replace(' ', 's ', 1)} to {places[last].split(' ')[1]}"
-        titles = [
-            rows[at] for at in range(max(first - 2, 0), first) if len(kind[at].strip("-")) > 1
-        ]
-        plain = all("t" not in kind[at] for at in members)
-        alone = plain and len(members) > 2 and not titles
-        alone = alone and len(kind[first].rstrip("-")) == len(names)
-        same = any(_shared(row, names) >= 2 for row in titles)
-        if len(members) >= TABLE or alone or same or (plain and not (headed or titles)):
-            raise RecordError(
-                f"{of} holds more than one table: {where} hold numbers, and others begin at "
-                f"{places[data]}: keep one table in a file"
-            )
-        if plain or len(members) > 2:
-            notes.append(f"{where}: numbers above the table, not used")
-    return notes
+    def _above(self, data: int, names: Row, *, headed: bool) -> list[str]:
+        """Sentences on rows of numbers above a table, which are not used.
+
+        Refused where they are so many, or so like the table's, that they may be a table too.
+        """
+        notes = []
+        kind = [kinds(row) for row in self.rows[:data]]
+        for has_numbers, group in groupby(range(data), lambda at: kind[at].count("n") >= 2):
+            members = list(group)
+            if not has_numbers:
+                continue
+            first, last = members[0], members[-1]
+            where = self.place(first)
+            if last > first:
+                where = f"{self.word}s {self.numbers[first]} to {self.numbers[last]}"
+            before = range(max(first - 2, 0), first)
+            titles = [self.rows[at] for at in before if len(kind[at].strip("-")) > 1]
+            plain = all("t" not in kind[at] for at in members)
+            alike = len(members) > 2 and len(kind[first].rstrip("-")) == len(names)
+            if (
+                len(members) >= TABLE
+                or (plain and not titles and (alike or not headed))
+                or any(_shared(row, names) >= 2 for row in titles)
+            ):
+                raise RecordError(
+                    f"{self.of} holds more than one table: {where} hold numbers, and others begin "
+                    f"at {self.place(data)}: keep one table in a file"
+                )
+            if plain or len(members) > 2:
+                notes.append(f"{where}: numbers above the table, not used")
+        return notes
 
 
 def _is_text(row: Row, column: int) -> bool:
@@ -312,7 +314,7 @@ def _is_word(cell: Cell) -> bool:
     return bool(re.match(r"[^\W\d_]|[*%]", text)) and text not in _MISSING and not is_stamp(text)
 
 
-def _filled(row: Row) -> list[Cell]:
+def _cells(row: Row) -> list[Cell]:
     """Cells of a row, without empty ones at its end."""
     return list(row[: len(kinds(row).rstrip("-"))])
 

@@ -1,4 +1,4 @@
-"""The columns of a file, each read when it is asked for, and the one parser of their numbers."""
+"""The columns of a file, each read when it is asked for: one parser of numbers, one of dates."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date
 from functools import cached_property
 from pathlib import Path
 from unicodedata import normalize
@@ -14,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.time_stamps import elapsed, is_stamp
 
 Array = NDArray[np.float64]
 Cell = str | float | None
@@ -34,10 +34,7 @@ _LABEL = re.compile(r"column \d+(: )?(.*)", re.DOTALL)
 
 
 def labels(names: Sequence[str], numbers: Sequence[int] | None = None) -> tuple[str, ...]:
-    """Names of which each is there once: by its number, "column 3: force_kip", where it is not.
-
-    `names` are empty where a column has none; `numbers`, from 1, are by default in their order.
-    """
+    """Unique names: "column 3: force_kip", by its number, where a name is empty or there twice."""
     count = Counter(names)
     return tuple(
         f"column {number}{f': {name}' if name else ''}"
@@ -59,7 +56,7 @@ def bare_unit(text: str) -> str:
 
 
 def parse(column: Column, decimal: str = ".") -> Array:
-    """Numbers of a column, (T,), with this sign of decimals; NaN for a cell that holds none."""
+    """Numbers of a column, (T,), with this sign of decimals; NaN where there is none."""
     if isinstance(column, np.ndarray):
         return np.asarray(column.reshape(-1), dtype=np.float64)
     other = "," if decimal == "." else "."
@@ -85,25 +82,23 @@ class Table:
 
     Attributes
     ----------
-    path : Path
     cells : mapping of str to column
-        Cells, or numbers, by the column's name, in the file's order.
-    places : sequence of str
-        Names of the rows: "line 17"; by default "sample 17".
+        By name, in the file's order.
+    rows, where : sequence of int, (str, str)
+        Number of each row, and what stands before and after it: ("row ", " of sheet 'A'").
+        Without them, a row is a "sample".
     units : mapping of str to str
         By column, where the file gives one.
-    numbers : tuple of int, optional
+    numbers : sequence of int
         Of the columns, from 1; by default in their order.
     headed : bool
         Whether the file has names; without them, they are "column 1", …
     blocks : mapping of int to str
         Row to the place of a repeated heading above it.
     align : callable
-        What is done to columns that are used together: it gives them with the same rows, or
-        refuses them.
+        Gives columns that are used together the same rows, or refuses them.
     notes, doubts : tuple of str
-        Sentences on numbers of the file that are not in the table, and on those that probably
-        belong to it.
+        On numbers of the file that are not in the table, and on those that may belong to it.
     decimals : tuple of str
         Signs of decimals that its numbers may have.
     head : tuple of str
@@ -112,9 +107,10 @@ class Table:
 
     path: Path
     cells: Mapping[str, Column]
-    places: Sequence[str] = ()
+    rows: Sequence[int] = ()
+    where: tuple[str, str] = ("sample ", "")
     units: Mapping[str, str] = field(default_factory=dict)
-    numbers: tuple[int, ...] | None = None
+    numbers: Sequence[int] = ()
     headed: bool = True
     blocks: Mapping[int, str] = field(default_factory=dict)
     align: Callable[[Mapping[str, Column]], Mapping[str, Column]] = dict
@@ -137,17 +133,15 @@ class Table:
         return frozenset(n for n, cells in self.cells.items() if len(cells) and is_stamp(cells[0]))
 
     def place(self, row: int) -> str:
-        """Name of a row, from 0."""
-        return self.places[row] if self.places else f"sample {row + 1}"
+        """Name of a row, from 0: "line 17"."""
+        before, after = self.where
+        return f"{before}{self.rows[row] if len(self.rows) else row + 1}{after}"
 
     def columns(self, names: Sequence[str], dates: str = "") -> dict[str, Array]:
-        """Columns by name, each (T,), in the file's units; `dates` is the order in time stamps.
+        """Columns by name, (T,) each, in the file's units; `dates` is the order in time stamps.
 
-        Raises
-        ------
-        RecordError
-            When a column is missing, named twice, empty, of another length or other times,
-            or holds text or a value that is not finite.
+        Refused where one is missing or empty, differs in length or times, or has a cell without a
+        finite number.
         """
         values = self.values(names, dates)
         bad = {n: int(np.argmax(np.isnan(v))) for n, v in values.items() if np.isnan(v).any()}
@@ -162,7 +156,7 @@ class Table:
             if name not in self.cells:
                 raise self.no_column(name)
         cells = self.align({name: self.cells[name] for name in names})
-        if self.places:  # other columns of a sheet may go on below these
+        if len(self.rows):  # other columns of a sheet may go on below these
             size = max((_filled(column) for column in cells.values()), default=0)
             cells = {name: column[:size] for name, column in cells.items()}
         plain = [name for name in names if name not in self.stamped]
@@ -192,23 +186,15 @@ class Table:
 
     def _bad_cell(self, name: str, row: int, names: Sequence[str]) -> RecordError:
         """Error for a cell that holds no finite number: text, an empty cell, nan or infinity."""
-        cells = self.align({each: self.cells[each] for each in names})
-        cell = cells[name][row]
+        cell = self.align({each: self.cells[each] for each in names})[name][row]
         text = "" if cell is None else str(cell).strip()
         shown = repr(text[:60]) if text else "an empty cell"
         if any(np.isfinite(parse([cell], sign)[0]) for sign in self.decimals):
-            seen = {
-                sign: f"{c!r} in {self.place(at)}, column {other!r}"
-                for other in reversed(names)
-                for at, c in reversed(list(enumerate(cells[other])))
-                for sign in ".,"
-                if isinstance(c, str) and sign in c
-            }
-            return RecordError(
-                f"{self.path} holds both points and commas, {seen.get('.')} and {seen.get(',')}: "
-                "expected one sign of decimals, and no thousands separators"
+            shown += (
+                ", and others with the other sign: the file holds both points and commas; expected "
+                "one sign of decimals, and no thousands separators"
             )
-        if _GROUPED.fullmatch(text) and (len(self.decimals) == 1 or not NUMBER.fullmatch(text)):
+        elif _GROUPED.fullmatch(text) and (len(self.decimals) == 1 or not NUMBER.fullmatch(text)):
             shown += "; a number is written without a thousands separator"
         elif is_stamp(text):
             shown += ", which is a time stamp: expected a number, as in the first row"
@@ -222,7 +208,7 @@ class Table:
         return replace(
             self,
             cells={name: column[first:last] for name, column in self.cells.items()},
-            places=[self.place(row) for row in range(first, last)],
+            rows=self.rows[first:last] if len(self.rows) else range(first + 1, last + 1),
             blocks={row - first: at for row, at in self.blocks.items() if row > first},
             doubts=(*self.doubts, doubt),
         )
@@ -283,3 +269,116 @@ def _filled(column: Column) -> int:
 def _listed(names: Sequence[str]) -> str:
     shown = ", ".join(names[:20])
     return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"
+
+
+_NAMES = "jan feb mar apr may jun jul aug sep oct nov dec"
+_MONTHS = {name: number for number, name in enumerate(_NAMES.split(), start=1)}
+_MONTHS |= {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
+_CLOCK = re.compile(
+    r"(?<![\d:.,])(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d):(?P<s>[0-5]\d)(?:[.,:](?P<f>\d{1,9}))?"
+    r"|(?P<m2>\d{1,3}):(?P<s2>[0-5]\d)[.,](?P<f2>\d{1,9}))"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?(?=$|[,; ])"
+)
+_DATE = re.compile(
+    r"|\d{8}|\d{4}([-/.])\d{1,2}\1\d{1,2}|\d{1,2}([-/.])\d{1,2}\2(?:\d{4}|\d\d)"
+    r"|\d{1,2}[- .]{1,2}[^\W\d_]{3,9}\.?[- ,]{1,2}(?:\d{4}|\d\d)"  # 5-Mar-24
+    r"|(?:[^\W\d_]{3}\s+)?[^\W\d_]{3,9}\.?\s+\d{1,2},?\s+\d{4}"  # Tue Mar 05 2024
+    r"|\d+\s*d(?:ays?)?"
+)
+_DAY = 86_400 * 10**9  # ns
+_GAP = 10  # an order of dates makes a gap where a step is so many times longer than usual
+
+
+def _match(cell: object) -> tuple[re.Match[str], str] | None:
+    """Clock time of a cell and the text of its date, which may be empty; None if it has none."""
+    if not isinstance(cell, str) or (":" not in cell and "T" not in cell):
+        return None
+    text = cell.strip().strip("'")
+    text = re.sub(r"^(\d{8})[T ](\d{2})(\d{2})(\d{2})", r"\1T\2:\3:\4", text)  # 20240305T100000
+    text = re.sub(r"(?<=\d)[T_](?=\d)", " ", text)
+    clock = _CLOCK.search(text)
+    if clock is None:
+        return None
+    day = f"{text[: clock.start()].rstrip(' ,;')} {text[clock.end() :].lstrip(' ,;')}".strip()
+    return (clock, day) if _DATE.fullmatch(day) else None
+
+
+def is_stamp(cell: object) -> bool:
+    """Whether a cell is a text with a clock time, with or without a date."""
+    return _match(cell) is not None
+
+
+def elapsed(path: Path, name: str, cells: Sequence[object], dates: str = "") -> Array:
+    """Seconds since the first row of a column of time stamps, (T,); NaN for other cells.
+
+    Clock times without a date go on after midnight. `dates` is "day first", "month first", or ""
+    for the order that reads most of them without a time that goes back or a step far longer than
+    usual. Refused where both orders do, with other times.
+    """
+    matches = [_match(cell) for cell in cells]
+    orders = [dates] if dates else ["day first", "month first"]
+    read = [_seconds(matches, month_first=order == "month first") for order in orders]
+    most = max(np.isfinite(seconds).sum() for seconds in read)
+    read = [seconds for seconds in read if np.isfinite(seconds).sum() == most]
+    if len(read) == 1 or np.array_equal(read[0], read[1], equal_nan=True):
+        return read[0]
+    even = []
+    for seconds in read:
+        steps = np.diff(seconds[np.isfinite(seconds)])
+        if not steps.size or (steps.min() >= 0.0 and steps.max() <= _GAP * np.median(steps)):
+            even.append(seconds)
+    if len(even) != 1:
+        raise RecordError(
+            f"the dates of column {name!r} of {path}, such as {str(cells[-1]).strip()!r}, may have "
+            'the day or the month first: write dates = "day first" or dates = "month first" for it'
+        )
+    return even[0]
+
+
+def _seconds(matches: Sequence[tuple[re.Match[str], str] | None], *, month_first: bool) -> Array:
+    """Seconds of stamps, to the nanosecond, since the first of them."""
+    days = {text: _day(text, month_first) for text in {match[1] for match in matches if match}}
+    twelve = True  # whether hours run from 1 to 12, without AM and PM
+    rows, times = [], []
+    for row, match in enumerate(matches):
+        if match is None or (day := days[match[1]]) is None:
+            continue
+        part = match[0].groupdict()
+        hour, half, zone = int(part["h"] or 0), part["half"], part["zone"] or ""
+        twelve = twelve and part["h"] is not None and 1 <= hour <= 12 and not half
+        if half:
+            hour = hour % 12 + 12 * (half[0] in "Pp")
+        minutes = 60 * hour + int(part["m"] or part["m2"])
+        if zone[:1] in ("+", "-"):
+            digits = zone[1:].replace(":", "")
+            minutes -= int(f"{zone[0]}1") * (60 * int(digits[:2]) + int(digits[2:]))
+        seconds = 86_400 * day + 60 * minutes + int(part["s"] or part["s2"])
+        rows.append(row)
+        times.append(seconds * 10**9 + int((part["f"] or part["f2"] or "").ljust(9, "0")))
+    out = np.full(len(matches), np.nan)
+    if rows:
+        total = np.array([time - times[0] for time in times], dtype=np.int64)
+        if not any(days):  # clock times alone
+            turn = _DAY // 2 if twelve else _DAY
+            total += turn * np.concatenate([[0], np.cumsum(np.diff(total) < -turn // 2)])
+        out[rows] = total / 1e9
+    return out
+
+
+def _day(text: str, month_first: bool) -> int | None:
+    """Number of a day, 0 where there is no date; None of a date that does not exist."""
+    if text.isdigit():  # 20240305
+        text = f"{text[:4]}-{text[4:6]}-{text[6:]}"
+    numbers = re.findall(r"\d+", text)
+    if len(numbers) < 2:  # none, or a number of days
+        return int(numbers[0]) if numbers else 0
+    if len(numbers) == 2:  # 5-Mar-24
+        words = re.findall(r"[^\W\d_]{3,}", text.lower())
+        numbers.insert(1, str(_MONTHS.get(words[-1][:3], 0)))
+    elif month_first and len(numbers[0]) < 4:
+        numbers = [numbers[1], numbers[0], numbers[2]]
+    day, month, year = numbers if len(numbers[0]) < 4 else numbers[::-1]
+    try:
+        return date(int(year) + 2000 * (len(year) == 2), int(month), int(day)).toordinal()
+    except ValueError:
+        return None

@@ -1,8 +1,9 @@
-"""Columns out of text: separated by commas, tabs, semicolons or blanks."""
+"""Columns out of text, separated by commas, tabs, semicolons or blanks, and out of JSON."""
 
 from __future__ import annotations
 
 import csv
+import json
 import re
 from collections.abc import Sequence
 from io import StringIO
@@ -12,18 +13,29 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import RecordError
+from mfd_bayes.records.numbers import why_invalid
 from mfd_bayes.records.readers.grid import (
     SEARCHED,
+    Grid,
     Layout,
     Row,
     find_table,
     gives_units,
     kinds,
-    table_of,
 )
-from mfd_bayes.records.readers.table import SURELY_DECIMAL, Array, Table, check_names, labels
+from mfd_bayes.records.readers.table import (
+    SURELY_DECIMAL,
+    Array,
+    Table,
+    bare_unit,
+    check_names,
+    is_stamp,
+    labels,
+)
 
 SIZE, LINE = 256, 2**17  # largest file, MB, and most characters of a line
+JSON_SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
+"""Largest .json file, MB, most lists and objects of it, and most cells of rows of objects."""
 BLANKS = " "
 SEPARATORS = (",", "\t", ";", BLANKS)
 
@@ -36,11 +48,8 @@ _OPEN = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')
 def read_text(path: Path) -> Table:
     """Table of a .csv, .txt, .dat, .tsv, .asc or .lvm file.
 
-    A table is a row of names, perhaps a row of units, and rows of numbers; the one with the
-    largest share of numbers is taken. Where there is none, the longest block of rows of numbers
-    is, and its columns are called "column 1", "column 2", …, or as in a comment right above them.
-    Blank lines and those that begin with # are skipped, and headings that are repeated between the
-    numbers.
+    Columns without names are called "column 1", "column 2", …, or as in a comment right above the
+    numbers. Blank lines and those that begin with # are skipped.
     """
     lines = _decode(path).split("\n")
     comment = _COMMENT.match
@@ -54,8 +63,8 @@ def read_text(path: Path) -> Table:
     if layout.names is None and (above := _heading_in_comments(lines[:top], separator, width)):
         top, heading = above[0], above[1:]
     body = [lines[i] for i in kept[layout.data :]]
-    numbers = _numbers(body, separator, width)
-    if numbers is None:  # line by line, for what stands between the numbers
+    columns = _columns(body, separator, width)
+    if columns is None:  # line by line, for what stands between the numbers
         unclosed = next((i for i in kept[layout.data :] if _OPEN.search(lines[i])), None)
         if unclosed is not None:
             raise RecordError(
@@ -63,27 +72,18 @@ def read_text(path: Path) -> Table:
                 "would join it with the next lines"
             )
         rows = [*rows[: layout.data], *(_split(line, separator) for line in body)]
-    places = [f"line {i + 1}" for i in kept]
-    table, used = table_of(
-        path,
-        rows,
-        places,
-        layout,
-        heading=heading,
-        numbers=numbers,
-        blank="",
-        decimals=(".",) if separator == "," else (".", ","),
-        head=tuple(lines[:top]),
-    )
+    grid = Grid(path, rows, [i + 1 for i in kept])
+    decimals = (".",) if separator == "," else (".", ",")
+    table, used = grid.table(layout, heading, columns, decimals=decimals, head=tuple(lines[:top]))
     if table.headed and len(lines) > len(kept):
         _check_order(path, lines, table.names, top)
-    for number in used if numbers is None else ():
+    for number in used if columns is None else ():
         row = rows[number]
         # Between blanks no cell can be empty.
         if any(row[width:]) or (separator == BLANKS and len(row) < width):
             as_in = "one for each name in" if table.headed else "as many as in"
             raise RecordError(
-                f"{places[number]} of {path}: expected {width} cells, {as_in} line {top + 1}, "
+                f"{grid.place(number)} of {path}: expected {width} cells, {as_in} line {top + 1}, "
                 f"found {len(row)}"
             )
     return table
@@ -121,10 +121,7 @@ def _decode(path: Path) -> str:
 
 
 def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
-    """Separator whose table has the largest share of numbers, its first rows, and its layout.
-
-    A table has names; without any, it is the longest block of rows of numbers.
-    """
+    """Separator whose table weighs most, with names before one without, its rows and its layout."""
     candidates: list[tuple[str, list[Row], Layout]] = []
     for separator in SEPARATORS:
         if separator != BLANKS and not any(separator in line for line in lines):
@@ -158,7 +155,7 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
 
 
-def _numbers(body: list[str], separator: str, width: int) -> list[Array] | None:
+def _columns(body: list[str], separator: str, width: int) -> list[Array] | None:
     """Columns of rows that hold finite numbers alone, one for each name; None of other rows."""
     import pandas as pd
 
@@ -224,3 +221,81 @@ def _check_order(path: Path, lines: Sequence[str], names: Sequence[str], top: in
                     f"line {at} of {path} names the columns in another order than line {top + 1}: "
                     "keep one table in a file"
                 )
+
+
+def read_json(path: Path) -> Table:
+    """Table of a .json file: an object of lists, a list of objects or of rows, or of pandas.
+
+    Numbers and texts beside the columns are its settings.
+    """
+    size = path.stat().st_size / 2**20
+    if size > JSON_SIZE:
+        raise RecordError(
+            f"{path} has {size:,.0f} MB; at most {JSON_SIZE} MB of a .json file are read"
+        )
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        if text.count("[") + text.count("{") > LISTS:
+            raise RecordError(
+                f"{path} holds more than {LISTS:,} lists and objects, the most that are read; "
+                "expected one list for each column"
+            )
+        content = json.loads(text)
+    except UnicodeDecodeError as error:
+        raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
+    except (ValueError, RecursionError) as error:
+        raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
+    headed = not (isinstance(content, list) and bool(content) and isinstance(content[0], list))
+    whole: dict[str, Any] = content if isinstance(content, dict) else {}
+    match content:
+        case [[*cells], *_]:
+            columns = _of_rows(path, content, labels([""] * len(cells)))
+        case {"columns": [*names], "data": [*lines]}:
+            columns = _of_rows(path, lines, [str(name) for name in names])
+        case [*lines]:
+            columns = _of_rows(path, lines)
+        case {}:
+            columns = {k: v for k, v in whole.items() if isinstance(v, dict | list)}
+        case _:
+            raise RecordError(f"{path} must hold an object of lists or a list of objects")
+    named = next((key for key in ("units", "unit") if key in whole), "")
+    given = whole.get(named)
+    if isinstance(given, list):
+        given = dict(zip([name for name in columns if name != named], given, strict=False))
+    if isinstance(given, dict) and all(isinstance(unit, str) for unit in given.values()):
+        columns = {name: column for name, column in columns.items() if name != named}
+    else:
+        given = {}
+    if not columns:
+        raise RecordError(f"{path} holds no columns; expected an object of lists")
+    rows = [frozenset(column) for column in columns.values() if isinstance(column, dict)]
+    if len(set(rows)) > 1:  # labels of the rows, as pandas writes them
+        raise RecordError(f"columns of {path} have different lengths or row labels")
+    for name, column in columns.items():
+        if isinstance(column, dict):
+            numbers = [str(i) for i in range(len(column))]
+            columns[name] = [
+                column[k] for k in (numbers if set(numbers) == set(column) else column)
+            ]
+    units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
+    units |= {name: "s" for name, cells in columns.items() if cells and is_stamp(cells[0])}
+    settings = tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str))
+    return Table(path, columns, units=units, headed=headed, head=settings)
+
+
+def _of_rows(path: Path, rows: list[Any], names: Sequence[str] | None = None) -> dict[str, Any]:
+    """Columns of rows that are objects, or lists with a cell for each name."""
+    every: dict[str, None] = {}
+    for i, row in enumerate(rows):
+        if names is not None and isinstance(row, list) and len(row) == len(names):
+            rows[i] = row = dict(zip(names, row, strict=True))
+        if not isinstance(row, dict):
+            raise RecordError(f"row {i + 1} of {path} must be an object with one value per column")
+        every.update(dict.fromkeys(row))
+    check_names(path, [""] * len(every))
+    if len(every) * len(rows) > CELLS:
+        raise RecordError(
+            f"{path} has {len(rows):,} rows of {len(every):,} columns; at most {CELLS:,} cells "
+            "are read"
+        )
+    return {name: [row.get(name) for row in rows] for name in every}

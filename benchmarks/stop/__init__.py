@@ -1,0 +1,1 @@
+"""When a test is long enough."""

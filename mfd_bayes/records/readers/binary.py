@@ -1,0 +1,580 @@
+"""Columns out of Excel workbooks, MATLAB files and LabVIEW's TDMS files.
+
+Their libraries build what a file declares, some of them in a form that ends the process. So a
+child process reads them, with a limit of memory and of time; only numbers and texts come back.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import faulthandler
+import io
+import json
+import logging
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+import warnings
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers.grid import Grid, Layout, find_table
+from mfd_bayes.records.readers.table import COLUMNS, Cell, Column, Table, bare_unit
+from mfd_bayes.units import factor, measure
+
+Content = tuple[dict[str, Any], Mapping[str, NDArray[np.generic]]]
+"""Texts and numbers of a file, and its arrays by name."""
+
+MEMORY, SECONDS = 2 * 2**30, 120.0
+"""Bytes beyond what the process has already, and seconds, that the reading of a file may take."""
+
+_ADVICE = "save only the test's own columns, or as .csv"
+
+
+class UnreadableError(Exception):
+    """Raised by a reader whose message follows the file's name."""
+
+
+def read_in_child(
+    read: Callable[[Path], Content], path: Path, kind: str, *, library: str, extra: str = ""
+) -> Content:
+    """What a reader returns of a file of a kind, from a process of its own.
+
+    `library` and `extra` are what it needs. Refused where the file is not of that kind, or reading
+    it takes more than is allowed.
+    """
+    path.open("rb").close()
+    try:
+        import_module(library.lower())  # so that a copy of this process has it
+    except ImportError as error:
+        raise RecordError(
+            f"reading {path} needs {library}, which is not installed: "
+            f'pip install "mfd_bayes[{extra}]"'
+        ) from error
+    forks = hasattr(os, "fork") and threading.active_count() == 1
+    try:
+        content = (_fork if forks else _spawn)(read, path)
+        with np.load(io.BytesIO(content)) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        facts = json.loads(str(arrays.pop("facts")))
+    except subprocess.TimeoutExpired as error:
+        raise RecordError(f"{path} takes more than {SECONDS:g} s to read: {_ADVICE}") from error
+    except (ValueError, EOFError, zipfile.BadZipFile):  # the process ended before it wrote all
+        facts, arrays = {"error": ""}, {}
+    error_text = facts.pop("error", None)
+    if error_text is None:
+        return facts, arrays
+    if error_text == "memory":
+        raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_ADVICE}")
+    raise RecordError(f"{path} {error_text or f'is not {kind} that can be read'}")
+
+
+def _fork(read: Callable[[Path], Content], path: Path) -> bytes:
+    """What a copy of this process writes, which has the libraries already."""
+    source, target = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about threads of other libraries, which wait
+        pid = os.fork()
+    if not pid:
+        try:
+            os.close(source)
+            faulthandler.disable()
+            serve(read, path, target)
+        finally:
+            os._exit(0)
+    os.close(target)
+    alarm = threading.Timer(SECONDS, os.kill, (pid, signal.SIGKILL))
+    alarm.start()
+    try:
+        with os.fdopen(source, "rb") as stream:
+            content = stream.read()
+    finally:
+        late = not alarm.is_alive()
+        alarm.cancel()
+        alarm.join()
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    if late:
+        raise subprocess.TimeoutExpired(str(path), SECONDS)
+    return content
+
+
+def _spawn(read: Callable[[Path], Content], path: Path) -> bytes:
+    """As `_fork`, of a new interpreter: a copy of a process with threads may wait for ever."""
+    code = (
+        "import sys; sys.path[:] = sys.argv[3:]\nfrom pathlib import Path\n"
+        "from mfd_bayes.records.readers import binary\n"
+        "binary.serve(getattr(binary, sys.argv[1]), Path(sys.argv[2]), 1)"
+    )
+    words = [sys.executable, "-c", code, read.__name__, str(path), *sys.path]
+    return subprocess.run(words, capture_output=True, timeout=SECONDS, check=False).stdout
+
+
+def serve(read: Callable[[Path], Content], path: Path, number: int) -> None:
+    """Read a file within limits, and write what is read to a descriptor."""
+    with os.fdopen(os.dup(number), "wb") as stream:
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for output in (1, 2):
+            os.dup2(nowhere, output)
+        with contextlib.suppress(ImportError, OSError, ValueError):  # as on Windows
+            import resource
+
+            has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            most = resource.getrlimit(resource.RLIMIT_AS)[1]
+            limit = has + MEMORY if most == resource.RLIM_INFINITY else min(has + MEMORY, most)
+            resource.setrlimit(resource.RLIMIT_AS, (limit, most))
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        arrays: Mapping[str, NDArray[np.generic]] = {}
+        try:
+            facts, arrays = read(path)
+        except UnreadableError as error:
+            facts = {"error": str(error)}
+        except MemoryError:
+            facts = {"error": "memory"}
+        except BaseException:  # the libraries raise dozens of kinds
+            facts = {"error": ""}
+        contents: dict[str, Any] = {"facts": np.array(json.dumps(facts)), **arrays}
+        np.savez(stream, **contents)
+
+
+EXCEL_CELLS = 2_000_000  # most cells of a workbook: eight minutes of four columns at 1024 Hz
+_OLE = bytes.fromhex("D0CF11E0")  # first bytes of old .xls workbooks and of encrypted ones
+_FORMULA = "(a formula without a stored value: save it in Excel)"
+
+
+def read_excel(path: Path) -> Table:
+    """Table of an .xlsx file: of the sheet whose table weighs most, of several alike the first.
+
+    Columns without a name are called by their number, from A = 1. Formulas count with the values
+    that Excel stored.
+    """
+    with path.open("rb") as file:
+        if file.read(len(_OLE)) == _OLE:
+            raise RecordError(
+                f"{path} is an old .xls workbook or has a password; save it as .xlsx without one"
+            )
+    kind = "an Excel workbook (.xlsx)"
+    sheets = read_in_child(_sheets, path, kind, library="openpyxl", extra="excel")[0]["sheets"]
+    grids: list[tuple[Grid, Layout]] = []
+    for title, rows in sheets:
+        grid = Grid(path, [r for _, r in rows], [n for n, _ in rows], "row", f"sheet {title!r}")
+        if (layout := find_table(grid.rows)) is not None:
+            grids.append((grid, layout))
+    if not grids:
+        held = "; ".join(
+            f"sheet {title!r} begins with "
+            + ", ".join([repr(cell) for cell in rows[0][1] if cell is not None][:4])
+            if rows
+            else f"sheet {title!r} is empty"
+            for title, rows in sheets[:5]
+        )
+        raise RecordError(f"{path} holds no row of two names or more above numbers: {held}")
+    best, layout = max(grids, key=lambda each: (each[1].names is not None, each[1].weight))
+    doubts: tuple[str, ...] = ()
+    if layout.names is not None:
+        names = best.rows[layout.names]
+        alike = [
+            grid.sheet.removeprefix("sheet ")
+            for grid, other in grids
+            if grid is not best and other.names is not None and grid.rows[other.names] == names
+        ]
+        if alike:
+            have, are = ("has", "is") if len(alike) == 1 else ("have", "are")
+            others = f"{', '.join(alike[:4])} {have} the same columns, and {are} not"
+            doubts = (f"{best.sheet} is read; {others}",)
+    return best.table(layout, doubts=doubts)[0]
+
+
+def _sheets(path: Path) -> Content:
+    """Title of each sheet, and number and cells of its rows that are not blank."""
+    from openpyxl import load_workbook
+
+    warnings.simplefilter("ignore")  # about styles and extensions
+    workbook = load_workbook(path, read_only=True, keep_links=False, data_only=True)
+    sheets: list[tuple[str, list[tuple[int, list[Any]]]]] = []
+    count = 0
+    for sheet in workbook.worksheets:
+        sheet.reset_dimensions()  # those that the sheet declares may be false
+        rows = []
+        for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+            count += max(len(row), 1)
+            if count > EXCEL_CELLS:
+                raise UnreadableError(
+                    f"has more than {EXCEL_CELLS:,} cells, the most that is read; save the sheet "
+                    "as .csv"
+                )
+            cells = [_cell(cell) for cell in row]
+            if any(cell is not None for cell in cells):
+                rows.append((number, cells))
+        sheets.append((sheet.title, rows))
+    if any(None in cells for _, rows in sheets for _, cells in rows):
+        formulas = load_workbook(path, read_only=True, keep_links=False)
+        for (_, rows), sheet in zip(sheets, formulas.worksheets, strict=True):
+            sheet.reset_dimensions()
+            given = dict(enumerate(sheet.iter_rows(values_only=True), start=1))
+            for number, cells in rows:
+                for at, formula in enumerate(given.get(number, ())[: len(cells)]):
+                    if cells[at] is None and str(formula or "")[:1] == "=":
+                        cells[at] = _FORMULA
+    return {"sheets": sheets}, {}
+
+
+def _cell(cell: Any) -> Cell:
+    """A cell as a number or a text: time stamps as texts."""
+    match cell:
+        case str():
+            return cell.strip() or None
+        case datetime.timedelta():
+            seconds, micros = divmod(round(cell.total_seconds() * 1e6), 10**6)
+            return f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02}.{micros:06}"
+        case bool():
+            return str(cell).upper()
+        case int() | float():
+            return float(cell)
+    return None if cell is None else str(cell)
+
+
+SIGNALS, SHORTEST = 32, 20
+"""Most signals of a matrix and fewest samples of each; another matrix is left out."""
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_USER_BLOCK = 512  # bytes of text before the HDF5 part of a v7.3 file
+_DEEPEST = 4  # structs in structs
+
+Arrays = Iterator[tuple[str, NDArray[np.generic]]]
+
+
+def read_matlab(path: Path) -> Table:
+    """Table of a .mat file: vectors, columns of matrices, fields of structs as ``struct.field``."""
+    import scipy.io  # noqa: F401  # a copy of this process has it then
+
+    kind = "a MATLAB file, v5 or v7.3,"
+    facts, arrays = read_in_child(_arrays, path, kind, library="h5py")
+    if not arrays:
+        raise RecordError(f"{path} holds no numeric column")
+    columns = {
+        name: arrays[str(k)].astype(np.float64, copy=False) for k, name in enumerate(facts["names"])
+    }
+    return Table(path, columns, head=tuple(facts["settings"]))
+
+
+def _arrays(path: Path) -> Content:
+    """Signals of a file and their names, and its scalars as "name: value"."""
+    with path.open("rb") as file:
+        head = file.read(_USER_BLOCK + len(_HDF5))
+    signals: dict[str, NDArray[np.generic]] = {}
+    settings = []
+    variables = _v73(path) if head.startswith(_HDF5) or head.endswith(_HDF5) else _v5(path)
+    for name, array in variables:
+        if array.size == 1:
+            settings.append(f"{name}: {array.reshape(-1)[0]:.9g}")
+        elif array.size and max(array.shape) == array.size:
+            signals[name] = array.reshape(-1)
+        elif array.ndim == 2 and max(array.shape) >= SHORTEST and min(array.shape) <= SIGNALS:
+            upright = array.shape[0] >= array.shape[1]  # signals run along the longer side
+            for k, values in enumerate(array.T if upright else array, start=1):
+                signals[f"{name}(:,{k})" if upright else f"{name}({k},:)"] = values
+    if len(signals) > COLUMNS:
+        signals = {name: array for name, array in signals.items() if not name.endswith(")")}
+    arrays = {str(k): array for k, array in enumerate(signals.values())}
+    return {"names": list(signals), "settings": settings}, arrays
+
+
+def _v5(path: Path) -> Arrays:
+    """Name and numbers of each array of numbers in a file of version 5."""
+    from scipy.io import loadmat
+
+    for name, value in loadmat(path, struct_as_record=True).items():
+        if not name.startswith("__"):
+            yield from _inside(name, value, 0)
+
+
+def _inside(name: str, value: Any, depth: int) -> Arrays:
+    """A variable's numbers, or those of its fields; Simulink's label follows a signal's name."""
+    if not isinstance(value, np.ndarray):
+        return
+    if value.dtype.names is None:
+        if value.dtype.kind in "fiub":
+            yield name, value
+        return
+    if depth >= _DEEPEST or value.size > SIGNALS:
+        return
+    for number, element in enumerate(value.reshape(-1), start=1):
+        place = f"{name}({number})" if value.size > 1 else name
+        fields = dict(zip(value.dtype.names, element, strict=True))
+        label: Any = fields.get("label")
+        words = ""
+        if isinstance(label, np.ndarray) and label.dtype.kind == "U" and label.size == 1:
+            words = f" {str(label.reshape(-1)[0]).strip()}".rstrip()
+        for field, content in fields.items():
+            own = words if field == "values" else ""
+            yield from _inside(f"{place}.{field}{own}", content, depth + 1)
+
+
+def _v73(path: Path) -> Arrays:
+    """Name and numbers of each array of numbers in a file of version 7.3, which is HDF5."""
+    os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # a plugin would be foreign code
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        yield from _group(h5py, file, "", 0)
+
+
+def _group(h5py: Any, group: Any, above: str, depth: int) -> Arrays:
+    """Arrays of a group of HDF5; one that leads to another file is refused."""
+    for name in group:
+        if name.startswith("#"):  # the contents of cells and objects
+            continue
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise UnreadableError(f"has a link to elsewhere, {name[:60]!r}")
+        item = group[name]
+        if isinstance(item, h5py.Group):
+            if depth < _DEEPEST and "MATLAB_sparse" not in item.attrs:
+                yield from _group(h5py, item, f"{above}{name}.", depth + 1)
+        elif isinstance(item, h5py.Dataset):
+            if item.is_virtual or item.external:
+                raise UnreadableError(f"takes {name[:60]!r} from another file")
+            kind = item.attrs.get("MATLAB_class", b"")
+            numeric = item.dtype.kind in "fiub" and bytes(kind) not in (b"char", b"cell")
+            if numeric and item.shape and "MATLAB_empty" not in item.attrs:
+                yield above + name, np.asarray(item[()]).T  # in MATLAB's order
+
+
+SAMPLES = 50_000_000  # most samples of all channels: an hour and a half of ten at 1024 Hz
+EVEN = 1e-6  # steps of time that differ by a smaller share are equal
+SHARE = 0.02  # of a step: channels that are out of step by less are in step
+_NUMBERS = "fiub"  # kinds of NumPy's types that are numbers
+_KINDS = {"O": "text", "U": "text", "c": "complex numbers"}
+_LABVIEW = np.datetime64("1904-01-01", "us")  # a start time that a writer left at its zero
+
+
+class _Clock(NamedTuple):
+    """Sampling times of a waveform: its step and first time, s."""
+
+    step: float
+    begin: float
+    samples: int
+    dated: bool  # whether the file says when it began
+
+    @property
+    def end(self) -> float:
+        return self.begin + self.step * self.samples
+
+    def even(self, other: _Clock) -> bool:
+        """Whether the steps are the same."""
+        return math.isclose(self.step, other.step, rel_tol=EVEN)
+
+
+def read_tdms(path: Path) -> Table:
+    """Table of a .tdms file: its channels, called ``group/channel`` where two share a name.
+
+    Where no channel is a time, a column ``time`` is made from the increments of the waveforms;
+    ``group/time`` where groups were sampled at different times.
+    """
+    facts, arrays = read_in_child(_channels, path, "a TDMS file", library="npTDMS", extra="tdms")
+    count = Counter(channel["name"] for channel in facts["channels"])
+    channels = {
+        c["name"] if count[c["name"]] == 1 else f"{c['group']}/{c['name']}": c
+        for c in facts["channels"]
+    }
+    if not channels:
+        raise RecordError(f"{path} holds no channel with data")
+    columns: dict[str, Column] = {name: arrays[str(k)] for k, name in enumerate(channels)}
+    texts = {name: c["kind"] for name, c in channels.items() if c["kind"] not in "fiubM"}
+    starts = [c["properties"].get("wf_start_time") for c in channels.values()]
+    first = min((start for start in starts if isinstance(start, float)), default=0.0)
+    clocks: dict[str, _Clock] = {}
+    units = {}
+    timed = set()  # channels that are a time by their kind, their name or their unit
+    for name, channel in channels.items():
+        own, kind = channel["properties"], channel["kind"]
+        units[name] = bare_unit(str(own.get("unit_string") or own.get("NI_UnitDescription") or ""))
+        if kind == "M":
+            units[name] = "s"
+        elif kind in _NUMBERS and (clock := _clock(channel, first)) is not None:
+            clocks[name] = clock
+        is_time = "time" in channel["name"].lower() or measure(units[name]) == "time"
+        if kind in _NUMBERS + "M" and is_time:
+            timed.add(name)
+    times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
+    for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
+        inside = [clock for name, clock in clocks.items() if channels[name]["group"] == group]
+        earliest = min(inside, key=lambda clock: clock.begin)
+        if all(clock.even(earliest) for clock in inside):
+            ends = [round((c.begin - earliest.begin) / c.step) + c.samples for c in inside]
+            times[f"{group}/time"] = earliest._replace(samples=max(ends))
+    if len(set(times.values())) == 1:  # one for all
+        times = {"time": next(iter(times.values()))}
+    times = {name: clock for name, clock in times.items() if name not in columns}
+    values: dict[str, Column] = {
+        name: clock.begin + clock.step * np.arange(clock.samples) for name, clock in times.items()
+    }
+    return Table(
+        path,
+        values | columns,
+        units={name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
+        align=lambda used: _align(path, used, times | clocks, texts, timed),
+        notes=_differences(clocks),
+        head=tuple(facts["settings"]),
+    )
+
+
+def _channels(path: Path) -> Content:
+    """Names, properties and numbers of all channels that have data."""
+    from nptdms import TdmsFile
+    from nptdms.log import log_manager
+
+    log_manager.set_level(logging.ERROR)  # its warnings are errors here
+    channels: list[dict[str, Any]] = []
+    arrays: dict[str, NDArray[np.generic]] = {}
+    # Given a path, nptdms would read an index file next to it, which may belong to another.
+    with path.open("rb") as stream, TdmsFile.open(stream) as file:
+        for name, status in (file.file_status.channel_statuses or {}).items():
+            if status.read_length < status.expected_length:
+                raise UnreadableError(
+                    f"is cut off: its last part declares {status.expected_length:,} samples of "
+                    f"channel {name} and holds {status.read_length:,}"
+                )
+        every = [channel for group in file.groups() for channel in group.channels()]
+        if sum(map(len, every)) > SAMPLES:
+            raise UnreadableError(f"holds more than {SAMPLES:,} samples, the most that are read")
+        for channel in every:
+            if not len(channel):
+                continue
+            kind, values = np.dtype(channel.dtype).kind, np.empty(0)
+            if kind == "M":
+                stamps = channel[:].astype("M8[us]")
+                values = (stamps - stamps[0]) / np.timedelta64(1, "s")
+            elif kind in _NUMBERS:
+                values = np.asarray(channel[:], dtype=np.float64)
+            arrays[str(len(channels))] = values
+            channels.append(
+                {
+                    "group": channel.group_name,
+                    "name": channel.name,
+                    "kind": kind,
+                    "samples": len(channel),
+                    "properties": {n: _property(value) for n, value in channel.properties.items()},
+                }
+            )
+        settings = [
+            f"{name}: {value}"
+            for part in (file, *file.groups())
+            for name, value in part.properties.items()
+        ]
+    return {"channels": channels, "settings": settings}, arrays
+
+
+def _property(value: Any) -> float | str | None:
+    """A property as a number or a text; a moment as its seconds since 2020, about."""
+    if isinstance(value, np.datetime64):
+        if np.isnat(value) or abs(value - _LABVIEW) < np.timedelta64(3650, "D"):
+            return None
+        return float((value - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return str(value)
+    return float(value)
+
+
+def _clock(channel: dict[str, Any], first: float) -> _Clock | None:
+    """Clock of a waveform over time; start times count from that of the first channel."""
+    own = channel["properties"]
+    step, offset, began = (own.get(f"wf_{n}") for n in ("increment", "start_offset", "start_time"))
+    offset = 0.0 if offset is None else offset
+    unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
+    if not (isinstance(step, float) and isinstance(offset, float) and measure(unit) == "time"):
+        return None
+    if not (0.0 < step < math.inf and math.isfinite(offset)):
+        return None
+    scale, dated = factor(unit, "time"), isinstance(began, float)
+    begin = offset * scale + (began - first if isinstance(began, float) else 0.0)
+    return _Clock(step * scale, begin, channel["samples"], dated)
+
+
+def _differences(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
+    """Sentence on channels that do not begin, end or step as the first of them does."""
+    texts = []
+    first = min(clocks, key=lambda name: clocks[name].begin, default="")
+    for name, clock in clocks.items():
+        earliest = clocks[first]
+        if clock.begin >= earliest.end:
+            continue  # of another test
+        if not clock.even(earliest):
+            steps = f"{first} has a step of {earliest.step:g}, {name} of {clock.step:g}"
+            return (f"{steps}: they cannot be used together",)
+        if clock.begin > earliest.begin:
+            texts.append(f"{name} begins {clock.begin - earliest.begin:.6g} s after {first}")
+        elif clock.samples != earliest.samples:
+            texts.append(f"{name} has {clock.samples} samples, {first} {earliest.samples}")
+    more = f", and {len(texts) - 3} more" if len(texts) > 3 else ""
+    return (f"{', '.join(texts[:3])}{more}: only what channels share is used",) if texts else ()
+
+
+def _align(
+    path: Path,
+    columns: Mapping[str, Column],
+    every: Mapping[str, _Clock],
+    texts: Mapping[str, str],
+    timed: Collection[str],
+) -> Mapping[str, Column]:
+    """Columns while all of them were measured, at the samples of the one that began last.
+
+    Refused where they have no numbers or other steps, are never measured together, or differ though
+    the file has channels that are its time, `timed`.
+    """
+    for name in columns:
+        if name in texts:
+            held = _KINDS.get(texts[name], "no numbers")
+            raise RecordError(f"channel {name!r} of {path} holds {held}; expected numbers")
+    clocks = {n: every[n] for n in columns if n in every and n not in timed}
+    if len(set(clocks.values())) < 2:
+        return columns
+    first, reference = next(iter(clocks.items()))
+    for name, clock in clocks.items():
+        late = clock.begin - reference.begin
+        if not clock.even(reference):
+            raise RecordError(
+                f"{path}: {first} has a step of {reference.step:g} s and {name} one of "
+                f"{clock.step:g} s"
+                + (", and the file has one time" if timed else ": resample them first")
+            )
+        if timed and abs(late) > SHARE * reference.step:
+            way = "after" if late > 0 else "before"
+            raise RecordError(
+                f"{path}: {name} begins {abs(late):.6g} s {way} {first}, and the file has one time"
+            )
+        if clock.dated != reference.dated and late:
+            raise RecordError(
+                f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
+                "is not that of the file's first channel: they cannot be aligned"
+            )
+    if timed:
+        return columns
+    start = max(clock.begin for clock in clocks.values())
+    end = min(clock.end for clock in clocks.values())
+    size = math.floor((end - start) / reference.step + SHARE)
+    if size < 1:
+        raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
+    aligned = {}
+    for name, clock in clocks.items():
+        begin = (start - clock.begin) / reference.step
+        values = np.asarray(columns[name], dtype=np.float64)
+        if abs(begin - round(begin)) < SHARE:
+            aligned[name] = values[round(begin) : round(begin) + size]
+        else:
+            aligned[name] = np.interp(begin + np.arange(size), np.arange(values.size), values)
+    size = min(column.size for column in aligned.values())
+    return {**columns, **{name: column[:size] for name, column in aligned.items()}}

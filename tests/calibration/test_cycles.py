@@ -1,0 +1,112 @@
+"""Cycles, energies and replicated records."""
+
+import numpy as np
+import pytest
+
+from mfd_bayes.calibration.cycles import (
+    count_cycles,
+    cycle_energies,
+    derive_from_parameters,
+    full_strokes,
+    total_energy,
+)
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.errors import RecordError
+from mfd_bayes.friction.lugre import LuGre
+from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.records.measured import cycle_values
+from mfd_bayes.records.trace import Trace
+
+X = 1.3  # in
+OMEGA = 2.0 * np.pi * 0.25  # 1/s
+TIME = np.arange(0.0, 14.0, 0.005)  # three and a half periods
+
+
+def harmonic(time=TIME, omega=OMEGA):
+    return Trace.from_arrays(
+        time, X * np.sin(omega * time), velocity=X * omega * np.cos(omega * time)
+    )
+
+
+def decaying():
+    x = X * np.exp(-0.1 * TIME) * np.sin(OMEGA * TIME)
+    return Trace.from_arrays(TIME, x)
+
+
+def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
+    trace, friction = harmonic(), np.array([0.5, 2.0])
+    force = friction[:, None] * np.sign(trace.velocity)
+    energies = cycle_energies(force, trace)
+    assert energies.shape == (2, 3)
+    np.testing.assert_allclose(energies, np.tile(4.0 * friction[:, None] * X, 3), rtol=1e-3)
+    values = cycle_values(trace, force)
+    equivalent = 4.0 * friction / (np.pi * OMEGA * X)  # Chopra, Coulomb damping
+    np.testing.assert_allclose(values["c_eq"], np.tile(equivalent[:, None], 3), rtol=1e-3)
+    for name in ("peak_fwd", "peak_bwd"):
+        np.testing.assert_array_equal(values[name], np.tile(friction[:, None], 3))
+
+
+@pytest.mark.parametrize("motion", [harmonic, decaying])
+def test_a_dashpot_is_equivalent_to_itself_in_any_motion(motion):
+    trace, c = motion(), np.array([0.2, 0.7, 1.5])
+    found = cycle_values(trace, c[:, None] * trace.velocity)["c_eq"]
+    np.testing.assert_allclose(found, np.tile(c[:, None], found.shape[1]), rtol=1e-3)
+
+
+def test_the_motion_before_the_first_turn_and_after_the_last_full_cycle_is_left_out():
+    trace = harmonic()
+    period = round(2 * np.pi / OMEGA / 0.005)
+    begin = trace.turning_points[0]
+    force = np.sign(trace.velocity)
+    spoiled = force.copy()
+    spoiled[: begin - 1] = 50.0
+    spoiled[begin + 3 * period + 2 :] = 50.0
+    energies = cycle_energies(np.stack([force, spoiled]), trace)
+    np.testing.assert_array_equal(energies[0], energies[1])
+    kept = cycle_energies(spoiled[None, :], trace, first=int(begin) + 1)
+    np.testing.assert_allclose(kept, 4.0 * X, rtol=1e-3)
+    assert count_cycles(trace) == 3
+    assert count_cycles(trace, first=int(begin) + 1) == 2
+
+
+def test_cycles_of_changing_amplitude_are_told_apart():
+    trace = decaying()
+    force = np.sign(trace.velocity)[None, :]
+    energies = cycle_energies(force, trace)[0]
+    x = trace.displacement[trace.turning_points]
+    way = np.abs(np.diff(x))
+    np.testing.assert_allclose(
+        energies, [way[0] + way[1], way[2] + way[3], way[4] + way[5]], rtol=1e-2
+    )
+    assert full_strokes(trace).tolist() == [True, False, False]
+    whole = np.abs(np.diff(trace.displacement)).sum()
+    assert total_energy(force, trace).item() == pytest.approx(whole, rel=1e-2)
+
+
+def test_gap_and_self_energizing_factors_follow_from_the_parameters():
+    values = {
+        "d2": np.array([0.1, 0.2]),
+        "d3": np.array([0.05, 0.1]),
+        "Fc_fwd": np.array([1.0, 2.0]),
+        "Fc_bwd": np.array([3.0, 4.0]),
+    }
+    derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=2.0)
+    np.testing.assert_allclose(derived["gap_width"], [0.15, 0.3])
+    np.testing.assert_allclose(derived["C_fwd"], [1.0, 2.0])
+    np.testing.assert_allclose(derived["C_bwd"], [3.0, 4.0])
+    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap_width"}
+    without = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
+    assert set(without) == {"gap_width"}
+    assert derive_from_parameters(LuGre(), values) == {}
+
+
+def test_a_replicated_force_beyond_all_range_ends_in_a_sentence():
+    time = np.arange(60) * 0.05
+    trace = Trace.from_arrays(time, np.sin(time), 0.5, np.cos(time))
+    posterior = Posterior(trace, "mfd", "iid", "lugre")
+    drawn = posterior.draw_prior(np.random.default_rng(0), 20)
+    assert np.all(np.isfinite(replicate(posterior, drawn, np.random.default_rng(0)).observed))
+    drawn["sigma2"] = np.full(20, 1e14)
+    with pytest.raises(RecordError, match="replicated force"):
+        replicate(posterior, drawn, np.random.default_rng(0))

@@ -1,0 +1,136 @@
+"""Noises: densities beside those of their processes, and draws with the density's moments."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from mfd_bayes.calibration.noise import NOISES, find_noise
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+UNIFORM = np.arange(40) / 64.0
+IRREGULAR = np.sort(np.random.default_rng(0).uniform(0, 1.0, 40))
+TIMES = pytest.mark.parametrize("time", [UNIFORM, IRREGULAR], ids=["uniform", "irregular"])
+VALUES = {
+    "noise_sd": np.array([0.1, 0.3, 2.0]),
+    "noise_time": np.array([0.005, 0.05, 3.0]),
+    "noise_dof": np.array([1.5, 4.0, 60.0]),
+    "noise_build": np.array([0.3, 0.2, 0.06]),
+    "noise_fade": np.array([0.1, 0.3, 0.5]),
+    "noise_build_time": np.array([0.01, 0.1, 2.0]),
+    "d2": np.array([0.2, 0.1, 0.3]),
+    "d3": np.array([0.1, 0.2, 0.05]),
+}
+
+
+def travel_of(time, seed=1):
+    return np.random.default_rng(seed).uniform(-0.2, 1.5, (3, time.size))
+
+
+def covariance(name, i, time, travel):
+    """Dense covariance of one vector's noise, by its definition."""
+    v = {key: column[i] for key, column in VALUES.items()}
+    h = np.zeros(time.size)
+    if name == "staged":
+        rise = np.clip((travel - v["d2"]) / v["d3"], 0.0, 1.0)
+        h = rise * np.exp(-np.maximum(travel - v["d2"] - v["d3"], 0.0) / v["noise_fade"])
+    slow, fast = 1.0 / v["noise_time"], 1.0 / v["noise_build_time"]
+    passed = np.cumsum(np.append(0.0, np.diff(time) * (slow + (fast - slow) * h[1:])))
+    sd = v["noise_sd"] + v["noise_build"] * h
+    if name == "iid":
+        return np.diag(sd**2)
+    return np.exp(-np.abs(passed[:, None] - passed)) * np.outer(sd, sd)
+
+
+@TIMES
+@pytest.mark.parametrize("name", ["iid", "ou", "staged"])
+@pytest.mark.parametrize("samples", [2, 9, 40])
+def test_the_density_is_that_of_its_gaussian_process(name, time, samples):
+    time = time[:samples]
+    travel, residual = travel_of(time), np.random.default_rng(2).normal(size=(3, samples))
+    density = NOISES[name].log_density(residual, time, VALUES, travel)
+    for i in range(3):
+        matrix = covariance(name, i, time, travel[i])
+        dense = stats.multivariate_normal(np.zeros(samples), matrix, allow_singular=True)
+        assert density[i] == pytest.approx(dense.logpdf(residual[i]), rel=1e-9)
+
+
+@TIMES
+def test_student_t_is_autoregressive_with_t_innovations(time):
+    residual = np.random.default_rng(1).normal(size=(3, time.size))
+    density = NOISES["student_t"].log_density(residual, time, VALUES)
+    for i in range(3):
+        sd, tau, dof = (VALUES[key][i] for key in ("noise_sd", "noise_time", "noise_dof"))
+        phi = np.exp(-np.diff(time) / tau)
+        scale = np.append(sd, sd * np.sqrt(1 - phi**2))
+        centre = np.append(0.0, phi * residual[i, :-1])
+        expected = stats.t(dof, loc=centre, scale=scale).logpdf(residual[i]).sum()
+        assert density[i] == pytest.approx(expected, rel=1e-9)
+
+
+def test_ou_keeps_its_digits_when_memory_is_far_longer_than_the_record():
+    # on two samples the density is known in closed form; 1 − φ² = 2e-9 there
+    time, residual = np.array([0.0, 0.01]), np.array([[0.1, 0.100001]])
+    values = {"noise_sd": np.array([1.0]), "noise_time": np.array([1e7])}
+    shrink = -np.expm1(-2 * 0.01 / 1e7)
+    innovation = residual[0, 1] + np.expm1(-0.01 / 1e7) * residual[0, 0] - residual[0, 0]
+    expected = stats.norm.logpdf(0.1) + stats.norm.logpdf(innovation, scale=np.sqrt(shrink))
+    assert NOISES["ou"].log_density(residual, time, values)[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_longest_memory_that_a_prior_allows_warns_of_nothing_and_is_no_nan():
+    time = np.arange(200) / 25.0
+    trace = Trace.from_arrays(time, np.sin(np.pi * time), 0.5, np.tanh(4.0 * np.cos(np.pi * time)))
+    for noise in ("ou", "student_t", "staged"):
+        posterior = Posterior(trace, "mfd", noise)
+        q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), 5))
+        q[:, posterior.names.index("noise_time")] += 30.0
+        density = posterior.log_likelihood(q)
+        assert not np.any(np.isnan(density))
+        assert np.all(density < -1e3)
+
+
+@pytest.mark.parametrize("name", ["ou", "iid", "student_t"])
+def test_draws_have_the_stated_spread_and_memory(name):
+    time = np.arange(4000) / 64.0
+    columns = {"noise_sd": 0.2, "noise_time": 0.05, "noise_dof": 6.0}
+    values = {key: np.full(25, value) for key, value in columns.items()}
+    noise = NOISES[name].draw(np.random.default_rng(2), time, values)
+    phi = 0.0 if name == "iid" else np.exp(-1 / 64 / 0.05)
+    heavy = name == "student_t"  # kurtosis 3, and a variance 1.5 times that of its scale
+    sd = 0.2 * np.sqrt(1.5 if heavy else 1.0)
+
+    def scores(sd, phi):
+        """Variance and lag-one correlation against AR(1)'s, in standard errors."""
+        n = noise.size
+        spread = sd**2 * np.sqrt((2 * (1 + phi**2) / (1 - phi**2) + 3.0 * heavy) / n)
+        lag_one = np.mean(noise[:, 1:] * noise[:, :-1]) / np.mean(noise**2)
+        return (np.mean(noise**2) - sd**2) / spread, (lag_one - phi) / np.sqrt((1 - phi**2) / n)
+
+    assert np.max(np.abs(scores(sd, phi))) < 4
+    # the control: a scale or a correlation that is a few percent off is detected
+    assert abs(scores(1.05 * sd, phi)[0]) > 4
+    assert abs(scores(sd, phi + 0.03)[1]) > 4
+    white = (noise[:, 1:] - phi * noise[:, :-1])[:, ::5].ravel() / (0.2 * np.sqrt(1 - phi**2))
+    laws = stats.t(6.0), stats.norm(0, sd / 0.2)
+    own, other = laws if heavy else laws[::-1]
+    assert stats.kstest(white, own.cdf).pvalue > 0.001
+    assert stats.kstest(white, other.cdf).pvalue < 0.001
+
+
+@TIMES
+def test_draws_of_staged_noise_have_the_covariance_of_its_density(time):
+    time, n = time[:12], 40_000
+    travel = np.linspace(0.0, 0.9, 12)
+    values = {name: np.full(n, column[0]) for name, column in VALUES.items()}
+    draws = NOISES["staged"].draw(np.random.default_rng(3), time, values, np.tile(travel, (n, 1)))
+    expected = covariance("staged", 0, time, travel)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(np.cov(draws, rowvar=False) / scale, expected / scale, atol=0.025)
+
+
+def test_a_noise_that_is_none_is_refused():
+    for name in ("pink", ["ou"], None):
+        with pytest.raises(FitError, match="ou, iid, student_t"):
+            find_noise(name)

@@ -1,0 +1,650 @@
+"""What loggers, controllers and spreadsheets write is read, or refused with its place.
+
+Each file is made by its format's own library.
+"""
+
+import csv
+import datetime
+import json
+import os
+import pickle
+import signal
+import struct
+import sys
+import threading
+import time
+import tracemalloc
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from nptdms import ChannelObject, RootObject, TdmsWriter
+from openpyxl import Workbook
+from scipy.io import loadmat, savemat
+
+import mfd_bayes as mb
+from mfd_bayes.errors import RecordError
+from mfd_bayes.records.readers import SUFFIXES, read_table
+
+TIME = np.arange(400) / 50.0  # s
+TRAVEL = 20.0 * np.sin(np.pi * TIME)  # mm
+FORCE = 7.0 * np.tanh(3.0 * np.cos(np.pi * TIME)) + 0.25 * np.sin(31.0 * TIME)  # N
+ROWS = np.column_stack([TIME, TRAVEL, FORCE])
+UNITS = {"time": "s", "displacement": "mm", "force": "N"}
+NUMBERS = {"time": 1, "displacement": 2, "force": 3}
+NAMES = "time_s,displacement_mm,force_N\n"
+WAVE = {"wf_increment": 0.02, "wf_start_offset": 0.0}
+
+
+def refusal(path, names=("a",)):
+    """Sentence with which columns of a file are refused."""
+    with pytest.raises(RecordError) as caught:
+        read_table(path).columns(names)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+def put(folder, content, name="a.csv"):
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+# --- layouts
+
+
+def lines(separator=",", decimal=".", columns=(0, 1, 2)):
+    rows = ROWS[:, list(columns)]
+    text = "\n".join(separator.join(f"{cell:.9f}" for cell in row) for row in rows) + "\n"
+    return text.replace(".", decimal)
+
+
+def text(content, encoding="utf-8", suffix=".csv"):
+    return lambda folder: put(folder, content.encode(encoding), f"a{suffix}")
+
+
+def quoted(folder):
+    with (folder / "a.csv").open("w", newline="") as file:
+        writer = csv.writer(file, quoting=csv.QUOTE_ALL)
+        writer.writerow(["Time (s)", "Load, axial (N)", "Stroke (mm)"])
+        writer.writerows(ROWS[:, [0, 2, 1]].tolist())
+    return folder / "a.csv"
+
+
+def indexed(folder):
+    frame = pd.DataFrame(ROWS, columns=["time_s", "displacement_mm", "force_N"])
+    frame.to_csv(folder / "a.csv")
+    return folder / "a.csv"
+
+
+def sheets(folder, **content):
+    """Workbook whose sheets have these rows."""
+    book = Workbook()
+    book.remove(book.active)
+    for title, rows in content.items():
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append([cell.item() if isinstance(cell, np.generic) else cell for cell in row])
+    book.save(folder / "a.xlsx")
+    return folder / "a.xlsx"
+
+
+def workbook(*above, first=1):
+    return lambda folder: sheets(
+        folder, A=[[None] * (first - 1) + list(line) for line in (*above, *ROWS.tolist())]
+    )
+
+
+def tdms(*channels, parts=1):
+    """File of (group, channel, values, properties), written so many times."""
+
+    def write(folder):
+        with TdmsWriter(folder / "a.tdms") as writer:
+            for _ in range(parts):
+                writer.write_segment([ChannelObject(*channel) for channel in channels])
+        return folder / "a.tdms"
+
+    return write
+
+
+def matlab(content):
+    def write(folder):
+        savemat(folder / "a.mat", content)
+        return folder / "a.mat"
+
+    return write
+
+
+def matlab_v73(folder):
+    with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
+        for name, values in {"log": ROWS.T, "test/n": np.array([[3.0]]), "K": np.eye(3)}.items():
+            file[name] = values  # a matrix of a row for each sample, as MATLAB stores it
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        file["word"] = np.array([[112], [53]], dtype=np.uint16)
+        file["word"].attrs["MATLAB_class"] = np.bytes_("char")
+    return folder / "a.mat"
+
+
+def json_of(content):
+    return lambda folder: put(folder, json.dumps(content), "a.json")
+
+
+TITLE = "ACME logger 4\nSeal friction, 3 bar\nStarted 12.03.2024 10:04\nChannels as wired\n\n"
+MTS = "MTS793|MPT|ENU|1|0|A\nTest 7\nData Acquisition: Timed\t\tTime:\t3.2\tSec\n"
+LVM = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n"
+CLOCK = ("Clock", "t", TIME, {"unit_string": "s"})
+COLUMNS = dict(zip(("time_s", "displacement_mm", "force_N"), ROWS.T.tolist(), strict=True))
+LAYOUTS = {
+    "without a header": (text(lines()), NUMBERS, UNITS),
+    "free text, tabs, decimal commas": (
+        text(TITLE + lines("\t", ","), suffix=".asc"),
+        NUMBERS,
+        UNITS,
+    ),
+    "free text, then blanks": (text(TITLE + lines("   "), suffix=".txt"), NUMBERS, UNITS),
+    "semicolons, decimal commas": (
+        text("Zeit [s];Weg [mm];Kraft [N]\n" + lines(";", ",")),
+        {"time": "Zeit [s]", "displacement": "Weg [mm]", "force": "Kraft [N]"},
+        None,
+    ),
+    "MTS: units in a row": (
+        text(MTS + "Time\tAxial Disp\tAxial Force\nSec\tmm\tN\n" + lines("\t"), suffix=".dat"),
+        {"time": "Time", "displacement": "Axial Disp", "force": "Axial Force"},
+        None,
+    ),
+    "names that two columns have": (
+        text("t_s,x_mm,x_mm,f_N\n" + lines(columns=(0, 2, 1, 2))),
+        {"time": "t_s", "displacement": 3, "force": "f_N"},
+        None,
+    ),
+    "UTF-16 with a byte-order mark": (
+        text(NAMES.replace(",", "\t") + lines("\t"), "utf-16", ".TXT"),
+        {},
+        None,
+    ),
+    "Windows-1252": (
+        text("Temp °C," + NAMES + lines(columns=(2, 0, 1, 2)), "cp1252"),
+        {},
+        None,
+    ),
+    "text below the numbers": (text(NAMES + lines() + "\nEnd of test\n"), {}, None),
+    "quoted cells with commas in names": (
+        quoted,
+        {"time": "Time (s)", "displacement": "Stroke (mm)", "force": "Load, axial (N)"},
+        None,
+    ),
+    "pandas' index without a name": (indexed, {}, None),
+    "LabVIEW's .lvm": (
+        text(LVM + "X_Value\tStroke\tLoad\tComment\n" + lines("\t"), suffix=".lvm"),
+        {"time": "X_Value", "displacement": "Stroke", "force": "Load"},
+        UNITS,
+    ),
+    "Excel: titles and a row of units": (
+        workbook(
+            ["Seal friction"],
+            ["Clock", "Measured", None],
+            ["time", "displacement", "force"],
+            ["s", "mm", "N"],
+        ),
+        {},
+        None,
+    ),
+    "Excel: without a header, from column B": (
+        workbook(["rig 2"], first=2),
+        {"time": 2, "displacement": 3, "force": 4},
+        UNITS,
+    ),
+    "TDMS: a time in one of two groups": (
+        tdms(
+            CLOCK,
+            ("Rig", "x", TRAVEL, {"unit_string": "mm"}),
+            ("Rig", "f", FORCE, {"NI_UnitDescription": "[N]"}),
+        ),
+        {"time": "t", "displacement": "x", "force": "f"},
+        None,
+    ),
+    "TDMS: waveforms of two groups with the same names": (
+        tdms(
+            ("Disp", "ai0", TRAVEL, {"unit_string": "mm"} | WAVE),
+            ("Force", "ai0", FORCE, {"unit_string": "N"} | WAVE),
+        ),
+        {"time": "time", "displacement": "Disp/ai0", "force": "Force/ai0"},
+        None,
+    ),
+    "MATLAB: a struct": (
+        matlab({"data": {"t": TIME, "x": TRAVEL, "f": FORCE}, "rig": "two"}),
+        {"time": "data.t", "displacement": "data.x", "force": "data.f"},
+        UNITS,
+    ),
+    "MATLAB: a matrix of long rows": (
+        matlab({"log": ROWS.T, "K": np.eye(3), "z": TIME + 1j, "n": 2.0}),
+        {"time": "log(1,:)", "displacement": "log(2,:)", "force": "log(3,:)"},
+        UNITS,
+    ),
+    "MATLAB 7.3: a matrix": (
+        matlab_v73,
+        {"time": "log(:,1)", "displacement": "log(:,2)", "force": "log(:,3)"},
+        UNITS,
+    ),
+    "JSON: a list of rows": (json_of(ROWS.tolist()), NUMBERS, UNITS),
+    "JSON: an object of lists": (json_of(COLUMNS | {"note": "x"}), {}, None),
+    "JSON: objects": (json_of(pd.DataFrame(COLUMNS).to_dict("records")), {}, None),
+    "JSON: pandas' columns": (json_of(json.loads(pd.DataFrame(COLUMNS).to_json())), {}, None),
+    "JSON: pandas' split": (
+        json_of(json.loads(pd.DataFrame(COLUMNS).to_json(orient="split"))),
+        {},
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_a_layout_is_read(tmp_path, name):
+    write, columns, units = LAYOUTS[name]
+    record = mb.read_record(write(tmp_path), columns, units)
+    np.testing.assert_allclose(record.time, TIME, atol=1e-8)
+    np.testing.assert_allclose(record.displacement * 25.4, TRAVEL, atol=1e-7)
+    np.testing.assert_allclose(record.force * 4448.2216152605, FORCE, atol=1e-7)
+
+
+def test_columns_are_not_hit_by_luck(tmp_path):
+    """The negative control."""
+    path = text(lines())(tmp_path)
+    record = mb.read_record(path, {"time": 1, "displacement": 3, "force": 2}, UNITS)
+    assert np.max(np.abs(record.displacement * 25.4 - TRAVEL)) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("content", "columns", "named"),
+    [
+        (lines(), {}, "column = 1"),
+        ("time_s,displacement_mm,time_s,force_N\n" + lines(columns=(0, 1, 0, 2)), {}, "column = 1"),
+        (lines(), NUMBERS | {"force": 4}, "column 4"),
+    ],
+)
+def test_a_layout_that_tells_too_little_says_what_to_write(tmp_path, content, columns, named):
+    with pytest.raises(mb.MfdError, match=named):
+        mb.read_record(put(tmp_path, content), columns)
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    values=st.lists(st.tuples(FINITE, FINITE), min_size=2, max_size=30),
+    separator=st.sampled_from([",", ";", "\t", "  "]),
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "cp1252"]),
+    heading=st.sampled_from(["", "# lab 3\n\n", "ACME 4\nTest: 7\n\n"]),
+    note=st.booleans(),
+)
+def test_numbers_of_text_come_back_to_the_last_bit(
+    tmp_path, values, separator, end, encoding, heading, note
+):
+    more = f"{separator}note" if note else ""
+    rows = [f"{a!r}{separator}{b!r}{more}" for a, b in values]
+    content = heading + "\n".join([f"Zeit°{separator}Kraft{more}", *rows]) + "\n"
+    path = put(tmp_path, content.replace("\n", end).encode(encoding), "a.txt")
+    columns = read_table(path).columns(["Zeit°", "Kraft"])
+    np.testing.assert_array_equal(np.column_stack([columns["Zeit°"], columns["Kraft"]]), values)
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("a,note\n1,first\n2,\n", {"a": [1, 2]}),
+        ("a;b\n0,5;\N{MINUS SIGN}3,1\n0,25;2\n", {"a": [0.5, 0.25], "b": [-3.1, 2]}),
+        ("a  b\n0,5  -3,1\n0,25  2\n", {"a": [0.5, 0.25], "b": [-3.1, 2]}),
+        ("a\tb\t\n0,125\t12,500\t\n2,250\t3\t\n", {"b": [12.5, 3]}),
+        ("a,b\n1D-02,2d3\n1e4294967290,1\n", {"b": [2000, 1]}),
+        ("Station,MTS\nRate,1024\nGain,Zero\n1.5,2\nt,F\n0,1\n1,2\n2,3\n", {"F": [1, 2, 3]}),
+        ("Lehigh,hall B,N\nt,F,N\n0,1,2\n", {"t": [0], "F": [1], "N": [2]}),
+    ],
+)
+def test_numbers_of_other_countries_and_programs_are_read(tmp_path, content, expected):
+    columns = read_table(put(tmp_path, content)).columns(list(expected))
+    for name, values in expected.items():
+        np.testing.assert_allclose(columns[name], values, rtol=1e-15)
+
+
+@pytest.mark.parametrize("separator", ["\t", "   "])
+@pytest.mark.parametrize("units", [("Sec", "mm", "kN"), ("[s]", "[mm]", "[kN]")])
+def test_names_units_and_numbers_are_seen_below_a_heading(tmp_path, separator, units):
+    rows = [("Running Time", "Axial Displacement", "Axial Force"), units]
+    body = "".join(separator.join(row) + "\n" for row in rows) + lines(separator)
+    table = read_table(put(tmp_path, MTS + "Time: 10.0 s\n\n" + body, "a.dat"))
+    assert table.names == rows[0]
+    assert [unit.strip("[]") for unit in units] == list(table.units.values())
+    assert table.place(0) == "line 8"
+
+
+# --- what cannot be read
+
+LONG = 2**17
+TEXTS = {
+    "text": ("# note\na,b\n1,2\n\n3,oops\n4,5\n", "ab", ["line 5", "'b'", "'oops'"]),
+    "nan": ("a,b\n1,2\nnan,3\n", "a", ["line 3", "'nan'"]),
+    "no cell": ("a,b\n1,2\n,3\n", "a", ["line 3"]),
+    "an underscore": ("a,b\n1,2\n1_0,3\n", "a", ["line 3", "'1_0'"]),
+    "a short line": ("a,b\n1,2\n3\n", "b", ["line 3", "'b'"]),
+    "a long line": ("a,b\n1,2\n3,4,5\n", "a", ["line 3", "line 1"]),
+    "a short line of blanks": ("a b\n1 2\n3\n", "a", ["line 3"]),
+    "an open quotation": ('a,b\n0,"1\n1,2\n', "a", ["line 2", "quotation mark"]),
+    "no such column": ("time_s,b\n0,1\n", "a", ["'a'", "time_s, b"]),
+    "a name twice": ("a,a\n1,2\n", "a", ["{ column = 1 } or { column = 2 }"]),
+    "comments alone": ("\n# only\n\n", "a", ["empty"]),
+    "no names": ("1,2\n3,4\n", "a", ["{ column = 1 }"]),
+    "words for names": ("Axial Force Time\n1 2\n3 4\n", "a", ["{ column = 1 }"]),
+    "names alone": ("a,b\n", "a", ["no data"]),
+    "bytes": (bytes(range(256)), "a", ["UTF-8"]),
+    "thousands": ('a,b\n1,"1,234.5"\n2,"1,234"\n', "b", ["line 2", "thousands"]),
+    "a comma for both": ("a\tb\n1,125\t12,500\n2,250\t3\n", "b", ["'1,125'"]),
+    "points and commas": ("a;b\n1;2\n0,125;1.5\n", "ab", ["line 3", "points and commas"]),
+    "thousands and decimals": ("a;b\n0,5;1\n0,25;1.234,5\n", "ab", ["line 3", "'1.234,5'"]),
+    "a line for a book": ("a,b\n1,2\n#" + "x" * LONG + "\n", "a", ["line 3"]),
+    "a name for a book": ("time_s," + "a_per_" * 900 + "\n1,2\n", "a", ["column 2"]),
+    "too many columns": ("c," * 1000 + "c\n" + "1," * 1000 + "1\n", "a", ["1,001 columns"]),
+    "below units": ("T\tF\nSec\tkN\n0\t1\n0.1\tOVR\n", "TF", ["line 4", "'F'", "'OVR'"]),
+}
+JSONS = {
+    "cut": ("{", "a", ["JSON"]),
+    "a number": ("3", "a", ["object of lists"]),
+    "no columns": ("{}", "a", ["no columns"]),
+    "numbers": ("[1, 2]", "a", ["row 1"]),
+    "text": ('{"a": [1, "x"]}', "a", ["sample 2", "'x'"]),
+    "true": ('{"a": [1, true]}', "a", ["sample 2"]),
+    "NaN": ('{"a": [1, NaN]}', "a", ["sample 2"]),
+    "too large": ('{"a": [1, 1' + "0" * 400 + "]}", "a", ["sample 2"]),
+    "other rows": ('{"a": {"0": 1}, "b": {"1": 1}}', "ab", ["row labels"]),
+    "other lengths": ('{"a": [1, 2], "b": [1]}', "ab", ["a 2, b 1"]),
+}
+ENTRIES = [(n, ".csv", *case) for n, case in TEXTS.items()]
+ENTRIES += [(n, ".json", *case) for n, case in JSONS.items()]
+
+
+@pytest.mark.parametrize(("name", "suffix", "content", "columns", "named"), ENTRIES)
+def test_what_cannot_be_read_is_named_with_its_place(
+    tmp_path, name, suffix, content, columns, named
+):
+    message = refusal(put(tmp_path, content, f"a{suffix}"), list(columns))
+    assert [words for words in named if words not in message] == [], message
+
+
+def test_files_that_are_none_are_refused_and_nothing_is_unpickled(tmp_path):
+    assert "'.pkl'" in refusal(put(tmp_path, pickle.dumps({"a": [1]}), "a.pkl"))
+    for suffix in SUFFIXES:
+        path = tmp_path / f"a{suffix}"
+        refusal(path)
+        for content in (b"", bytes(range(256))):
+            path.write_bytes(content)
+            refusal(path)
+        path.unlink()
+        path.mkdir()
+        refusal(path)
+
+
+@pytest.mark.parametrize(("suffix", "library"), [(".xlsx", "openpyxl"), (".tdms", "npTDMS")])
+def test_a_missing_library_is_named(tmp_path, monkeypatch, suffix, library):
+    monkeypatch.setitem(sys.modules, library.lower(), None)
+    assert f"needs {library}" in refusal(put(tmp_path, b"any", f"a{suffix}"))
+
+
+# --- Excel
+
+SHORT = [list(row) for row in ROWS[:30, [0, 2]].tolist()]
+
+
+def test_of_sheets_the_one_with_a_table_is_read_and_a_copy_is_named(tmp_path):
+    table = [["Time", None, "Force\n(kN)", "note"], ["Sec", None, "[kN]", "-"]]
+    table += [[t, None, f, "x"] for t, f in SHORT]
+    heading = [["Brake 7, spring"], ["Rate (Hz)", 1024], [None]]
+    notes = [["Report", 2023], ["by", "me"]]
+    read = read_table(sheets(tmp_path, Notes=notes, Plot=[], Data=heading + table, Copy=table))
+    assert read.names == ("Time", "Force (kN)", "note")
+    assert dict(read.units) == {"Time": "Sec", "Force (kN)": "kN"}
+    np.testing.assert_allclose(read.columns(["Force (kN)"])["Force (kN)"], FORCE[:30], rtol=1e-15)
+    assert read.place(0) == "row 6 of sheet 'Data'"
+    assert "'Copy'" in read.doubts[0]
+    assert "'Notes'" in refusal(sheets(tmp_path, Notes=notes, Plot=[]))
+
+
+def test_columns_end_where_those_that_are_used_do(tmp_path):
+    path = sheets(tmp_path, A=[[], [None, "t", "x"], [None, 0, "1.5"], [], [None, 1, 2], [9]])
+    columns = read_table(path).columns(["t", "x"])
+    np.testing.assert_array_equal([columns["t"], columns["x"]], [[0, 1], [1.5, 2]])
+
+
+@pytest.mark.parametrize(
+    ("cell", "shown"),
+    [
+        (None, "an empty cell"),
+        ("#DIV/0!", "'#DIV/0!'"),
+        (True, "'TRUE'"),
+        (datetime.datetime(2024, 5, 1, 10, 30), "'2024-05-01 10:30:00'"),
+        ("=A3*2", "formula"),
+    ],
+)
+def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path, cell, shown):
+    path = sheets(tmp_path, Data=[["t", None, "x"], [0, None, 1], [1, None, cell], [2, None, 3]])
+    message = refusal(path, ["t", "x"])
+    assert message.startswith(f"row 3 of sheet 'Data' of {path}, column 'x'")
+    assert shown in message
+
+
+def test_what_is_no_workbook_or_is_locked_is_refused(tmp_path):
+    whole = sheets(tmp_path, Data=[["t", "x"], *SHORT]).read_bytes()
+    for content in (b"PK", b"t,x\n1,2\n", whole[: len(whole) // 2], whole[:-9]):
+        assert "Excel" in refusal(put(tmp_path, content, "a.xlsx"))
+    locked = bytes.fromhex("D0CF11E0A1B11AE1") + bytes(600)
+    assert "password" in refusal(put(tmp_path, locked, "a.xlsx"))
+
+
+# --- MATLAB
+
+VECTORS = st.sampled_from(["f8", "f4", "i1", "u2", "i4", "u8", "?"]).flatmap(
+    lambda code: arrays.arrays(
+        code,
+        st.integers(2, 40).flatmap(lambda n: st.sampled_from([(n,), (n, 1), (1, n)])),
+        elements={"allow_nan": False, "allow_infinity": False} if code[0] == "f" else None,
+    )
+)
+WORDS = st.from_regex(r"[a-zA-Z][a-zA-Z0-9_]{0,20}", fullmatch=True)
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.dictionaries(WORDS, VECTORS, min_size=1, max_size=4), st.booleans(), st.booleans())
+def test_vectors_are_those_that_loadmat_reads(tmp_path, content, packed, nested):
+    path = tmp_path / "a.mat"
+    savemat(path, {"s": content} if nested else content, do_compression=packed)
+    table = read_table(path)
+    assert set(table.names) == {f"s.{name}" if nested else name for name in content}
+    read = loadmat(path, simplify_cells=True)
+    theirs = read["s"] if nested else read
+    for name in table.names:
+        expected = np.ravel(theirs[name.removeprefix("s.") if nested else name])
+        np.testing.assert_array_equal(table.columns([name])[name], expected.astype(np.float64))
+
+
+def test_what_is_no_matlab_file_or_cut_off_is_refused(tmp_path):
+    path = matlab({"x": TIME, "y": TIME})(tmp_path)
+    whole = path.read_bytes()
+    for content in (b"not a mat file" * 50, *(whole[: len(whole) // n] for n in (10, 2))):
+        refusal(put(tmp_path, content, "a.mat"))
+    assert "sample 2" in refusal(matlab({"a": np.array([1.0, np.nan, 2.0])})(tmp_path))
+    refusal(matlab({"name": "x"})(tmp_path))
+
+
+# --- TDMS
+
+
+def test_the_increments_of_waveforms_make_a_time_for_each_group(tmp_path):
+    table = read_table(tdms(("G", "x", FORCE, WAVE), ("G", "F", FORCE, WAVE), parts=2)(tmp_path))
+    assert table.names == ("time", "x", "F")
+    np.testing.assert_allclose(table.columns(["time", "x"])["time"], np.arange(800) / 50)
+    slow = WAVE | {"wf_increment": 0.1, "wf_start_offset": 0.5}
+    table = read_table(tdms(("A", "x", FORCE, WAVE), ("B", "F", FORCE, slow))(tmp_path))
+    assert table.names == ("A/time", "B/time", "x", "F")
+    np.testing.assert_allclose(table.columns(["B/time"])["B/time"], 0.5 + np.arange(400) / 10)
+
+
+@pytest.mark.parametrize(
+    "channels",
+    [
+        [("G", "Elapsed Time", TIME, {}), ("G", "x", FORCE, WAVE)],
+        [("G", "x", FORCE, WAVE | {"wf_increment": 0.0}), ("G", "F", FORCE, {})],
+        [("G", "x", FORCE, WAVE | {"wf_xunit_string": "Hz"}), ("G", "F", FORCE, {})],
+        [("G", "x", FORCE, WAVE), ("G", "F", FORCE, WAVE | {"wf_increment": 0.1})],
+    ],
+    ids=["a time", "no increment", "a spectrum", "two clocks in a group"],
+)
+def test_no_time_is_offered_where_there_is_one_or_none_can_be_made(tmp_path, channels):
+    assert read_table(tdms(*channels)(tmp_path)).names == (channels[0][1], channels[1][1])
+
+
+def test_channels_without_numbers_or_of_other_lengths_are_refused_when_used(tmp_path):
+    write = tdms(("G", "x", TIME), ("G", "note", ["a", "b"]), ("G", "b", TIME[:9]))
+    np.testing.assert_array_equal(read_table(write(tmp_path)).columns(["x"])["x"], TIME)
+    assert "'note'" in refusal(write(tmp_path), ["note"])
+    assert "x 400, b 9" in refusal(write(tmp_path), ["x", "b"])
+
+
+def tdms_part(samples, data=b"", *, follows=None):
+    """Part of a file with a channel x of so many doubles, and other data than these."""
+    listed = struct.pack("<LL", 1, 8) + b"/'G'/'x'"
+    listed += struct.pack("<LLLQL", 20, 10, 1, samples, 0)
+    after = len(listed) + len(data) if follows is None else follows
+    return struct.pack("<4sLLQQ", b"TDSm", 14, 4713, after, len(listed)) + listed + data
+
+
+TEN = np.arange(10.0).tobytes()
+
+
+def test_a_file_that_is_cut_off_or_declares_what_it_has_not_is_refused(tmp_path, capfd):
+    path = tdms(("G", "x", TIME))(tmp_path)
+    assert "holds 390" in refusal(put(tmp_path, path.read_bytes()[:-80], "a.tdms"), ["x"])
+    for samples, follows in ((11, None), (10**12, 10**15), (2**63, 2**64 - 1)):
+        content = tdms_part(samples, TEN, follows=follows)
+        assert "holds 10" in refusal(put(tmp_path, content, "a.tdms"), ["x"])
+    whole = put(tmp_path, tdms_part(5, TEN, follows=2**64 - 1), "a.tdms")  # never closed
+    np.testing.assert_array_equal(read_table(whole).columns(["x"])["x"], np.arange(10))
+    for content in (b"hello world" * 9, b"TDSm" + bytes(90), b"TDSh" + bytes(90)):
+        assert "TDMS" in refusal(put(tmp_path, content, "a.tdms"))
+    with TdmsWriter(path) as writer:
+        writer.write_segment([RootObject({"operator": "x"})])
+    assert "no channel" in refusal(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_samples_and_texts_of_gigabytes_are_not_asked_for(tmp_path):
+    path = put(tmp_path, tdms_part(10**8, follows=len(tdms_part(1)) - 28 + 8 * 10**8), "a.tdms")
+    with path.open("ab") as file:
+        file.truncate(path.stat().st_size + 8 * 10**8)  # without taking room on the disk
+    assert "50,000,000 samples" in refusal(path, ["x"])
+    listed = struct.pack("<LL", 1, 8) + b"/'G'/'x'" + struct.pack("<L", 0xFFFFFFFF)
+    listed += struct.pack("<LL", 1, 0xFFFFFFF0) + b"unit"
+    head = struct.pack("<4sLLQQ", b"TDSm", 14, 4713, len(listed), len(listed))
+    tracemalloc.start()
+    refusal(put(tmp_path, head + listed, "a.tdms"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
+
+
+def test_the_file_itself_is_read_and_not_an_index_beside_it(tmp_path):
+    other = tdms(("G", "y", FORCE))(tmp_path).read_bytes()
+    path = tdms(("G", "x", TIME))(tmp_path)
+    path.with_name("a.tdms_index").write_bytes(b"TDSh" + other[4:])
+    assert read_table(path).names == ("x",)
+
+
+# --- all formats
+
+
+class Signals(NamedTuple):
+    time: np.ndarray
+    Stroke: np.ndarray
+    Load: np.ndarray
+
+
+def mts_text(path, columns, separator, decimal):
+    body = pd.DataFrame(columns).to_csv(sep=separator, decimal=decimal, index=False, header=False)
+    rows = ["Acquisition: Timed", "", *map(separator.join, (columns, ["Sec", "mm", "lbf"])), body]
+    path.write_text("\n".join(rows))
+
+
+def test_a_real_record_is_the_same_from_every_format(tmp_path, data_folder):
+    record = mb.read_record(data_folder / "2022_80lb_0.50Hz_1.0in.csv")
+    signals = Signals(record.time, record.displacement * 25.4, record.force * 1000)
+    columns, units = signals._asdict(), ["Sec", "mm", "lbf"]
+    mts_text(tmp_path / "a.txt", columns, "\t", ".")
+    mts_text(tmp_path / "a.csv", columns, ";", ",")
+    sheets(tmp_path, A=[["Brake 7"], list(columns), units, *np.column_stack(signals)])
+    clock = {"wf_start_offset": 0.0, "wf_increment": record.time[1]}
+    channels = [
+        ("test", name, columns[name], {"unit_string": unit, **clock})
+        for name, unit in zip(("Stroke", "Load"), units[1:], strict=True)
+    ]
+    tdms(*channels)(tmp_path)
+    roles = {"time": "time", "displacement": "Stroke", "force": "Load"}
+    for suffix in ("txt", "csv", "xlsx", "tdms"):
+        read = mb.read_record(tmp_path / f"a.{suffix}", roles)
+        np.testing.assert_allclose(read.time, record.time, atol=1e-5)
+        np.testing.assert_allclose(read.displacement, record.displacement, atol=1e-12)
+        np.testing.assert_allclose(read.force, record.force, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", ["csv", "xlsx", "json", "tdms", "mat"])
+def test_bad_cells_outside_the_window_do_not_matter_in_any_format(tmp_path, form):
+    table = {"t_s": TIME, "x_mm": TRAVEL, "f_N": FORCE.copy()}
+    table["f_N"][300] = np.nan  # at 6 s
+    path = tmp_path / f"a.{form}"
+    if form == "csv":
+        pd.DataFrame(table).to_csv(path, index=False)
+    elif form == "xlsx":
+        pd.DataFrame(table).to_excel(path, index=False)
+    elif form == "json":
+        path.write_text(json.dumps({name: values.tolist() for name, values in table.items()}))
+    elif form == "mat":
+        savemat(path, table)
+    else:
+        tdms(*(("G", name, values) for name, values in table.items()))(tmp_path)
+    roles = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
+    record = mb.read_record(path, roles, UNITS, fit="0 s to 5 s")
+    assert record.time.size == 300
+    assert "outside" in record.doubts[0]
+    with pytest.raises(RecordError, match="'f_N'"):
+        mb.read_record(path, roles, UNITS, fit="0 s to 7 s")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a process is copied as on Linux")
+def test_binary_files_are_read_in_a_process_that_may_die_and_beside_threads(tmp_path, monkeypatch):
+    columns, roles = {"t_s": TIME, "x_mm": TRAVEL}, {"time": "t_s", "displacement": "x_mm"}
+    pd.DataFrame(columns).to_excel(tmp_path / "a.xlsx", index=False)
+    tdms(*(("G", name, values) for name, values in columns.items()))(tmp_path)
+    matlab(columns)(tmp_path)
+    done = threading.Event()
+    for suffix in ("xlsx", "tdms", "mat"):
+        alone = mb.read_record(tmp_path / f"a.{suffix}", roles)
+        thread = threading.Thread(target=done.wait)
+        thread.start()
+        beside = mb.read_record(tmp_path / f"a.{suffix}", roles)
+        done.set()
+        thread.join()
+        done.clear()
+        np.testing.assert_array_equal(alone.displacement, beside.displacement)
+    monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: os.kill(os.getpid(), signal.SIGSEGV))
+    refusal(tmp_path / "a.mat")
+    monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: time.sleep(60))
+    monkeypatch.setattr("mfd_bayes.records.readers.binary.SECONDS", 0.2)
+    assert "0.2 s" in refusal(Path(tmp_path / "a.mat"))

@@ -1,0 +1,716 @@
+"""What rigs and loggers write: no number is lost, or read as another, in silence.
+
+Rates, time stamps, signs, units, blocks and footers, by what `init` and `inspect` say.
+"""
+
+import json
+import re
+import tomllib
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from openpyxl import Workbook
+from scipy.io import savemat
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+from mfd_bayes.records.channels import Source
+
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
+STEP = 0.05
+TIME = STEP * np.arange(240)
+PHASE = 0.5 * np.pi * TIME
+TRAVEL = 12.0 * np.sin(PHASE)  # mm
+
+
+def force(time):
+    """Of a friction damper, N."""
+    return 950.0 * np.tanh(3.0 * np.cos(0.5 * np.pi * time)) + 3.0 * np.sin(31.0 * time)
+
+
+FORCE = force(TIME)
+ROWS = np.column_stack([TIME, TRAVEL, FORCE])
+NAMES = ["Time (s)", "Stroke (mm)", "Load (N)"]
+HEAD = ",".join(NAMES) + "\n"
+ALL = "240 over 11.95 s"
+
+
+def text(rows, separator=","):
+    return "".join(separator.join(f"{cell:.4f}" for cell in row) + "\n" for row in rows)
+
+
+def write(path, head, *columns, above=""):
+    rows = [",".join(str(cell) for cell in row) for row in zip(*columns, strict=True)]
+    path.write_text(above + head + "\n" + "\n".join(rows) + "\n")
+
+
+def run(*words, code=0):
+    """What a command says, which must end with this code."""
+    words = [str(word) for word in words]
+    if words[0] == "inspect":
+        words += ["-o", words[1].rpartition("/")[0], "--force"]
+    outcome = CliRunner().invoke(app, words)
+    assert outcome.exit_code == code, outcome.output
+    return " ".join(outcome.output.split())
+
+
+def init(folder, code=0):
+    """What `init` says, and the campaign that it writes."""
+    said = run("init", folder, "--force", code=code)
+    path = folder / "campaign.toml"
+    return said, tomllib.loads(path.read_text()) if code == 0 else {}
+
+
+def drafted(folder):
+    """What `init` says, its campaign, and what `inspect` says of that."""
+    said, campaign = init(folder)
+    return said, campaign, run("inspect", folder / "campaign.toml")
+
+
+CAMPAIGN = """[columns]
+{time}
+displacement = {{ column = 2, unit = "mm" }}
+force = {{ column = 3, unit = "{unit}" }}
+[[test]]
+id = "a"
+file = "a.csv"
+actuation = "5 bar"
+{test}
+"""
+
+
+def inspected(folder, *, time='time = { column = 1, unit = "s" }', unit="N", test="", code=0):
+    """What `inspect` says of a campaign of a.csv."""
+    path = folder / "c.toml"
+    path.write_text(CAMPAIGN.format(time=time, unit=unit, test=test))
+    return run("inspect", path, code=code)
+
+
+# --- blocks, headings between the numbers, footers
+
+MTS_NAMES, MTS_UNITS = "Time\tAxial Displacement\tAxial Force\n", "Sec\tmm\tN\n"
+
+
+def mts(*blocks, units=MTS_UNITS):
+    return "MTS793|MPT|ENU|1|2|.|/|:|1|0|0|A\n\n" + "".join(
+        f"Data Header:\tTimed\tCycle 1\tTime:\t{rows[0, 0]:.2f}\tSec\t1/2/2024 10:12:13 AM\n"
+        + (MTS_NAMES + units + text(rows, "\t"))
+        for rows in blocks
+    )
+
+
+def between(words, at=80):
+    return HEAD + text(ROWS[:at]) + words + text(ROWS[at:])
+
+
+COMMENT = "# time_s,stroke_mm,load_N\n"
+BELOW = "\nMax,12.00,956.1\nMin,-12.00,-957.2\nEnd of test\n"
+READ = {
+    "blocks of 5 samples": (mts(*(ROWS[at : at + 5] for at in range(0, 240, 5))), ""),
+    "blocks of 200 samples": (mts(ROWS[:200], ROWS[200:]), ""),
+    "names again": (between(HEAD), ""),
+    "names below a line": ("Cycle 1\n" + between("Cycle 2\n" + HEAD), ""),
+    "comments": (COMMENT + text(ROWS[:80]) + COMMENT + text(ROWS[80:]), ""),
+    "statistics below": (HEAD + text(ROWS) + BELOW, "line 243 and below"),
+    "a table above": (
+        "Channel,Gain,Zero\n1,2.5,0.1\n2,3,0\n\n" + HEAD + text(ROWS),
+        "lines 2 to 3",
+    ),
+    "names and units in comments": ("% Time Disp Force\n% s mm N\n" + text(ROWS, " "), ""),
+    "names in the last comment": ("# a test\n#time_s\tdisp_mm\tforce_N\n" + text(ROWS, "\t"), ""),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_every_number_is_read_and_what_is_not_is_named(tmp_path, name):
+    content, unused = READ[name]
+    (tmp_path / "run_5bar.csv").write_text(content)
+    seen = drafted(tmp_path)[2]
+    assert ALL in seen
+    assert unused in seen
+    assert bool(unused) == ("rows not used" in seen)
+
+
+KILO = text(ROWS[80:] * [1.0, 1.0, 1e-3], "\t")
+OUT_OF_RANGE = "".join(f"OVR,{x:.3f},{t:.2f}\n" for t, x, _ in ROWS[235:])
+SECOND = "# time_s force_N disp_mm\n"
+REFUSED = {
+    "times that start again": (mts(ROWS[:80], ROWS[80:160] - [4.0, 0.0, 0.0]), "line 86"),
+    "names in another order": (between("Time (s),Load (N),Stroke (mm)\n"), "lines 2 to 81"),
+    "names in another unit at the end": (between("Time (s),Stroke (mm),Load (kN)\n", 220), ""),
+    "a word": (between("pause\n", 10), "line 12"),
+    "another table": (between("Channel,Peak,Mean\n", 220), "line 222"),
+    "a block in other units": (mts(ROWS[:80]) + MTS_NAMES + "Sec\tmm\tkN\n" + KILO, ""),
+    "10 numbers above": (text(ROWS[:10]) + HEAD + text(ROWS[10:]), "lines 1 to 10"),
+    "80 numbers above": (text(ROWS[:80]) + HEAD + text(ROWS[80:]), "lines 1 to 80"),
+    "a comment in another order": (
+        "# time_s disp_mm force_N\n" + text(ROWS[:80], " ") + SECOND + text(ROWS[80:], " "),
+        "line 82",
+    ),
+    "an error of a spreadsheet": (between("#N/A,1,2\n"), "'#N/A'"),
+    "a sensor out of range at the end": (
+        "Load (N),Stroke (mm),Time (s)\n" + text(ROWS[:235, [2, 1, 0]]) + OUT_OF_RANGE,
+        "'OVR'",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_may_be_lost_is_refused(tmp_path, name):
+    content, named = REFUSED[name]
+    (tmp_path / "run_5bar.csv").write_text(content)
+    said, _ = init(tmp_path, code=2)
+    assert "run_5bar.csv" in said
+    assert named in said
+
+
+def test_blocks_and_a_footer_of_a_sheet(tmp_path):
+    book = Workbook()
+    blocks = [["Cycle 1"], NAMES, *ROWS[:80].tolist(), ["Cycle 2"], NAMES, *ROWS[80:].tolist()]
+    for row in (*blocks, ["Max", 12.0, 9.0]):
+        book.active.append(row)
+    book.save(tmp_path / "run_5bar.xlsx")
+    seen = drafted(tmp_path)[2]
+    assert ALL in seen
+    assert "row 245 and below" in seen
+
+
+@pytest.mark.parametrize("cell", ["#N/A", "", "nan"])
+def test_cells_outside_the_window_need_not_be_numbers(tmp_path, cell):
+    bad = "".join(f"{t:.2f},{x:.4f},{cell}\n" for t, x, _ in ROWS[200:])
+    (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
+    assert "samples 161 over 8 s" in inspected(tmp_path, test='fit = "0 s to 8 s"')
+    assert "line 202" in inspected(tmp_path, test='fit = "3 s to 11 s"', code=2)
+
+
+# --- channels that begin at different times
+
+
+def tdms(folder, *channels):
+    with TdmsWriter(folder / "run_5bar.tdms") as writer:
+        writer.write_segment([ChannelObject("Rig", *channel) for channel in channels])
+    return folder / "run_5bar.tdms"
+
+
+def wave(unit, late=0.0, *, offset=0.0, step=STEP):
+    began = np.datetime64("2024-03-05T10:00:00", "us") + np.timedelta64(round(1e6 * late), "us")
+    return {
+        "wf_increment": step,
+        "wf_start_offset": offset,
+        "wf_start_time": began,
+        "unit_string": unit,
+    }
+
+
+CHANNELS = {"time": "time", "displacement": "Disp", "force": "Load"}
+
+
+@pytest.mark.parametrize(("late", "offset"), [(1.0, 0.0), (0.5, 0.5)])
+def test_channels_that_begin_later_are_aligned(tmp_path, late, offset):
+    load = ("Load", force(TIME + 1.0), wave("N", late, offset=offset))
+    path = tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), load)
+    seen = drafted(tmp_path)[2]
+    assert "220 over 10.95 s" in seen
+    assert "Load begins 1 s after Disp" in seen
+    record = mb.read_record(path, CHANNELS)
+    np.testing.assert_allclose(record.time, TIME[20:], atol=1e-9)
+    np.testing.assert_allclose(25.4 * record.displacement, TRAVEL[20:], atol=1e-9)
+    np.testing.assert_allclose(record.force, force(TIME[20:]) * 2.248089430997105e-4, rtol=1e-9)
+
+
+def test_channels_between_each_others_samples_and_of_other_lengths(tmp_path):
+    load = ("Load", force(TIME + 0.025)[:230], wave("N", 0.025))
+    path = tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), load, ("Trigger", TIME[:20], wave("V")))
+    record = mb.read_record(path, CHANNELS)
+    assert record.time.size == 230
+    expected = 12.0 * np.sin(0.5 * np.pi * record.time)
+    np.testing.assert_allclose(25.4 * record.displacement, expected, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("load", "more", "said"),
+    [
+        (wave("N", 60.0), (), "never measured at the same time"),
+        (wave("N", step=0.01), (), "Disp has a step of 0.05, Load of 0.01"),
+        (wave("N", 1.0), [("Time", TIME, {"unit_string": "s"})], "Load begins 1 s after Disp"),
+    ],
+)
+def test_channels_that_cannot_be_aligned_are_refused(tmp_path, load, more, said):
+    tdms(tmp_path, *more, ("Disp", TRAVEL, wave("mm")), ("Load", FORCE, load))
+    assert said in init(tmp_path, code=2)[0]
+
+
+def test_a_structure_with_time_of_simulink_is_read(tmp_path):
+    kinds = [("values", "O"), ("label", "O")]
+    labels = ("Stroke_mm", "Load_N")
+    signals = np.array([(ROWS[:, [k + 1]], labels[k]) for k in (0, 1)], dtype=kinds).reshape(1, 2)
+    savemat(tmp_path / "run_5bar.mat", {"Scope": {"time": TIME[:, None], "signals": signals}})
+    columns = init(tmp_path)[1]["columns"]
+    assert columns["force"] == {"name": "Scope.signals(2).values Load_N", "unit": "N"}
+    assert columns["time"]["name"] == "Scope.time"
+
+
+# --- units that are not known, and counters
+
+
+UNKNOWN = ("tonf", "ton", "t", "kg", "div", "mV", "counts", "x10 kN", "%")
+
+
+@pytest.mark.parametrize(
+    ("role", "head", "unit"),
+    [
+        *(("force", f"Time(s),Disp(mm),Load({unit})", unit) for unit in UNKNOWN),
+        ("force", "time_s,disp_mm,load_tonf", "tonf"),
+        ("force", "Time,Disp,Load\ns,mm,tonf", "tonf"),
+        ("time", "Time (div),Disp (mm),Load (N)", "div"),
+        ("displacement", "Time (s),Disp <V>,Load (N)", "V"),
+    ],
+)
+def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path, role, head, unit):
+    (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
+    said, campaign = init(tmp_path)
+    assert "unit" not in campaign["columns"][role]
+    assert f"the unit of {role} is unknown; {unit!r}" in said
+
+
+def test_it_is_named_in_every_format_and_for_an_actuation(tmp_path):
+    tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), ("Load", FORCE, wave("tonf")))
+    columns = dict(zip(("time", "disp", "load"), ROWS.T.tolist(), strict=True))
+    units = {"units": {"time": "s", "disp": "mm", "load": "tonf"}}
+    (tmp_path / "run_5bar.json").write_text(json.dumps(columns | units))
+    said, campaign = init(tmp_path)
+    assert len(campaign["test"]) == 2
+    assert '"kN"' not in (tmp_path / "campaign.toml").read_text()
+    assert "'tonf'" in said
+    (tmp_path / "b").mkdir()
+    head = "Time (s),Disp (mm),Load (N),Pressure (kg/cm2)"
+    write(tmp_path / "b" / "a.csv", head, *ROWS.T, np.full(240, 5.0))
+    said, campaign = init(tmp_path / "b")
+    assert "actuation" not in campaign["test"][0]
+    assert "'kg/cm2'" in said
+
+
+@pytest.mark.parametrize(
+    ("unit", "size", "role"),
+    [
+        ("kgf", 9.80665e-3 / 4.4482216152605, "force"),
+        ("tf", 9.80665 / 4.4482216152605, "force"),
+        ("klbs", 1.0, "force"),
+        ("mils", 1e-3, "displacement"),
+        ("µm", 1e-3 / 25.4, "displacement"),
+    ],
+)
+def test_units_of_laboratories_are_known(tmp_path, unit, size, role):
+    names = {"displacement": "Disp (mm)", "force": "Load (N)"} | {role: f"Signal ({unit})"}
+    head = f"Time (s),{names['displacement']},{names['force']}\n"
+    (tmp_path / "a.csv").write_text(head + text(ROWS), encoding="utf-8")
+    record = mb.read_record(tmp_path / "a.csv", {"time": "Time (s)", **names})
+    number = round(ROWS[5, 1 if role == "displacement" else 2], 4)
+    assert getattr(record, role)[5] == pytest.approx(size * number, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("head", "unit", "warned"),
+    [
+        ("Time(s),Disp(mm),Load(tonf)", "kN", True),
+        ("Time(s),Disp(mm),Load [div]", "kN", True),
+        ("Time,Disp,Load\ns,mm,N", "kN", True),
+        ("Time(s),Disp(mm),Load(tonf)", "tf", False),
+        ("Time(s),Disp(mm),Load(kg)", "kgf", False),
+        ("Time(s),Disp(mm),Load(measured)", "kN", False),
+        ("Time(s),Disp(mm),Load (25 kip cell)", "kN", False),
+        ("Time(s),X_Value,Axial_Load", "kN", False),
+    ],
+)
+def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path, head, unit, warned):
+    (tmp_path / "a.csv").write_text(head + "\n" + text(ROWS))
+    assert ("which is it" in inspected(tmp_path, unit=unit)) == warned
+
+
+@pytest.mark.parametrize("name", ["Scan", "No.", "#", "", "Time"])
+def test_a_counter_is_no_time(tmp_path, name):
+    write(tmp_path / "run_5bar.csv", f"{name},Stroke (mm),Load (N)", range(1, 241), TRAVEL, FORCE)
+    said, campaign = init(tmp_path)
+    assert "unit" not in campaign["columns"]["time"]
+    assert "at which rate?" in said
+    above = "Scan rate: 20 Hz\n"
+    head = f"{name},Stroke (mm),Load (N)"
+    write(tmp_path / "run_5bar.csv", head, range(1, 241), TRAVEL, FORCE, above=above)
+    said, campaign, seen = drafted(tmp_path)
+    assert campaign["columns"]["time"] == {"rate": "20 Hz"}
+    assert "FIXME" not in said
+    assert ALL in seen
+
+
+def test_a_counter_that_states_ms_is_a_time(tmp_path):
+    write(tmp_path / "a_5bar.csv", "Sample time (ms),Stroke (mm),Load (N)", range(240), *ROWS.T[1:])
+    assert init(tmp_path)[1]["columns"]["time"]["unit"] == "ms"
+
+
+def test_a_length_in_the_files_name_tells_the_unit_and_is_not_compared_without(tmp_path):
+    (tmp_path / "slow_25mm.txt").write_text(text(ROWS * [1.0, 24.4 / 12.0, 1.0], " "))
+    said, campaign = init(tmp_path)
+    assert "unit" not in campaign["columns"]["displacement"]
+    assert " in (a stroke" not in said
+    assert 'write unit = "mm"' in said
+
+
+# --- slow tests
+
+
+def slow(step, cycle):
+    time = np.arange(0.0, 5 * cycle, step)
+    phase = 2 * np.pi * time / cycle
+    return text(np.column_stack([time, 25.0 * np.sin(phase), 30.0 * np.tanh(3 * np.cos(phase))]))
+
+
+@pytest.mark.parametrize(("step", "cycle"), [(1.0, 120.0), (60.0, 7200.0)])
+@pytest.mark.parametrize("head", ["Time [sec]", "Elapsed Time (s)"])
+def test_a_slow_test_whose_heading_states_seconds_is_not_in_ms(tmp_path, step, cycle, head):
+    (tmp_path / "a_5bar.csv").write_text(f"{head},Stroke (mm),Load (kN)\n" + slow(step, cycle))
+    said, _, seen = drafted(tmp_path)
+    assert " ms" not in said
+    assert "in ms rather" not in seen
+
+
+def test_a_slow_time_without_a_unit_may_be_ms(tmp_path):
+    (tmp_path / "a_5bar.csv").write_text("Time,Stroke (mm),Load (kN)\n" + slow(5.0, 600.0))
+    said, campaign = init(tmp_path)
+    assert "unit" not in campaign["columns"]["time"]
+    assert "s or ms" in said
+    (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(50.0, 4000.0))
+    assert "in ms rather than in s?" in inspected(tmp_path, unit="kN")
+    (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(5.0, 600.0))
+    assert "in ms" not in inspected(tmp_path, unit="kN")
+
+
+def test_a_clock_a_thousand_times_slower_than_the_others_is_named(tmp_path):
+    (tmp_path / "a_5bar.csv").write_text(HEAD + text(ROWS))
+    (tmp_path / "b_10bar.csv").write_text(HEAD + text(ROWS * [1000.0, 1.0, 1.1]))
+    assert "is time in ms rather than in s?" in drafted(tmp_path)[2]
+
+
+# --- a rate in place of a column of times
+
+
+@pytest.mark.parametrize(
+    ("above", "rate"),
+    [
+        ("Sampling Rate (Hz),20\n", "20 Hz"),
+        ("Sampling interval: 0,05 s\n", "0.05 s"),
+        ("sample_rate_hz,20\n", "20 Hz"),
+        ("# dt = 0.05 s\n", "0.05 s"),
+        ("Scan rate: 0.02 kHz per channel\n", "0.02 kHz"),
+        ("Acquired 2024, at 20 Hz\nSampling Frequency, Hz: 20\n", "20 Hz"),
+        ("Test frequency: 20 Hz\n", ""),
+        ("Sample rate: 1,000 Hz\n", ""),
+        ("fs = 20\nSample rate: 30 Hz\n", ""),
+    ],
+)
+def test_init_drafts_the_rate_that_a_file_states(tmp_path, above, rate):
+    write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", TRAVEL, FORCE, above=above)
+    said, campaign = init(tmp_path)
+    assert campaign["columns"].get("time") == ({"rate": rate} if rate else None)
+    assert ("FIXME" in said) == (not rate)
+    code = 0 if rate else 2
+    seen = run("inspect", tmp_path / "campaign.toml", code=code)
+    assert (ALL if rate else 'rate = "100 Hz"') in seen
+
+
+@pytest.mark.parametrize(
+    ("time", "test", "said"),
+    [
+        ('rate = "20 Hz"', "", ALL),
+        ('time = { rate = "50 ms" }', "", ALL),
+        ('time = { column = 1, unit = "s" }', 'rate = "20 Hz"', ALL),
+        ('rate = "5 Hz"', 'columns.rate = "20 Hz"', ALL),
+        ('rate = "20"', "", "'20'"),
+        ('rate = "20 mm"', "", "'mm'"),
+        ('rate = "0 Hz"', "", "'0 Hz'"),
+        ('rate = "20 Hz"\ntime = { name = "t" }', "", "rate"),
+        ('time = { name = "t", sign = -1 }', "", "'sign'"),
+    ],
+)
+def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path, time, test, said):
+    write(tmp_path / "a.csv", "note,x_mm,f_N", ["x"] * 240, TRAVEL, FORCE)
+    assert said in inspected(tmp_path, time=time, test=test, code=0 if said == ALL else 2)
+
+
+# --- the sign of a column
+
+
+def test_only_the_tests_that_run_backward_are_turned_and_it_is_said(tmp_path):
+    for name, sign in (("a_5bar", 1), ("b_5bar", 1), ("c_9bar", -1)):
+        write(tmp_path / f"{name}.csv", HEAD.strip(), TIME, TRAVEL, sign * FORCE)
+    said, campaign, seen = drafted(tmp_path)
+    assert "c_9bar: its loops run backward" in said
+    assert [t.get("columns", {}).get("force", {}).get("sign") for t in campaign["test"]] == [
+        None,
+        None,
+        -1,
+    ]
+    assert "force sign" not in seen
+
+
+@pytest.mark.parametrize("spike", [1e6, -9999.0])
+def test_an_overflow_value_turns_no_sign(tmp_path, spike):
+    load = FORCE.copy()
+    load[41] = spike
+    write(tmp_path / "a_5bar.csv", HEAD.strip(), TIME, TRAVEL, load)
+    said, _, seen = drafted(tmp_path)
+    assert "sign" not in said
+    assert "force sign" not in seen
+    assert "1 isolated sample of the force" in seen
+
+
+def test_the_warning_of_negative_work_names_the_key(tmp_path):
+    write(tmp_path / "a.csv", HEAD.strip(), TIME, TRAVEL, -FORCE)
+    assert "write sign = -1" in inspected(tmp_path)
+    assert "force sign" not in inspected(tmp_path, unit='N", sign = -1, tare = "0 N')
+    assert "sign" in inspected(tmp_path, unit='N", sign = 2, tare = "0 N', code=2)
+
+
+# --- actuation in any unit
+
+
+@pytest.mark.parametrize(
+    "level", ["500 mA", "1.5 amps", "24 V", "3 turns", "40 %", "5 clicks", "80 ft*lbf", "0.2 T"]
+)
+def test_an_actuation_is_given_in_its_own_unit(tmp_path, level):
+    (tmp_path / "a.csv").write_text(HEAD + text(ROWS))
+    said = inspected(
+        tmp_path,
+        test=f'session = "x"\n[[test]]\nid = "b"\nfile = "a.csv"\nactuation = "{level}"',
+        code=2,
+    )
+    assert "kind" in said
+    (tmp_path / "c.toml").write_text((tmp_path / "c.toml").read_text().replace("5 bar", level))
+    assert f" actuation {level} " in run("inspect", tmp_path / "c.toml")
+
+
+@pytest.mark.parametrize("level", ["3 mm", "3 kg", "20 degC", "7 bananas", "0.5 1"])
+def test_a_unit_of_no_actuation_is_refused(tmp_path, level):
+    (tmp_path / "a.csv").write_text(HEAD + text(ROWS))
+    (tmp_path / "c.toml").write_text(
+        CAMPAIGN.format(time="", unit="N", test="").replace("5 bar", level)
+    )
+    assert f"unit '{level.split()[1]}' of '{level}'" in run("inspect", tmp_path / "c.toml", code=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "above", "level", "doubt"),
+    [
+        ("run_250mA", "", "250 mA", ""),
+        ("run_2A", "", "2 A", "2A is taken for A"),
+        ("run", "Coil current: 0.75 A\n", "0.75 A", ""),
+        ("run_500psi_2A", "", "500 psi", ""),
+    ],
+)
+def test_init_drafts_the_current_of_a_test(tmp_path, name, above, level, doubt):
+    write(tmp_path / f"{name}.csv", HEAD.strip(), *ROWS.T, above=above)
+    said, campaign = init(tmp_path)
+    assert campaign["test"][0]["actuation"] == level
+    assert (doubt in said) if doubt else ("unsure" not in said)
+
+
+def test_init_drafts_a_column_of_current(tmp_path):
+    write(tmp_path / "a.csv", HEAD.strip() + ",Current (A)", *ROWS.T, np.full(240, 0.8))
+    assert init(tmp_path)[1]["test"][0]["actuation"] == "0.8 A"
+    (tmp_path / "a.csv").rename(tmp_path / "a_500psi.csv")
+    assert init(tmp_path)[1]["test"][0]["actuation"] == "500 psi"
+    changes = 1.5 + np.sin(TIME)
+    write(tmp_path / "a.csv", HEAD.strip() + ",drive_A", *ROWS.T, changes)
+    text_ = CAMPAIGN.format(time="", unit="N", test="").replace('"5 bar"', '{ name = "drive_A" }')
+    (tmp_path / "c.toml").write_text(text_.replace("[columns]", "[columns]\ntime.column = 1"))
+    said = run("inspect", tmp_path / "c.toml")
+    assert " A (mean of a history)" in said
+
+
+# --- time stamps
+
+BEGIN = datetime(2024, 3, 5, 10, 0, 0)
+NIGHT = datetime(2024, 3, 5, 23, 59, 55)
+
+
+def stamps(form, begin=BEGIN):
+    """Time stamps of a test, of a form of strftime in which %L stands for milliseconds."""
+    moments = [begin + timedelta(seconds=STEP * k) for k in range(240)]
+    return [m.strftime(form.replace("%L", f"{m.microsecond // 1000:03}")) for m in moments]
+
+
+STAMPS = {
+    "ISO that loses its .000": [s.removesuffix(".000") for s in stamps("%Y-%m-%d %H:%M:%S.%L")],
+    "ISO with a zone": stamps("%Y-%m-%dT%H:%M:%S.%L+01:00"),
+    "ISO without separators": stamps("%Y%m%dT%H%M%S.%L"),
+    "US with AM, at noon": stamps("%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
+    "US without zeros": [s.lstrip("0").replace("/0", "/") for s in stamps("%m/%d/%Y %H:%M:%S.%L")],
+    "US past midnight, told by the day": stamps(
+        "%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 25, 23, 59, 55)
+    ),
+    "US past midnight, told by the steps": stamps("%m/%d/%Y %H:%M:%S.%L", NIGHT),
+    "German past midnight": stamps("%d.%m.%Y %H:%M:%S.%L", NIGHT),
+    "two digits of a year": stamps("%d-%m-%y %H:%M:%S.%L"),
+    "MATLAB": stamps("%d-%b-%Y %H:%M:%S.%L"),
+    "as ctime": stamps("%a %b %d %H:%M:%S.%L %Y"),
+    "clock past midnight": stamps("%H:%M:%S.%L", NIGHT),
+    "clock of twelve hours, no AM": stamps("%I:%M:%S.%L", datetime(2024, 3, 5, 12, 59, 55)),
+    "milliseconds behind a colon": stamps("%H:%M:%S:%L"),
+    "minutes and seconds": stamps("%M:%S.%L"),
+    "clock before the date": stamps("%H:%M:%S.%L %d.%m.%Y"),
+    "timedelta of pandas": [f"0 days {s}" for s in stamps("%H:%M:%S.%L000")],
+}
+ROLES = {"time": "Timestamp", "displacement": 2, "force": 3}
+STAMPED = "Timestamp,Displacement (mm),Force (N)"
+
+
+@pytest.mark.parametrize("form", STAMPS)
+def test_time_stamps_are_seconds_since_the_first_row(tmp_path, form):
+    write(tmp_path / "a_5bar.csv", STAMPED, STAMPS[form], TRAVEL, FORCE)
+    record = mb.read_record(tmp_path / "a_5bar.csv", ROLES, fit="2 s to 8 s")
+    np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+    assert record.trace().time[[0, -1]] == pytest.approx([2.0, 8.0])
+    said, campaign = init(tmp_path)
+    assert campaign["columns"]["time"] == {"name": "Timestamp", "unit": "s"}
+    assert "FIXME" not in said
+
+
+def test_a_date_a_clock_and_a_counter_beside_each_other(tmp_path):
+    clock, day = stamps("%H:%M:%S.%L", NIGHT), stamps("%d.%m.%Y", NIGHT)
+    head = "No.,Date,Time,Displacement (mm),Force (N),Events"
+    write(tmp_path / "a_5bar.csv", head, range(240), day, clock, TRAVEL, FORCE, [""] * 240)
+    _, campaign, seen = drafted(tmp_path)
+    assert campaign["columns"]["time"]["name"] == "Time"
+    assert ALL in seen
+
+
+def test_an_order_of_dates_that_nothing_tells_is_asked_for(tmp_path):
+    days = [datetime(2024, 3, 5) + timedelta(days=k // 120, seconds=STEP * k) for k in range(240)]
+    write(
+        tmp_path / "a.csv",
+        "Timestamp,x_mm,f_N",
+        [m.strftime("%m/%d/%Y %H:%M:%S.%f") for m in days],
+        TRAVEL,
+        FORCE,
+    )
+    assert "day first" in inspected(tmp_path, time='time = { name = "Timestamp" }', code=2)
+    stated = 'time = { name = "Timestamp", dates = "month first" }'
+    assert "time has a gap" in inspected(tmp_path, time=stated)
+
+
+def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path):
+    for cell in ("", "#N/A", "25:61:00", "later"):
+        clock = stamps("%H:%M:%S.%L")
+        clock[200] = cell
+        write(tmp_path / "a.csv", STAMPED, clock, TRAVEL, FORCE)
+        with pytest.raises(mb.MfdError, match=r"line 202 of .*, column 'Timestamp'"):
+            mb.read_record(tmp_path / "a.csv", ROLES)
+        assert mb.read_record(tmp_path / "a.csv", ROLES, fit="0 s to 8 s").time.size == 200
+
+
+def test_stamps_that_are_too_coarse_ask_for_the_rate_and_a_footer_is_seen(tmp_path):
+    write(tmp_path / "a_5bar.csv", STAMPED, stamps("%H:%M:%S"), TRAVEL, FORCE)
+    assert "about 20 in a second" in init(tmp_path)[0]
+    with pytest.raises(mb.MfdError, match="rate"):
+        mb.read_record(tmp_path / "a_5bar.csv", ROLES)
+    write(tmp_path / "a_5bar.csv", STAMPED, stamps("%H:%M:%S.%L"), TRAVEL, FORCE)
+    with (tmp_path / "a_5bar.csv").open("a") as file:
+        file.write("Max,12,950\nMin,-12,-950\n")
+    seen = drafted(tmp_path)[2]
+    assert ALL in seen
+    assert "line 242 and below" in seen
+
+
+def test_moments_of_other_formats_are_a_time(tmp_path):
+    moments = [BEGIN + timedelta(seconds=float(t)) for t in TIME]
+    for name, cells in (
+        ("moments", moments),
+        ("clock", [m.time() for m in moments]),
+        ("elapsed", [m - BEGIN for m in moments]),
+    ):
+        book = Workbook()
+        book.active.append(["Clock", "Disp (mm)", "Load (N)"])
+        for row in zip(cells, TRAVEL.tolist(), FORCE.tolist(), strict=True):
+            book.active.append(list(row))
+        book.save(tmp_path / f"{name}_5bar.xlsx")
+    since = np.datetime64(BEGIN, "us") + (1e6 * TIME).astype("m8[us]")
+    tdms(tmp_path, ("Clock", since), ("Disp (mm)", TRAVEL), ("Load (N)", FORCE))
+    columns = {"Clock": stamps("%Y-%m-%dT%H:%M:%S.%LZ"), "Disp (mm)": TRAVEL, "Load (N)": FORCE}
+    content = {name: np.asarray(values).tolist() for name, values in columns.items()}
+    (tmp_path / "j_5bar.json").write_text(json.dumps(content))
+    _, campaign = init(tmp_path)
+    assert len(campaign["test"]) == 5
+    assert campaign["columns"]["time"] == {"name": "Clock", "unit": "s"}
+    roles = {"time": "Clock", "displacement": 2, "force": 3}
+    for test in campaign["test"]:
+        record = mb.read_record(tmp_path / test["file"], roles)
+        np.testing.assert_allclose(record.time, TIME, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "first", "by"),
+    [
+        ("day", 45356.4166666667, 1 / 86400),
+        ("day", 739316.416666667, 1 / 86400),
+        ("s", 3792477600.0, 1.0),
+        ("ms", 1709632800000.0, 1e3),
+        ("us", 1709632800000000.0, 1e6),
+    ],
+    ids=["Excel", "MATLAB", "LabVIEW", "ms", "us"],
+)
+def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path, unit, first, by):
+    cells = [f"{first + t * by:.10f}" for t in TIME]
+    write(tmp_path / "a_5bar.csv", "X_Value,Displacement (mm),Force (N)", cells, TRAVEL, FORCE)
+    said, campaign = init(tmp_path)
+    assert campaign["columns"]["time"]["unit"] == unit
+    assert f"counted in {unit}" in said
+    roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
+    record = mb.read_record(tmp_path / "a_5bar.csv", roles)
+    np.testing.assert_allclose(record.time, TIME, atol=2e-5)
+
+
+# --- names as other keyboards write them
+
+
+@pytest.mark.parametrize("encoding", ["cp932", "utf-8"])
+@pytest.mark.parametrize(
+    "head", ["時間（s）,変位（mm）,荷重（N）", "時間［s］,変位［㎜］,荷重［N］"]
+)
+def test_wide_brackets_and_unit_signs_are_read(tmp_path, encoding, head):
+    path = tmp_path / "a_5bar.csv"
+    path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
+    said, _, seen = drafted(tmp_path)
+    assert "FIXME" not in said
+    assert "displacement -12 to 12 mm" in seen
+
+
+def test_a_column_of_a_matrix_has_no_unit_in_its_name(tmp_path):
+    savemat(tmp_path / "a_5bar.mat", {"t_s": TIME, "data": ROWS[:, 1:]})
+    init(tmp_path)
+    said = run("inspect", tmp_path / "campaign.toml", code=2)
+    assert re.search("unit of displacement", said)
+
+
+@pytest.mark.slow
+def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
+    content = '[campaign]\nmodel = "lugre"\npriors = "priors.toml"\n'
+    content += '[columns]\ntime = { name = "t_s" }\n'
+    content += 'displacement = { name = "x_mm" }\nforce = { name = "f_N" }\n'
+    for level in (500, 1000):
+        noise = np.random.default_rng(level).normal(0.0, 6.0, TIME.size)
+        write(tmp_path / f"r{level}.csv", "t_s,x_mm,f_N", TIME, TRAVEL, FORCE * level / 500 + noise)
+        content += f'[[test]]\nid = "r{level}"\nfile = "r{level}.csv"\nactuation = "{level} mA"\n'
+    campaign, out = tmp_path / "c.toml", tmp_path / "out"
+    campaign.write_text(content)
+    run("init", campaign)
+    run("calibrate", campaign, "-o", out, "--effort", "quick", "--jobs", 1, "--seed", 1)
+    laws = (out / "laws.csv").read_text()
+    assert re.search(r"K_c_fwd,k?N/mA,", laws)
+    assert re.search(r"alpha_sigma0,k?N/mm/mA,", laws)
+    asked = ("--sine", "12 mm, 0.25 Hz, 2 cycles", "--force", "-o", tmp_path / "b.csv")
+    run("predict", out, *asked, "--actuation", "0.8 A")
+    assert "in A" in run("predict", out, *asked, "--actuation", "500 psi", code=2)
+    assert "mA, 0.25 Hz" in run("next", out, "-o", tmp_path / "n.csv")
