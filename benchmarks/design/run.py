@@ -80,7 +80,8 @@ def show(found: list[tuple[str, float, float, dict]]) -> None:
         if probability == PROBABILITIES[-1]:
             inside = row["lower"] <= own <= row["upper"]
             print(
-                f"  {name:24s} {row['name']:18s} {own:7.3f}  {row['lower']:7.3f} to {row['upper']:7.3f}  "
+                f"  {name:24s} {row['name']:18s} {own:7.3f}  "
+                f"{row['lower']:7.3f} to {row['upper']:7.3f}  "
                 f"{row['lambda_min']:5.2f}  {row['lambda_max']:5.2f}  {'yes' if inside else 'NO'}"
             )
     print("\n  share of tests inside the bounds (number that chance allows in 95 of 100 cases,")
