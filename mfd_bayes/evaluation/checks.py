@@ -30,7 +30,7 @@ from mfd_bayes.evaluation.views import (
     Row,
     Rows,
 )
-from mfd_bayes.records.measured import MeasuredCycles
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.verdict import Verdict
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.design import sessions_of
 from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
 from mfd_bayes.messages import Message
-from mfd_bayes.records.measured import FORMULAS, UNITS, MeasuredCycles
+from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run

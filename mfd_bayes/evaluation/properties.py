@@ -17,8 +17,13 @@ from mfd_bayes.evaluation.scores import spread_of
 from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
-from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.measured import MeasuredCycles, cycle_values, mean_of, measured_cycles
+from mfd_bayes.records.loops import (
+    MeasuredCycles,
+    cycle_values,
+    find_loops,
+    mean_of,
+    measured_cycles,
+)
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest

@@ -28,7 +28,7 @@ from mfd_bayes.evaluation.views import (
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
 )
-from mfd_bayes.records.measured import measured_cycles
+from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
 
 FOUND = Identifiability(
