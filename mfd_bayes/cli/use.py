@@ -1,4 +1,4 @@
-"""The commands that use a finished run: predict, crossvalidate, compare, next, respond, export."""
+"""The commands that use a finished run: from predict to serve."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from typer import Context, Option
+from typer import Argument, Context, Option
 
 from mfd_bayes.cli import console, options
 from mfd_bayes.cli.errors import mistakes, resumption
@@ -124,7 +124,7 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     if band.explained:
         console.print_shares(band.explained, quiet=quiet)
     if answer.design:
-        console.print_design(answer.design)
+        console.print_design(answer.design, band.probability)
     if not quiet:
         console.print_derived(answer.derived, band.probability)
         console.say(f"look next at {question.beside('derived.csv')}")
@@ -221,7 +221,7 @@ def compare(
             comparison, left_out = pipeline.compare(campaign, out, names, run_options, observe)
         console.print_comparison(comparison, quiet=quiet)
         for model, (view, unit) in left_out.items():
-            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} {unit}.")
+            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean['crps']:.3f} {unit}.")
         if not quiet:
             console.say(f"look next at {out / 'comparison.csv'}")
 
@@ -473,3 +473,33 @@ def export(
         console.say(f"warning: {remark}", err=True)
     for sentence in sentences:
         console.say(sentence)
+
+
+def serve(
+    source: Annotated[
+        str, Argument(metavar="MODEL|OUT", help="A model, as in a campaign file, or a run folder.")
+    ],
+    port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 4242,
+    motion: Annotated[
+        Path | None, Option(parser=options.path, help="A model's motion: a file, or --sine.")
+    ] = None,
+    sine: Annotated[str, Option(help='Such as "1 in, 0.5 Hz, 3 cycles".')] = "",
+    actuation: Annotated[str, Option(help='Of a model, such as "1000 psi".')] = "",
+) -> None:
+    """Serve a model, or a run's log posterior, to other programs, as UM-Bridge has it.
+
+    Any program for uncertainty quantification that speaks this protocol over HTTP
+    can call it, on this machine. OUT serves "posterior": sampled coordinates in,
+    log density out; "values": their parameters; and "forward": parameters in, force
+    of the test's motion out. A model serves "forward" for a motion that you give.
+    Names and units are printed. Writes nothing; a model in a file is run.
+
+    Example:
+      mfd-bayes serve out --port 4242
+      mfd-bayes serve lugre --sine "1 in, 0.5 Hz, 3 cycles"
+      mfd-bayes serve my_damper.py:Viscous --motion quake.csv --actuation "1 ksi"
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import serve as pipeline
+
+        pipeline.serve(source, port, motion, sine, actuation, console.say)
