@@ -111,10 +111,10 @@ def main() -> None:
     for seed in range(1, seeds + 1):
         one = demo(seed, true, further)
         found.append(one)
-        rows = [row for row in one.view.truth if row.informed]
-        known.update(row.name for row in rows)
-        hits.update(row.name for row in rows if row.inside)
-        held = sum(row.inside for row in rows)
+        rows = [row for row in one.view.truth if row["informed"]]
+        known.update(row["name"] for row in rows)
+        hits.update(row["name"] for row in rows if row["inside"])
+        held = sum(row["inside"] for row in rows)
         line = f"{seed:6d}{held:9d}{len(rows):8d}{held / len(rows):9.1%}"
         columns = (one.own, one.known, one.further)
         print(line + "  ".join(["", *map(shares, columns)]), one.view.verdict, flush=True)

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
-from mfd_bayes.evaluation.design import DesignRow, design_rows
+from mfd_bayes.evaluation.design import design_rows
 from mfd_bayes.evaluation.properties import measured_of, measured_properties
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
@@ -59,7 +59,7 @@ def without(run: Run, fold: Fold, effort: str) -> Run:
     return others
 
 
-def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, DesignRow]]:
+def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, dict]]:
     """Test, probability, own value and bounds of every property of every test left out."""
     for fold in folds_of(run, "level", effort):
         others = without(run, fold, effort)
@@ -67,21 +67,22 @@ def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, DesignRo
             own = own_values(run, name)
             trace = replace(run.tests[name].trace, force=None)
             for probability in PROBABILITIES:
-                rows = {(r.name, r.basis): r for r in design_rows(others, trace, probability)}
+                rows = {(r["name"], r["basis"]): r for r in design_rows(others, trace, probability)}
                 for what, basis in BASIS.items():
                     yield name, probability, own[what], rows[what, basis]
         print(f"without {fold.part}: done", file=sys.stderr, flush=True)
 
 
-def show(found: list[tuple[str, float, float, DesignRow]]) -> None:
+def show(found: list[tuple[str, float, float, dict]]) -> None:
     """Print the bounds of every test, and the shares inside."""
     print(f"\n  {'test':24s} {'property':18s} {'own':>7s}  bounds of 95 %     λ min  λ max  inside")
     for name, probability, own, row in found:
         if probability == PROBABILITIES[-1]:
-            inside = row.lower <= own <= row.upper
+            inside = row["lower"] <= own <= row["upper"]
             print(
-                f"  {name:24s} {row.name:18s} {own:7.3f}  {row.lower:7.3f} to {row.upper:7.3f}  "
-                f"{row.lambda_min:5.2f}  {row.lambda_max:5.2f}  {'yes' if inside else 'NO'}"
+                f"  {name:24s} {row['name']:18s} {own:7.3f}  "
+                f"{row['lower']:7.3f} to {row['upper']:7.3f}  "
+                f"{row['lambda_min']:5.2f}  {row['lambda_max']:5.2f}  {'yes' if inside else 'NO'}"
             )
     print("\n  share of tests inside the bounds (number that chance allows in 95 of 100 cases,")
     print("  where the tests of one tension, predicted together, lie inside or outside together)")
@@ -89,8 +90,8 @@ def show(found: list[tuple[str, float, float, DesignRow]]) -> None:
     for what in BASIS:
         cells = []
         for probability in PROBABILITIES:
-            those = [row for row in found if row[1] == probability and row[3].name == what]
-            hits = [r.lower <= own <= r.upper for _, _, own, r in those]
+            those = [row for row in found if row[1] == probability and row[3]["name"] == what]
+            hits = [r["lower"] <= own <= r["upper"] for _, _, own, r in those]
             low, high = chance([name.split("_")[0] for name, *_ in those], probability)
             cells.append(f"{sum(hits):2d} of {len(hits):2d} ({low} to {high})")
         print(f"  {what:18s} " + "  ".join(f"{cell:>14s}" for cell in cells))

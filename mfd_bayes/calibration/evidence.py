@@ -17,7 +17,6 @@ from mfd_bayes.calibration.proposal import PARTS, fit_mixture, learn
 Array = NDArray[np.float64]
 
 PROPOSED = 4000  # draws from each of the two proposals
-
 # Pareto k, and standard error in nats, above which a log evidence is not to be trusted. A bridge
 # needs draws from the proposal that overlap with the posterior, not light tails: the usual 0.7 is
 # the limit of importance weights alone

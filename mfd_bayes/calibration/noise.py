@@ -21,10 +21,8 @@ Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 
 LOG_2PI = float(np.log(2 * np.pi))
-
 # numbers per array that are worked on together, so that a piece's arrays stay in the cache
 PIECE = 1 << 15
-
 SD = Quantity("noise_sd", "force", "s", "s", "standard deviation of the noise")
 TIME = Quantity("noise_time", "time", r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise")
 DOF = Quantity(

@@ -35,7 +35,6 @@ LARGEST_K, ENOUGH = 0.7, 200.0  # Pareto k, effective draws, from which weights 
 STARTS = 3  # draws of the first fit from which modes are climbed to
 SEARCHED = 6  # points from which modes are searched before walkers are sent
 TRIED = 64  # prior draws of what the first fit does not have, of which each start takes the best
-
 # sampling where weights fail: enough for a median and an interval, not for their digits
 WALK = Effort(
     name="second fit", ess=50, limit=400, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1

@@ -120,7 +120,7 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     if band.explained:
         console.print_shares(band.explained, quiet=quiet)
     if answer.design:
-        console.print_design(answer.design)
+        console.print_design(answer.design, band.probability)
     if not quiet:
         console.print_derived(answer.derived, band.probability)
         console.say(f"look next at {question.beside('derived.csv')}")
@@ -217,7 +217,7 @@ def compare(
             comparison, left_out = pipeline.compare(campaign, out, names, run_options, observe)
         console.print_comparison(comparison, quiet=quiet)
         for model, (view, unit) in left_out.items():
-            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} {unit}.")
+            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean['crps']:.3f} {unit}.")
         if not quiet:
             console.say(f"look next at {out / 'comparison.csv'}")
 

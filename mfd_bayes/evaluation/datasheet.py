@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.design import sessions_of
 from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
 from mfd_bayes.messages import Message
-from mfd_bayes.records.measured import FORMULAS, UNITS, MeasuredCycles
+from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
@@ -74,9 +74,6 @@ class Datasheet:
         tested. `nominal` is the mean of the mean property (the device at this actuation), `lower`
         and `upper` hold a cycle of a new test with 95 %, offset, noise and chatter included.
         `n_outside` counts the measured cycles outside of them.
-    measured : DataFrame
-        Each test's measured values: test, session, role, condition, cycle (at full stroke, from 1),
-        quantity, direction, unit, value and offset, which is not taken off.
     tested : mapping of str to Message
         Ranges and numbers of what was tested, by name.
     verdict : tuple of three Message
@@ -87,7 +84,6 @@ class Datasheet:
     """
 
     rows: pd.DataFrame
-    measured: pd.DataFrame
     tested: Mapping[str, Message]
     verdict: tuple[Message, ...]
     not_known: tuple[Message, ...]
@@ -95,13 +91,7 @@ class Datasheet:
 
 
 def parse_condition(text: str, actuation_unit: str) -> Condition:
-    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency.
-
-    Raises
-    ------
-    MfdError
-        When it has not these three parts, or the actuation is of another kind than the tests'.
-    """
+    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency."""
     level, _, motion = text.partition(",")
     if text.count(",") != 2:
         raise CampaignError(f"a condition reads '35 lbf, 1 in, 0.5 Hz', got {text!r}")
@@ -115,18 +105,11 @@ def parse_condition(text: str, actuation_unit: str) -> Condition:
 
 
 def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
-    """Data sheet of a run: every condition that was tested, and those asked for.
-
-    Raises
-    ------
-    FitError
-        When a condition cannot be predicted.
-    """
-    peaks = peaks_of(run)
-    tests = _harmonic_tests(run)
-    table, measured, lacking = [], [], []
-    for condition in dict.fromkeys([*sorted({c for c, _, _, _ in tests}), *at]):
-        own = [(name, trace, cycles) for c, name, trace, cycles in tests if c == condition]
+    """Data sheet of a run: every condition that was tested, and those of `at`."""
+    peaks, tests = peaks_of(run), _harmonic_tests(run)
+    table, lacking = [], []
+    for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *at]):
+        own = [test for test in tests if test[0] == condition]
         label = condition_words(run, condition)
         try:
             table += _rows(run, condition, label, own, peaks)
@@ -134,11 +117,9 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
             if condition in at:
                 raise
             lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
-        measured += [row for name, _, cycles in own for row in _measured(run, name, label, cycles)]
     rows = pd.DataFrame(table, columns=_COLUMNS)
     return Datasheet(
         rows=rows,
-        measured=pd.DataFrame(measured),
         tested=_tested(run),
         verdict=_verdict(run, rows),
         not_known=(*lacking, *_not_known(run)),
@@ -148,12 +129,15 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
 
 def condition_words(run: Run, condition: Condition) -> str:
     """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
-    say, unit = run.system.words, run.actuation_unit
-    level = say([condition.actuation], unit, actuation=True)
-    return f"{level}, {say([condition.stroke], 'in', 3)}, {condition.frequency:.3g} Hz"
+    words = run.system.words
+    level = words([condition.actuation], run.actuation_unit, actuation=True)
+    return f"{level}, {words([condition.stroke], 'in', 3)}, {condition.frequency:.3g} Hz"
 
 
-def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycles]]:
+Tested = tuple[Condition, str, Trace, MeasuredCycles]
+
+
+def _harmonic_tests(run: Run) -> list[Tested]:
     """Condition and measured cycles of every harmonic test, also of those held out."""
     traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
     tests = []
@@ -178,15 +162,11 @@ def _rounded(value: float) -> float:
 
 
 def _rows(
-    run: Run,
-    condition: Condition,
-    label: str,
-    own: Sequence[tuple[str, Trace, MeasuredCycles]],
-    peaks: Peaks,
+    run: Run, condition: Condition, label: str, own: Sequence[Tested], peaks: Peaks
 ) -> list[dict[str, object]]:
     """Rows of one condition; `own` are its tests."""
-    trace = own[0][1] if own else Harmonic(*condition[1:], CYCLES).trace(condition.actuation)
-    names = dict.fromkeys(run.session(name) for name, _, _ in own) or sessions_of(run)
+    trace = own[0][2] if own else Harmonic(*condition[1:], CYCLES).trace(condition.actuation)
+    names = dict.fromkeys(run.session(name) for _, name, _, _ in own) or sessions_of(run)
     nominal, bounded = _predicted(run, trace, list(names), peaks)
     remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
     head = {
@@ -197,49 +177,36 @@ def _rows(
         "frequency": condition.frequency,
         "tested": bool(own),
     }
-    tail = 0.5 * (1.0 - PROBABILITY)
-    rows = []
+    tail, rows = 0.5 * (1.0 - PROBABILITY), []
     for quantity, direction, name in _QUANTITIES:
-        values = [getattr(cycles, name)[cycles.full_stroke] for _, _, cycles in own]
+        values = [getattr(cycles, name)[cycles.full_stroke] for _, _, _, cycles in own]
         for cycle in range(CYCLES + 1 if name == "energy" else 1):
             kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
-            drawn = bounded[name][:, kept]
-            drawn = drawn[np.isfinite(drawn)]
+            drawn = _finite(bounded[name][:, kept])
             if cycle and not drawn.size:
                 continue
-            lower, upper = (
-                np.quantile(drawn, [tail, 1.0 - tail]) if drawn.size else (np.nan, np.nan)
-            )
-            seen = np.concatenate([v[kept] for v in values]) if values else np.empty(0)
-            seen = seen[np.isfinite(seen)]
-            middle = _mean(nominal[name][:, kept])
+            seen = _finite(np.concatenate([np.empty(0), *(v[kept] for v in values)]))
+            middle = _finite(nominal[name][:, kept])
+            level = float(middle.mean()) if middle.size else float("nan")
             low, mean, high = (seen.min(), seen.mean(), seen.max()) if seen.size else (np.nan,) * 3
+            tails = [tail, 1.0 - tail]
+            lower, upper = np.quantile(drawn, tails) if drawn.size else (np.nan, np.nan)
             rows.append(
                 head
-                | {
-                    "quantity": quantity,
-                    "direction": direction,
-                    "unit": UNITS[name],
-                    "cycle": cycle,
-                    "measured_low": float(low),
-                    "measured": float(mean),
-                    "measured_high": float(high),
-                    "n_cycles": int(seen.size),
-                    "n_outside": int(np.sum((seen < lower) | (seen > upper))),
-                    "nominal": middle,
-                    "lower": float(lower),
-                    "upper": float(upper),
-                    "lambda_min": float(lower / middle) if middle else float("nan"),
-                    "lambda_max": float(upper / middle) if middle else float("nan"),
-                    "note": "; ".join(remarks),
-                }
+                | {"quantity": quantity, "direction": direction, "unit": UNITS[name]}
+                | {"cycle": cycle, "measured_low": float(low), "measured": float(mean)}
+                | {"measured_high": float(high), "n_cycles": int(seen.size)}
+                | {"n_outside": int(np.sum((seen < lower) | (seen > upper)))}
+                | {"nominal": level, "lower": float(lower), "upper": float(upper)}
+                | {"lambda_min": float(lower / level) if level else float("nan")}
+                | {"lambda_max": float(upper / level) if level else float("nan")}
+                | {"note": "; ".join(remarks)}
             )
     return rows
 
 
-def _mean(values: Array) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else float("nan")
+def _finite(values: Array) -> Array:
+    return values[np.isfinite(values)]
 
 
 def _predicted(
@@ -259,31 +226,11 @@ def _predicted(
         nominal.append(middle)
         with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
         bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
-    return _together(nominal), _together(bounded)
-
-
-def _together(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
-    return {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
-
-
-def _measured(
-    run: Run, name: str, label: str, cycles: MeasuredCycles
-) -> Iterable[dict[str, object]]:
-    """Rows of the measured values of one test, cycle by cycle."""
-    for number, cycle in enumerate(np.flatnonzero(cycles.full_stroke).tolist(), start=1):
-        for quantity, direction, column in _QUANTITIES:
-            yield {
-                "test": name,
-                "session": run.session(name),
-                "role": run.manifest.tests[name].role,
-                "condition": label,
-                "cycle": number,
-                "quantity": quantity,
-                "direction": direction,
-                "unit": UNITS[column],
-                "value": float(getattr(cycles, column)[cycle]),
-                "offset": float(cycles.offset[cycle]),
-            }
+    together = (
+        {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
+        for parts in (nominal, bounded)
+    )
+    return next(together), next(together)
 
 
 def _tested(run: Run) -> dict[str, Message]:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, n_draws
+from mfd_bayes.evaluation.design import design_rows, design_warnings, n_draws
 from mfd_bayes.evaluation.properties import predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
-from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
+from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES
@@ -20,7 +20,7 @@ from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.sine import parse_sine
 from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
+from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.model_average import ModelAverage
@@ -83,10 +83,10 @@ class Answer:
     """
 
     band: Band
-    derived: tuple[DerivedRow, ...]
+    derived: Rows
     system: System
     compared: Compared | None = None
-    design: tuple[DesignRow, ...] = ()
+    design: Rows = ()
     judged: str = ""
     disagrees: bool = False
 
@@ -117,7 +117,7 @@ def predict(out: Path, question: Question) -> Answer:
     if far and not question.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
     drawn = measured if question.compare else trace
-    design: tuple[DesignRow, ...] = ()
+    design: Rows = ()
     with unchanged(run.folder, run.manifest):
         asked = measured if question.given else trace, question.kind, question.probability
         how: dict[str, Any] = {
@@ -142,10 +142,10 @@ def predict(out: Path, question: Question) -> Answer:
         judged, disagrees = compared.judged(rows), compared.disagrees(rows)
     answer = Answer(
         band,
-        tuple(convert_row(row, run.system) for row in rows),
+        convert_rows(rows, run.system),
         run.system,
         compared,
-        tuple(convert_row(row, run.system) for row in design),
+        convert_rows(design, run.system),
         judged,
         disagrees,
     )
@@ -238,7 +238,8 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
     derived = predicted_csv(answer.derived, question.actuation, question.probability)
     write_text(question.beside("derived.csv"), derived)
     if answer.design:
-        write_text(question.beside("design.csv"), design_csv(answer.design, question.actuation))
+        design = design_csv(answer.design, question.actuation, question.probability)
+        write_text(question.beside("design.csv"), design)
     else:
         remove_file(question.beside("design.csv"))  # it is of an earlier question
     if not question.figures:

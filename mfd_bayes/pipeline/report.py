@@ -13,7 +13,7 @@ from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.conversion import convert_scores, system_of
+from mfd_bayes.reporting.conversion import convert_scores
 from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
@@ -69,14 +69,14 @@ def write_report(
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
-    publish(view, run.folder, processes, observe, forms, sheet, run.model)
+    publish(view, run.folder, processes, observe, forms, sheet)
     return view
 
 
 def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
     """Scores of what was left out in the units of the campaign, and its unit of force."""
-    system, found = system_of(view), view.left_out
-    return found and convert_scores(found, system.factor("kip")), system.force
+    scores, system = view.left_out, view.system
+    return scores and convert_scores(scores, system.factor("kip")), system.force
 
 
 def check(out: Path, units: str = "") -> CampaignView:

@@ -18,19 +18,13 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-# samples of a stroke after a turn, up to `REACH` times the gap, and in the rest of the stroke
-DENSE, LOOSE = 14, 8
-
+DENSE, LOOSE = 14, 8  # samples of a stroke up to `REACH` times the gap, and in the rest
 REACH = 2.5
-
 LEAD = 4  # every so many samples of a stroke are enough before the loop
-
 FAST = (0.4, 0.8)
 SLOW = (0.92, 1.0)  # shares of a stroke: slip near the peak speed, and slip just before the turn
 IN_GAP = 0.4  # share of the typical gap at which the force in the gap is read
-
-# shares of the slip force that the force reaches after a turn, as in reading a loop by eye
-RISES = (0.3, 0.5, 0.8)
+RISES = (0.3, 0.5, 0.8)  # shares of the slip force that the force reaches after a turn
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.records.measured import MeasuredCycles
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.lock import other_owner
 from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST, POPULATION, folder_of
 from mfd_bayes.runs.scores import CampaignCrossValidation, Comparison

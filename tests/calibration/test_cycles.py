@@ -15,7 +15,7 @@ from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.errors import RecordError
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.records.measured import cycle_values
+from mfd_bayes.records.loops import cycle_values
 from mfd_bayes.records.trace import Trace
 
 X = 1.3  # in

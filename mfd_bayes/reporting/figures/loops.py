@@ -24,7 +24,7 @@ from mfd_bayes.records.motion import HYSTERESIS, turning_points
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.tested_range import conditions
 from mfd_bayes.runs.unit_system import US, System
 
@@ -34,6 +34,7 @@ TURNS = 24
 """Most turning points of a record that is shown in one column, without the strongest motion."""
 PANELS = 60
 """Most panels of an overview."""
+NAMES = Symbols()
 _NOT_FITTED, _GIVEN = "#eeeeee", "#fff3d6"
 
 
@@ -54,7 +55,13 @@ class Marks:
 
 
 @look.style()
-def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: System = US) -> Figure:
+def draw_loops(
+    title: str,
+    trace: Trace,
+    fans: Sequence[Fan] = (),
+    system: System = US,
+    symbols: Symbols = NAMES,
+) -> Figure:
     """Force against displacement and against velocity, over bands, the widest fan first.
 
     Trace and fans are in the units of `system`.
@@ -64,9 +71,9 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: Syste
     _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
     span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
     _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
-    left.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
+    left.set(xlabel=symbols.motion(system), ylabel=symbols.response(system))
     left.set_title("Force–displacement")
-    right.set(xlabel=f"velocity, {system.velocity}", ylabel=f"force, {system.force}")
+    right.set(xlabel=f"velocity, {system.velocity}", ylabel=symbols.response(system))
     right.set_title("Force–velocity")
     _legend(figure, fans, measured=trace.force is not None)
     return figure
@@ -79,6 +86,7 @@ def draw_history(
     fans: Sequence[Fan] = (),
     system: System = US,
     marks: Marks = Marks(),
+    symbols: Symbols = NAMES,
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
@@ -108,7 +116,8 @@ def draw_history(
             _mark(axes, trace.time, window, marks)
         column[-1].set_xlabel("time, s")
         column[-1].margins(x=0.005)
-    names = (f"displ., {system.length}", f"force, {system.force}", f"residual, {system.force}")
+    below = symbols.response(system), symbols.response(system, "residual")
+    names = (f"displ., {system.length}", *below)
     for axes, name in zip(grid[:, 0], names, strict=False):
         axes.set_ylabel(name)
     if len(windows) > 1:
@@ -120,7 +129,11 @@ def draw_history(
 
 @look.style()
 def draw_overview(
-    title: str, tests: Sequence[TestView], system: System = US, actuation_unit: str = "ksi"
+    title: str,
+    tests: Sequence[TestView],
+    system: System = US,
+    actuation_unit: str = "ksi",
+    symbols: Symbols = NAMES,
 ) -> Figure:
     """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
 
@@ -140,9 +153,9 @@ def draw_overview(
         axes.set_visible(True)
         _draw_panel(axes, test)
         if (row + 1, column) not in places:
-            axes.set_xlabel(f"displacement, {system.length}")
+            axes.set_xlabel(symbols.motion(system))
         if (row, column - 1) not in places:
-            axes.set_ylabel(f"force, {system.force}")
+            axes.set_ylabel(symbols.response(system))
             axes.tick_params(labelleft=True)
     if shown:
         _legend(figure, [shown[0].observation], measured=True)
@@ -194,7 +207,7 @@ def draw_band(axes: Any, fan: Fan, time: Array, displacement: Array | None, syst
     else:
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
         _draw_loop(axes, [fan], displacement, turns)
-    below = "time, s" if displacement is None else f"displacement, {system.length}"
+    below = "time, s" if displacement is None else NAMES.motion(system)
     return _labelled(axes, below, fan, system)
 
 
@@ -202,17 +215,11 @@ def draw_measured(axes: Any, trace: Trace, fan: Fan, system: System) -> Axes:
     """Axes with the measured loops of a trace over a band, both in the units of a system."""
     axes = _checked_axes(axes)
     _draw_loop(axes, [fan], trace.displacement, trace.turning_points, trace.force)
-    return _labelled(axes, f"displacement, {system.length}", fan, system)
+    return _labelled(axes, NAMES.motion(system), fan, system)
 
 
 def _checked_axes(axes: Any) -> Axes:
-    """The axes that are given, or those of a new figure.
-
-    Raises
-    ------
-    ReportError
-        When something else is given.
-    """
+    """The axes that are given, or those of a new figure."""
     if axes is None:
         pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
         figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
@@ -223,7 +230,7 @@ def _checked_axes(axes: Any) -> Axes:
 
 
 def _labelled(axes: Axes, below: str, fan: Fan, system: System) -> Axes:
-    axes.set(xlabel=below, ylabel=f"force, {system.force}")
+    axes.set(xlabel=below, ylabel=NAMES.response(system))
     axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
 
