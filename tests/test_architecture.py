@@ -8,8 +8,6 @@ from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 PACKAGE = Path(__file__).parents[1] / "mfd_bayes"
 
 # From the edge of files to the edge of people: a room may import from those before it in this
@@ -30,11 +28,8 @@ ROOMS = (
     "pipeline",
     "cli",
 )
-
-RUN_CODE = ("pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml")
+RUN_CODE = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml"}
 """Libraries whose files may hold code: what we read is data."""
-
-MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
 def module_of(path: Path) -> str:
@@ -42,31 +37,28 @@ def module_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+TREES = {module_of(path): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
+
+
 @cache
-def imports_of(path: Path, *, annotations: bool = True) -> tuple[str, ...]:
-    """Names that a file imports; without `annotations`, those alone that it needs to run."""
+def imports_of(module: str, *, annotations: bool = True) -> tuple[str, ...]:
+    """Names that a module imports; without `annotations`, those alone that it needs to run."""
     names: list[str] = []
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    if not annotations:
-        tree.body = [node for node in tree.body if not is_for_annotations(node)]
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    for statement in TREES[module].body:
+        if not annotations and ast.unparse(statement).startswith("if TYPE_CHECKING:"):
+            continue
+        for node in ast.walk(statement):
+            if isinstance(node, ast.Import):
+                names += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                names += [f"{node.module}.{alias.name}" for alias in node.names]
     return tuple(names)
 
 
-def is_for_annotations(node: ast.stmt) -> bool:
-    """Whether a statement is `if TYPE_CHECKING:`."""
-    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-
-
-def files_of(names: tuple[str, ...]) -> set[str]:
-    """The files of the package that names stand in: `mfd_bayes.a.b.C` in `mfd_bayes.a.b`."""
-    known = set(map(module_of, MODULES)) - {"mfd_bayes"}
-    whole = {name if name in known else name.rpartition(".")[0] for name in names}
-    return whole & known
+def modules_of(names: tuple[str, ...]) -> set[str]:
+    """The package's modules that names stand in: `mfd_bayes.a.b.C` in `mfd_bayes.a.b`."""
+    known = set(TREES) - {"mfd_bayes"}
+    return {name if name in known else name.rpartition(".")[0] for name in names} & known
 
 
 def place_of(module: str) -> int:
@@ -75,31 +67,8 @@ def place_of(module: str) -> int:
     return ROOMS.index(first) if first in ROOMS else -1
 
 
-def test_every_file_has_a_room() -> None:
-    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    assert folders == set(ROOMS)
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_room_says_what_it_is_for(room: str) -> None:
-    tree = ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree, clean=True).splitlines()[0].endswith(".")  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize("path", MODULES, ids=module_of)
-def test_imports_run_one_way(path: Path) -> None:
-    module = module_of(path)
-    if module in ("mfd_bayes", "mfd_bayes.__main__"):  # the names of Python, the command
-        return
-    for file in files_of(imports_of(path)):
-        same = file.split(".")[1] == module.split(".")[1]
-        assert same or place_of(file) < place_of(module) or place_of(file) == -1, (
-            f"{module} may not import {file}"
-        )
-
-
 def circle_in(imports: dict[str, set[str]]) -> list[str]:
-    """Files that import each other, in a circle; empty where none do."""
+    """Modules that import each other, in a circle; empty where none do."""
     try:
         TopologicalSorter(imports).prepare()
     except CycleError as error:
@@ -107,70 +76,61 @@ def circle_in(imports: dict[str, set[str]]) -> list[str]:
     return []
 
 
-def test_no_two_files_import_each_other() -> None:
-    needed = {path: imports_of(path, annotations=False) for path in MODULES}
-    imports = {module_of(path): files_of(names) for path, names in needed.items()}
-    for room in list(imports):  # a room's __init__ imports what it offers
-        imports[room] -= {room}
-    assert circle_in(imports) == []
-
-
-def test_a_circle_would_be_seen() -> None:
-    assert circle_in({"a": {"b"}, "b": {"c"}, "c": {"a"}})
-
-
-def calls_of(text: str) -> set[str]:
+def calls_of(tree: ast.AST) -> set[str]:
     """Names of functions that are called by their name alone, and of keyword arguments."""
-    calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     names = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
     return names | {str(keyword.arg) for call in calls for keyword in call.keywords}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_of)
-def test_nothing_that_is_read_is_run(path: Path) -> None:
-    libraries = {name.split(".")[0] for name in imports_of(path)}
-    assert not libraries & set(RUN_CODE)
-    found = calls_of(path.read_text(encoding="utf-8"))
-    assert not found & {"eval", "exec", "compile", "__import__", "allow_pickle"}
+def test_every_file_has_a_room_which_says_what_it_is_for() -> None:
+    assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(ROOMS)
+    for room in ROOMS:
+        assert (ast.get_docstring(TREES[f"mfd_bayes.{room}"]) or "").partition("\n")[0][-1] == "."
 
 
-def test_what_is_run_would_be_seen() -> None:
-    assert {"eval", "allow_pickle"} <= calls_of("np.load(eval(x), allow_pickle=True)")
+def test_imports_run_one_way() -> None:
+    outer = {"mfd_bayes", "mfd_bayes.__main__"}  # the names of Python, and the command
+    against = [
+        f"{module} imports {other}"
+        for module in set(TREES) - outer
+        for other in modules_of(imports_of(module))
+        if place_of(other) > place_of(module)
+    ]
+    assert against == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_of)
-def test_regular_expressions_are_read_alike_by_every_python(path: Path) -> None:
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    texts = [n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
-    assert not [text for text in texts if never_back(text)]
+def test_no_two_files_import_each_other() -> None:
+    imports = {name: modules_of(imports_of(name, annotations=False)) - {name} for name in TREES}
+    assert circle_in(imports) == []
+    assert circle_in({"a": {"b"}, "b": {"c"}, "c": {"a"}})  # one would be seen
 
 
-def never_back(text: str) -> bool:
-    """Whether a text has a possessive quantifier or an atomic group: Python 3.11.2 errs there."""
-    return re.search(r"[+*?}]\+|\(\?>", text) is not None
+def test_nothing_that_is_read_is_run() -> None:
+    for module, tree in TREES.items():
+        assert not {name.split(".")[0] for name in imports_of(module)} & RUN_CODE, module
+        run = {"eval", "exec", "compile", "__import__", "allow_pickle"} & calls_of(tree)
+        assert not run, module
+    assert {"eval", "allow_pickle"} <= calls_of(ast.parse("np.load(eval(x), allow_pickle=True)"))
 
 
-def test_what_is_read_otherwise_would_be_seen() -> None:
-    assert all(map(never_back, (r"\d++(?:[.p]\d++)?+", r"(?>\d)", "a{2}+")))
+def test_regular_expressions_are_read_alike_by_every_python() -> None:
+    # Python 3.11.2 errs in possessive quantifiers and atomic groups
+    never = re.compile(r"[+*?}]\+|\(\?>")
+    for module, tree in TREES.items():
+        texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)]
+        assert not [t for t in texts if isinstance(t, str) and never.search(t)], module
+    assert all(map(never.search, (r"\d++(?:[.p]\d++)?+", r"(?>\d)", "a{2}+")))
 
 
 def test_the_command_line_computes_nothing() -> None:
-    names = [name for path in PACKAGE.glob("cli/*.py") for name in imports_of(path)]
-    rooms = {file.split(".")[1] for file in files_of(tuple(names))} & set(ROOMS)
-    shown = {"runs", "evaluation", "reporting", "campaign"}  # whose results are printed
-    assert rooms <= {"pipeline", "cli", "jobs"} | shown
-
-
-def test_no_module_is_a_drawer() -> None:
-    names = {path.stem for path in MODULES}
-    assert not names & {"utils", "helpers", "common", "misc"}
+    names = [name for module in TREES if ".cli" in module for name in imports_of(module)]
+    rooms = {module.split(".")[1] for module in modules_of(tuple(names))} & set(ROOMS)
+    assert rooms <= {"pipeline", "cli", "jobs", "runs", "evaluation", "reporting", "campaign"}
 
 
 def test_import_is_quick_and_starts_nothing() -> None:
-    code = (
-        "import sys, time; began = time.perf_counter(); import mfd_bayes;"
-        "heavy = {'numpy', 'scipy', 'emcee', 'arviz', 'matplotlib', 'pandas'} & set(sys.modules);"
-        "print(sorted(heavy))"
-    )
+    heavy = {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}
+    code = f"import sys, mfd_bayes; print({heavy!r} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.strip() == "set()"

@@ -216,12 +216,6 @@ def test_words_that_no_command_printed_fail_with_their_line(folder):
         reader.run(words)
 
 
-def test_a_title_that_says_so_keeps_a_block_from_being_run():
-    text = f'```bash title="takes hours, {NOT_RUN}"\nfalse\n```\n'
-    (block,) = blocks_of("page.md", text)
-    assert NOT_RUN in block.title
-
-
 def test_the_reference_of_the_campaign_file_has_every_table_and_each_key_a_meaning():
     text = PAGES["campaign.md"].read_text(encoding="utf-8")
     tables = re.findall(r"^\{\{ keys of (\w+) \}\}$", text, re.MULTILINE)
@@ -255,10 +249,11 @@ def test_a_building_that_is_shown_has_the_periods_that_are_stated(tmp_path):
     assert building.devices
 
 
-@pytest.mark.parametrize("target", ["r_hat", "ess", "length"])
-def test_the_targets_of_sampling_are_the_efforts(target):
-    stated = " / ".join(f"{getattr(EFFORTS[name], target):g}" for name in EFFORTS)
-    assert f"| {stated} |" in PAGES["report.md"].read_text(encoding="utf-8")
+def test_the_targets_of_sampling_are_the_efforts():
+    text = PAGES["report.md"].read_text(encoding="utf-8")
+    for target in ("r_hat", "ess", "length"):
+        stated = " / ".join(f"{getattr(EFFORTS[name], target):g}" for name in EFFORTS)
+        assert f"| {stated} |" in text
 
 
 def test_every_public_name_is_in_the_reference():
@@ -277,20 +272,15 @@ def test_the_citation_is_that_of_the_package():
     ]
 
 
-@pytest.mark.parametrize("page", sorted(PAGES))
-def test_names_and_commands_exist(page):
-    text = PAGES[page].read_text(encoding="utf-8")
-    names = set(re.findall(r"\bmb\.([A-Za-z_]\w*)", text))
-    assert names <= {*mb.__all__, "__all__", "__version__"}
-    commands = set(re.findall(r"(?:^|`)mfd-bayes ([a-z][a-z-]+)", text, re.MULTILINE))
-    assert commands <= set(get_command(app).commands)
-
-
-@pytest.mark.parametrize("page", sorted(PAGES.keys() - {"README.md"}))
-def test_files_of_the_project_that_are_linked_are_there(page):
-    text = PAGES[page].read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(\.\./\.\./([^)]+)\)", text):
-        assert (ROOT / target).is_file(), target
+def test_names_commands_and_files_that_are_named_exist():
+    for page, path in PAGES.items():
+        text = path.read_text(encoding="utf-8")
+        names = set(re.findall(r"\bmb\.([A-Za-z_]\w*)", text))
+        assert names <= {*mb.__all__, "__all__", "__version__"}, page
+        commands = set(re.findall(r"(?:^|`)mfd-bayes ([a-z][a-z-]+)", text, re.MULTILINE))
+        assert commands <= set(get_command(app).commands), page
+        for target in re.findall(r"\]\(\.\./\.\./([^)]+)\)", text):
+            assert (ROOT / target).is_file(), f"{page}: {target}"
 
 
 @pytest.fixture(scope="module")
@@ -313,32 +303,16 @@ def site(tmp_path_factory):
 
 
 @needs_docs
-def test_the_site_is_built_without_a_warning(site):
-    assert (site / "index.html").is_file()
-    assert {path.with_suffix(".md").name for path in site.glob("*.html")} >= PAGES.keys() - {
-        "README.md"
-    }
-
-
-@needs_docs
-def test_no_page_loads_anything_from_elsewhere(site):
+def test_the_site_is_built_and_loads_nothing_from_elsewhere(site):
+    pages = {path.with_suffix(".md").name: path.read_text("utf-8") for path in site.glob("*.html")}
+    assert pages.keys() >= PAGES.keys() - {"README.md"}
     loads = r'<(?:script|img|iframe|link)\b[^>]*(?:src|href)="(?:https?:)?//[^"]+"'
-    for page in site.glob("*.html"):
-        assert not re.findall(loads, page.read_text(encoding="utf-8")), page.name
-
-
-@needs_docs
-def test_formulas_are_shown_without_a_script(site):
-    html = (site / "model.html").read_text(encoding="utf-8")
-    assert html.count("<math") > 30
-    assert "arithmatex" not in html
-
-
-@needs_docs
-def test_the_commands_are_those_there_are(site):
-    html = (site / "commands.html").read_text(encoding="utf-8")
+    for page, html in pages.items():
+        assert not re.findall(loads, html), page
+    assert pages["model.md"].count("<math") > 30  # formulas are shown without a script
+    assert "arithmatex" not in pages["model.md"]
     for command in get_command(app).commands:
-        assert f"<code>mfd-bayes {command}</code>" in html
+        assert f"<code>mfd-bayes {command}</code>" in pages["commands.md"]
 
 
 @needs_docs

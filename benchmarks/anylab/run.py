@@ -1,11 +1,14 @@
-"""Four devices from 10 N to 2 MN: init, calibrate and report, with nothing written by hand.
+"""Is a device of any size calibrated with nothing written by hand? Four devices, 10 N to 2 MN.
 
-    python -m benchmarks.anylab.run [NUMBER OF THE DEVICE]
+    python -m benchmarks.anylab.run > benchmarks/anylab/anylab.txt
 
-prints a line for each device: how long it takes, what `init` guessed, how many of the true values
-that the data inform lie inside their 95 % intervals, and the slip force in the units of the report.
-
+takes a quarter of an hour (--quick: the first device). A line for each device, whose logger's files
+go through init, prior-check and calibrate: how long it takes, how much of the force the drafted
+priors hold, how many of the true values that the data inform lie inside their 95 % intervals, and
+the slip force in the units of the report.
 """
+
+from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import subprocess
 import sys
@@ -19,8 +22,9 @@ from tests.pipeline.devices import DEVICES, Device, complete, write_device
 
 
 def main() -> None:
-    chosen = DEVICES[int(sys.argv[1])] if len(sys.argv) > 1 else None
-    for device in DEVICES if chosen is None else (chosen,):
+    options = common.parser_of(__doc__ or "").parse_args()
+    common.heading((__doc__ or "").splitlines()[0])
+    for device in DEVICES[:1] if options.quick else DEVICES:
         with tempfile.TemporaryDirectory() as folder:
             print(line_of(device, Path(folder)), flush=True)
 

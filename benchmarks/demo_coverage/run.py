@@ -1,15 +1,14 @@
-"""How often the demo's 95 % intervals hold the true value, and its bands a test left out.
+"""How often do the demo's 95 % intervals hold the true value, and its bands a test left out?
 
-    python -m benchmarks.demo_coverage.run [SEEDS] > benchmarks/demo_coverage/demo_coverage.txt
+    python -m benchmarks.demo_coverage.run > benchmarks/demo_coverage/demo_coverage.txt
 
-runs `mfd-bayes demo --quick` with the seeds 1 to SEEDS (5): about ten minutes on two cores.
-
+runs `mfd-bayes demo --quick` with --seeds seeds (5): ten minutes on two cores (--quick: one seed).
 One test left out says little of a band: its slip force lies at one place in its scatter, for all of
 its samples. So the share of samples inside is given for the demo's own test, for `FURTHER` more
 tests drawn from the same truth, and, beside each, for a band that knows the truth.
 """
 
-from __future__ import annotations
+from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import csv
 import subprocess
@@ -22,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.machine import platform_line
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
 from mfd_bayes.evaluation.summary import assess
 from mfd_bayes.evaluation.views import CampaignView
@@ -82,10 +80,10 @@ def predicted(run: Run, seed: int) -> tuple[Array, Array]:
 
 def demo(seed: int, true: Array, further: Array) -> Seed:
     """Run the demo with a seed and read it."""
-    command = str(Path(sys.executable).parent / "mfd-bayes")
+    command = [sys.executable, "-m", "mfd_bayes"]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
-        words = [command, "demo", str(out), "--quick", "--seed", str(seed)]
+        words = [*command, "demo", str(out), "--quick", "--seed", str(seed)]
         subprocess.run(words, check=True, capture_output=True)
         run = open_run(out)
         draws, force = predicted(run, seed)
@@ -98,11 +96,14 @@ def shares(values: list[float]) -> str:
 
 
 def main() -> None:
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    parser = common.parser_of(__doc__ or "")
+    parser.add_argument("--seeds", type=int, default=5)
+    options = parser.parse_args()
+    seeds = 1 if options.quick else options.seeds
+    common.heading((__doc__ or "").splitlines()[0])
     hits: Counter[str] = Counter()
     known: Counter[str] = Counter()
     true, further = drawn(TRUE, 1001), drawn(FURTHER, 1002)
-    print(f"demo --quick, {platform_line()}")
     titles = ("its test left out", "truth's band", f"{FURTHER} more")
     print(f"{'':32s}" + "".join(f"{title:>18s}" for title in titles))
     print(f"{'seed':>6}{'inside':>9}{'known':>8}{'share':>9}" + "      50 %    95 %" * 3)
@@ -110,10 +111,10 @@ def main() -> None:
     for seed in range(1, seeds + 1):
         one = demo(seed, true, further)
         found.append(one)
-        rows = [row for row in one.view.truth if row.informed]
-        known.update(row.name for row in rows)
-        hits.update(row.name for row in rows if row.inside)
-        held = sum(row.inside for row in rows)
+        rows = [row for row in one.view.truth if row["informed"]]
+        known.update(row["name"] for row in rows)
+        hits.update(row["name"] for row in rows if row["inside"])
+        held = sum(row["inside"] for row in rows)
         line = f"{seed:6d}{held:9d}{len(rows):8d}{held / len(rows):9.1%}"
         columns = (one.own, one.known, one.further)
         print(line + "  ".join(["", *map(shares, columns)]), one.view.verdict, flush=True)

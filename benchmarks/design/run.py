@@ -1,31 +1,21 @@
-"""Whether bounding properties of design hold the energies and slip forces of tests left out.
+"""Do bounding properties of design hold the energies and slip forces of tests left out?
 
     python -m benchmarks.design.run > benchmarks/design/design.txt
 
-calibrates the 2022 session of the band brake, leaves out each tension in turn, infers the laws
-from the others, and bounds the properties of each test left out, for its own motion and tension, as
-`mfd-bayes predict --design` does. The share of the tests' own values inside the bounds of "this
-device tested again" should be the stated probability: energies and peak forces as measured in the
-record, slip forces as the test's own calibration has them. Ten tests can tell 95 % from 60 %, not
-from 85 %: the table gives the range that chance alone allows. Most tensions have two tests, which
-are predicted together: the range is that of tests that lie inside or not together.
-
-The calibrated run stays in out_design/, so that a second run does not sample it again; delete the
-folder when records or code have changed. --smallest takes three tests and little effort
-(benchmarks/design/smallest.txt): two levels are too few for bounds. The real records come from
---data (MFD_BAYES_DATA, ../shared/data).
+calibrates the 2022 session of the band brake (half an hour on two cores; --quick: three tests with
+little effort, three minutes), leaves out each tension in turn, infers the laws from the others, and
+bounds the properties of each test left out, for its own motion and tension, as `mfd-bayes predict
+--design` does. The share of the tests' own values inside the bounds of "this device tested again"
+should be the stated probability: energies and peak forces as measured, slip forces as the test's
+own calibration has them. The range that chance allows is that of tests of one tension that lie
+inside or not together. The calibrated run stays in --out: delete it when records or code have
+changed. Real records come from --data.
 """
 
-from __future__ import annotations
-
-import os
-
-# Read when numpy is imported.
-os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import argparse
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,17 +23,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common.data import PROJECT, add_data_option
-from benchmarks.heldout import records
 from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
-from mfd_bayes.evaluation.design import DesignRow, design_rows
+from mfd_bayes.evaluation.design import design_rows
 from mfd_bayes.evaluation.properties import measured_of, measured_properties
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.run import Run
 
-SESSION = "2022-07"
 SMALLEST = ("20lb_0.50Hz_1.0in", "35lb_0.50Hz_1.0in", "80lb_0.50Hz_1.0in")
 PROBABILITIES = (0.5, 0.8, 0.95)
 BASIS = {
@@ -72,7 +59,7 @@ def without(run: Run, fold: Fold, effort: str) -> Run:
     return others
 
 
-def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, DesignRow]]:
+def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, dict]]:
     """Test, probability, own value and bounds of every property of every test left out."""
     for fold in folds_of(run, "level", effort):
         others = without(run, fold, effort)
@@ -80,21 +67,22 @@ def bounded(run: Run, effort: str) -> Iterator[tuple[str, float, float, DesignRo
             own = own_values(run, name)
             trace = replace(run.tests[name].trace, force=None)
             for probability in PROBABILITIES:
-                rows = {(r.name, r.basis): r for r in design_rows(others, trace, probability)}
+                rows = {(r["name"], r["basis"]): r for r in design_rows(others, trace, probability)}
                 for what, basis in BASIS.items():
                     yield name, probability, own[what], rows[what, basis]
         print(f"without {fold.part}: done", file=sys.stderr, flush=True)
 
 
-def show(found: list[tuple[str, float, float, DesignRow]]) -> None:
+def show(found: list[tuple[str, float, float, dict]]) -> None:
     """Print the bounds of every test, and the shares inside."""
     print(f"\n  {'test':24s} {'property':18s} {'own':>7s}  bounds of 95 %     λ min  λ max  inside")
     for name, probability, own, row in found:
         if probability == PROBABILITIES[-1]:
-            inside = row.lower <= own <= row.upper
+            inside = row["lower"] <= own <= row["upper"]
             print(
-                f"  {name:24s} {row.name:18s} {own:7.3f}  {row.lower:7.3f} to {row.upper:7.3f}  "
-                f"{row.lambda_min:5.2f}  {row.lambda_max:5.2f}  {'yes' if inside else 'NO'}"
+                f"  {name:24s} {row['name']:18s} {own:7.3f}  "
+                f"{row['lower']:7.3f} to {row['upper']:7.3f}  "
+                f"{row['lambda_min']:5.2f}  {row['lambda_max']:5.2f}  {'yes' if inside else 'NO'}"
             )
     print("\n  share of tests inside the bounds (number that chance allows in 95 of 100 cases,")
     print("  where the tests of one tension, predicted together, lie inside or outside together)")
@@ -102,8 +90,8 @@ def show(found: list[tuple[str, float, float, DesignRow]]) -> None:
     for what in BASIS:
         cells = []
         for probability in PROBABILITIES:
-            those = [row for row in found if row[1] == probability and row[3].name == what]
-            hits = [r.lower <= own <= r.upper for _, _, own, r in those]
+            those = [row for row in found if row[1] == probability and row[3]["name"] == what]
+            hits = [r["lower"] <= own <= r["upper"] for _, _, own, r in those]
             low, high = chance([name.split("_")[0] for name, *_ in those], probability)
             cells.append(f"{sum(hits):2d} of {len(hits):2d} ({low} to {high})")
         print(f"  {what:18s} " + "  ".join(f"{cell:>14s}" for cell in cells))
@@ -121,35 +109,25 @@ def chance(groups: list[str], probability: float) -> tuple[int, int]:
 
 def finished(options: argparse.Namespace) -> Run:
     """Calibrated run of the session, or of three of its tests."""
-    name = "smallest" if options.smallest else options.effort
-    place = options.out / f"campaign_{name}"
-    campaign = records.lay_out(
-        options.data / "brfd", place, SESSION, records.Kind("staged", "three_stage")
-    )
-    if options.smallest:
+    out = options.out / ("quick" if options.quick else "standard")
+    campaign = common.lay_out(options.data, options.out / f"campaign_{out.name}", "2022-07")
+    if options.quick:
         head, *tests = campaign.read_text(encoding="utf-8").split("\n[[test]]")
         kept = [test for test in tests if any(f'"{known}"' in test for known in SMALLEST)]
         campaign.write_text("\n[[test]]".join([head, *kept]), encoding="utf-8")
-    out = options.out / name
-    chosen = Options(effort=options.effort, seed=1, jobs=options.jobs, resume=out.exists())
+    chosen = Options(effort=out.name, seed=options.seed, jobs=options.jobs, resume=out.exists())
     return calibrate(plan_campaign(campaign, chosen), out, lambda _: None)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add_data_option(parser)
-    parser.add_argument("--out", type=Path, default=PROJECT / "out_design")
-    parser.add_argument("--effort", default="standard")
-    parser.add_argument("--jobs", type=int, default=0)
-    parser.add_argument("--smallest", action="store_true", help="three tests, little effort")
+    parser = common.parser_of(__doc__ or "", data=True)
+    parser.add_argument("--out", type=Path, default=common.PROJECT / "out_design")
+    parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    if options.smallest:
-        options.effort = "quick"
-    began = time.perf_counter()
+    common.heading((__doc__ or "").splitlines()[0])
     run = finished(options)
-    print(f"{SESSION}: {len(run.tests)} tests, each tension left out, effort {options.effort}")
-    show(list(bounded(run, options.effort)))
-    print(f"\n  {time.perf_counter() - began:.0f} s")
+    print(f"{len(run.tests)} tests, each tension left out")
+    show(list(bounded(run, "quick" if options.quick else "standard")))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from scipy import stats
 from scipy.special import ndtri
 
 import mfd_bayes as mb
-from benchmarks.common.data import data_folder
+from benchmarks.common import data_folder
 from mfd_bayes.calibration.priors import Prior, PriorFile
 
 RECORDS = ["2023_36lb_0.50Hz_1.0in", "2023_36lb_0.25Hz_0.5in"]

@@ -1,4 +1,4 @@
-"""The three-stage model as users of other tools would write it, to race against ours.
+"""The three-stage model as users of other tools would write it: numba, JAX, solve_ivp.
 
 Every peer does the same arithmetic as `mfd_bayes.friction` on the same path: LuGre friction by
 its exact step, the gap as a play operator that changes only at turning points, the three
@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
 from scipy.integrate import solve_ivp
-
-jax.config.update("jax_enable_x64", True)
 
 FLOOR = 1e-9
 """Smallest slip force, kip, as ours has it."""
@@ -69,9 +67,6 @@ class Motion:
         headings = self.direction * (-1.0) ** np.arange(1, self.turns.size + 1)
         arrays |= {"stretch": self.stretch, "headings": headings}
         return jax.device_put(arrays | {"direction": float(self.direction)})
-
-
-# Scalar loops: the same source is the plain Python loop and, compiled, numba's.
 
 
 def _lugre(p, dx, rate, v, out):
@@ -137,22 +132,9 @@ def _compile(jit):
     return jit(_lugre), jit(cross)
 
 
-def python_loop(theta, motion, start):
-    """Force by a plain Python loop over lists of floats."""
-    lugre, cross = _compile(lambda function: function)
-    dx, rate, x, v = (a.tolist() for a in (motion.dx, motion.rate, motion.x, motion.v))
-    turns, forces = motion.turns.tolist(), []
-    for p, w0 in zip(theta.tolist(), start.tolist(), strict=True):
-        out = [0.0] * len(x)
-        lugre(p, dx, rate, v, out)
-        cross(p, w0, x, turns, motion.direction, out)
-        forces.append(out)
-    return np.array(forces)
-
-
-def numba_loop(*, fastmath):
+def numba_loop():
     """Peer that loops in numba over vectors and samples, compiled when it is first called."""
-    jit = numba.njit(fastmath=fastmath, error_model="numpy")
+    jit = numba.njit(fastmath=True, error_model="numpy")
     lugre, cross = _compile(jit)
 
     @jit
@@ -220,16 +202,7 @@ def _scanned(decay, drive):
     return jax.lax.scan(step, 0.0, (decay, drive))[1]
 
 
-def _associated(decay, drive):
-    """States of z' = decay z + drive by lax.associative_scan, (P - 1,)."""
-
-    def join(first, then):
-        return then[0] * first[0], then[0] * first[1] + then[1]
-
-    return jax.lax.associative_scan(join, (decay, drive))[1]
-
-
-def _jax_slip(p, m, solve):
+def _jax_slip(p, m):
     """F1 of one vector, (P,)."""
     sigma0, sigma1, sigma2, v_s = p[0], p[1], p[2], p[13]
     forward = m["rate"] >= 0
@@ -237,7 +210,7 @@ def _jax_slip(p, m, solve):
     level = kinetic + (static - kinetic) * jnp.exp(-((m["rate"] / v_s) ** 2))
     reach = sigma0 / jnp.maximum(level, FLOOR)
     decay = jnp.exp(-reach * jnp.abs(m["dx"]))
-    z = solve(decay, (1.0 - decay) * jnp.sign(m["dx"]) / reach)
+    z = _scanned(decay, (1.0 - decay) * jnp.sign(m["dx"]) / reach)
     z, reach = jnp.append(0.0, z), jnp.append(reach[0], reach)
     return (sigma0 - sigma1 * reach * jnp.abs(m["v"])) * z + (sigma1 + sigma2) * m["v"]
 
@@ -247,13 +220,13 @@ def _jax_blend(u, side, slip, gap):
     k2, k3, d2, width, ell = gap
     force = slip + jnp.tanh(jnp.maximum(u, 0.0) * (0.5 / ell)) * (side * k2 * u - slip)
     build_up = side * (k2 * d2 + k3 * (u - d2))
-    force += (build_up - force) / (1.0 + jnp.exp((d2 - u) / ell))
-    return force + (slip - force) / (1.0 + jnp.exp((width - u) / ell))
+    force += (build_up - force) * jax.nn.sigmoid((u - d2) / ell)  # 1/(1 + exp) has no gradient
+    return force + (slip - force) * jax.nn.sigmoid((u - width) / ell)
 
 
-def _jax_force(p, start, m, solve):
+def jax_force(p, start, m):
     """Force of one vector, (P,)."""
-    slip = _jax_slip(p, m, solve)
+    slip = _jax_slip(p, m)
     width, ell = p[9] + p[10], p[12] / p[11]
     gap = (p[7], p[8], p[9], width, ell)
 
@@ -280,16 +253,13 @@ def _jax_force(p, start, m, solve):
     return _jax_blend(u, side, slip, gap) + carry * fade(u)
 
 
-def jax_batch(*, associative, chunk=None):
-    """Peer in JAX, jit and vmap, `chunk` vectors at a time (all when left out)."""
-    solve = _associated if associative else _scanned
-    batch = jax.jit(jax.vmap(partial(_jax_force, solve=solve), in_axes=(0, 0, None)))
+def jax_batch(chunk):
+    """Peer in JAX, jit and vmap, `chunk` vectors at a time."""
+    batch = jax.jit(jax.vmap(jax_force, in_axes=(0, 0, None)))
 
     def force(theta, motion, start):
-        m = motion.on_device
-        size = chunk or len(theta)
-        starts = range(0, len(theta), size)
-        parts = [np.asarray(batch(theta[i : i + size], start[i : i + size], m)) for i in starts]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        m, starts = motion.on_device, range(0, len(theta), chunk)
+        parts = [batch(theta[i : i + chunk], start[i : i + chunk], m) for i in starts]
+        return np.concatenate([np.asarray(part) for part in parts])
 
     return force

@@ -1,35 +1,24 @@
-"""Golden numbers: what the package computes today, to compare a rebuilt one with.
+"""Does a rebuilt package compute the same numbers? Golden arrays of forces, densities and draws.
 
+    python -m benchmarks.golden.make --check     # minutes: makes them again, and compares
     python -m benchmarks.golden.make             # makes golden.npz beside this file
-    python -m benchmarks.golden.make --check     # makes them again, and compares
 
-`--only forces,draws` makes some parts, and keeps the rest of the file. All is asked through the
-public edge: `import mfd_bayes as mb`, and commands. An array's name is its path: part, model,
-motion, what it is. `--check` prints for each array the largest difference, divided by the largest
-number of the same row (of its last axis; a column of a table is a row of its own for each cell).
-Exit status 1: one differs by more than --tolerance, or is not there. Real records are looked for
-in --data (MFD_BAYES_DATA, ../shared/data); what needs them is left out where they are absent.
+No test holds these to the last digits. `--only forces,draws` takes some parts (and keeps the rest
+of the file). An array's name is its path: part, model, motion, what it is. Printed for each part is
+the largest difference, divided by the largest number of the same row. Exit status 1: an array
+differs by more than --tolerance, or is not there. Real records are looked for in --data.
 """
 
-from __future__ import annotations
-
-import os
-
-# Read when numpy is imported, and by the commands that are started here.
-os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+from benchmarks.common import data_folder, finish  # isort: skip  (one thread, before numpy)
 
 import argparse
-import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 import mfd_bayes as mb
-from benchmarks.common.data import PROJECT, add_data_option
 
 FILE = Path(__file__).with_name("golden.npz")
 MODELS = {
@@ -50,27 +39,6 @@ VALUES = {
     "noise_build": 0.3, "noise_fade": 0.2, "noise_build_time": 0.02,
 }  # fmt: skip
 """Parameters of every model by name, in kip, in and s."""
-CAMPAIGN_MOTION = "1 in, 0.5 Hz, 3 cycles"
-BUILDING = """[building]
-title = "Two storeys"
-damping = { kind = "rayleigh", ratio = "2 %", modes = [1, 2] }
-[[storey]]
-weight = "30 kip"
-height = "144 in"
-stiffness = "40 kip/in"
-[[storey]]
-weight = "25 kip"
-height = "144 in"
-stiffness = "30 kip/in"
-[[damper]]
-storey = 1
-actuation = "1000 psi"
-[[damper]]
-storey = 2
-actuation = "800 psi"
-brace = "500 kip/in"
-"""
-
 Arrays = dict[str, np.ndarray]
 
 
@@ -145,26 +113,6 @@ def forces(data: Path) -> Arrays:
     return found
 
 
-def steps(data: Path) -> Arrays:
-    """Forces of all models step by step."""
-    found: Arrays = {}
-    for name, model in MODELS.items():
-        for motion in ("growing_cycles", "many_turns"):
-            t, x = motions()[motion]
-            v = np.gradient(x, t)
-            for kind, actuation in {"constant": np.ones(t.size), "varying": varying(t)}.items():
-                for start, w0 in STARTS.items():
-                    state = model.start(theta_of(name, 3), w0, reference_actuation=1.0)
-                    force = []
-                    for xi, vi, p in zip(x, v, actuation, strict=True):
-                        now = {"displacement": xi, "velocity": vi, "dt": 0.01, "actuation": p}
-                        f, state = model.step(state, **now)
-                        force.append(f)
-                    key = f"steps/{name}/{motion}/{kind}_actuation/{start}/kip"
-                    found[key] = np.stack(force[::2], axis=1)
-    return found
-
-
 def measured(model: str, motion: str) -> mb.Trace:
     """A record that is computed here: force of a model and correlated noise."""
     t, x = motions()[motion]
@@ -212,97 +160,7 @@ def draws(data: Path) -> Arrays:
     return found
 
 
-def command(*words: object) -> int:
-    """Exit status of a command of the package."""
-    ended = subprocess.run(
-        [sys.executable, "-m", "mfd_bayes", *map(str, words)],
-        env=os.environ | {"PYTHONPATH": str(PROJECT)},
-        stdout=subprocess.DEVNULL,
-        check=False,
-    )
-    return ended.returncode
-
-
-def table(path: Path, name: str, *, history: bool = False) -> Arrays:
-    """Columns of a CSV but for notes: numbers (T,) of a history, else (rows, 1); text (rows,)."""
-    found: Arrays = {}
-    for column, values in (
-        pd.read_csv(path, comment="#").drop(columns="note", errors="ignore").items()
-    ):
-        numbers = values.dtype.kind in "fiu"
-        cells = values.to_numpy(float) if numbers else values.fillna("").to_numpy(str)
-        found[f"{name}/{column}"] = cells[:, None] if numbers and not history else cells
-    return found
-
-
-def demo(data: Path) -> Arrays:
-    """The quick demo: tables, verdict, bands by Python and by the command, and a building."""
-    found: Arrays = {}
-    with tempfile.TemporaryDirectory() as temporary:
-        home, out = Path(temporary), Path(temporary) / "out"
-        found["demo/exit_status/demo"] = np.array([command("demo", out, "--quick", "-q")])
-        found["demo/exit_status/check"] = np.array([command("check", out)])
-        for name in ("parameters", "laws", "derived", "checks"):
-            found |= table(out / f"{name}.csv", f"demo/{name}")
-        run = mb.open_run(out)
-        for motion in ("full_cycles", "many_turns"):
-            t, x = motions()[motion]
-            for kind, actuation in {"constant": 0.9, "varying": 0.9 * varying(t)}.items():
-                trace = mb.Trace.from_arrays(t, x, actuation=actuation)
-                for what in ("device", "new_test", "observation"):
-                    band = run.predict(trace, kind=what, probability=0.95, draws=200, seed=3)
-                    key = f"bands/{motion}/{kind}_actuation/{what}/lower_median_upper/kip"
-                    found[key] = np.stack([band.lower, band.median, band.upper])
-        for what in ("device", "new_test", "observation"):
-            bands = home / f"{what}.csv"
-            words = ["--sine", CAMPAIGN_MOTION, "--actuation", "900 psi", "--kind", what]
-            found[f"predict_sine/{what}/exit_status"] = np.array(
-                [command("predict", out, *words, "-o", bands, "-q")]
-            )
-            found |= table(bands, f"predict_sine/{what}", history=True)
-            derived = bands.with_name(f"{what}_derived.csv")
-            found |= table(derived, f"predict_sine/{what}/derived")
-        found |= building(run, home, data)
-    return found
-
-
-def building(run: mb.Run, home: Path, data: Path) -> Arrays:
-    """Peaks of a small building with dampers of a run."""
-    (home / "building.toml").write_text(BUILDING, encoding="utf-8")
-    t = np.arange(0.0, 8.0, 0.02)
-    shaking = 0.35 * np.exp(-((t - 3.0) ** 2) / 4.0) * (np.sin(9.0 * t) + 0.5 * np.sin(23.0 * t))
-    rows = zip(t, shaking, strict=True)
-    text = "time_s,acceleration_g\n" + "".join(f"{a:.2f},{b:.6f}\n" for a, b in rows)
-    (home / "artificial.csv").write_text(text, encoding="utf-8")
-    grounds = {"artificial": home / "artificial.csv"}
-    if (quake := data / "ground_motions" / "el_centro.AT2").is_file():
-        grounds["el_centro"] = quake
-    found: Arrays = {}
-    for name, ground in grounds.items():
-        answer = run.respond(home / "building.toml", [ground], draws=12, seed=1)
-        for what in ("drift", "acceleration", "force", "travel", "energy", "base_shear"):
-            peaks = np.asarray(getattr(answer, what))
-            found[f"building/{name}/{what}"] = peaks.reshape(len(peaks), -1)
-    return found
-
-
-def mistakes(data: Path) -> Arrays:
-    """In how many of three places each planted mistake is named, by command."""
-    if not (data / "brfd").is_dir():
-        return {}
-    words = [sys.executable, "-m", "benchmarks.mistakes.run", "--data", str(data)]
-    told = subprocess.run(words, capture_output=True, text=True, cwd=PROJECT, check=False).stdout
-    heads, rows = (told.splitlines()[i].split()[1:] for i in (1,)), told.splitlines()[2:]
-    found: Arrays = {"mistakes/commands": np.array(next(heads))}
-    for line in rows:
-        name, *counts = line[:28].strip(), *line[28:].split()
-        if counts and all("/" in count for count in counts):
-            found[f"mistakes/{name}"] = np.array([int(c.split("/")[0]) for c in counts])
-    found["mistakes/false_alarms"] = np.array(sum(line.startswith("false alarm") for line in rows))
-    return found
-
-
-PARTS = {part.__name__: part for part in (forces, steps, densities, draws, demo, mistakes)}
+PARTS = {part.__name__: part for part in (forces, densities, draws)}
 
 
 def difference(new: np.ndarray, old: np.ndarray) -> float:
@@ -323,7 +181,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add_data_option(parser)
+    parser.add_argument("--data", type=Path, default=data_folder(), help="holds brfd/")
     parser.add_argument("--check", action="store_true", help="compare, and write nothing")
     parser.add_argument("--only", default=",".join(PARTS), help="some parts, with commas between")
     parser.add_argument("--tolerance", type=float, default=1e-9, help="largest difference, 1e-9")
@@ -339,20 +197,15 @@ def main() -> None:
         whole = given.only == parser.get_default("only")
         np.savez_compressed(FILE, **(new if whole else old | new))
         return
-    firsts = {key.split("/")[0] for key in new}
-    apart = {key: difference(new[key], old[key]) for key in new if key in old}
-    missing = [key for key in old if key not in new and key.split("/")[0] in firsts]
-    for key, value in sorted(apart.items()):
-        print(f"{value:9.1e}  {key}")
-    for first in sorted(firsts):
-        all_of = [value for key, value in apart.items() if key.split("/")[0] == first]
-        print(f"{max(all_of, default=0.0):9.1e}  largest of {len(all_of)} arrays of {first}")
-    for words, keys in {
-        "no longer there": missing,
-        "new": [k for k in new if k not in old],
-    }.items():
-        print("".join(f"{words}: {key}\n" for key in keys), end="")
-    sys.exit(1 if missing or any(value > given.tolerance for value in apart.values()) else 0)
+    parts = {key.split("/")[0] for key in new}
+    failed = [key for key in old if key not in new and key.split("/")[0] in parts]
+    for part in sorted(parts):
+        keys = [key for key in new if key in old and key.startswith(f"{part}/")]
+        apart = {key: difference(new[key], old[key]) for key in keys}
+        worst = max(keys, key=apart.__getitem__)
+        print(f"{part}: {len(keys)} arrays, largest difference {apart[worst]:.1e}, of {worst}")
+        failed += [f"{key}: {off:.1e}" for key, off in apart.items() if off > given.tolerance]
+    finish(failed)
 
 
 if __name__ == "__main__":

@@ -6,14 +6,33 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
-from benchmarks.mistakes.sessions import Planned
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 
-Session = list[Planned]
 OTHER_DEVICE = (150, 0.02, 0.01, 7.0, 6.5, 7.6, 7.0, 1.0, 220, 0.03, 0.03, 1, 0.004, 0.5)
 """Parameters of the three stages of a stiffer device with a narrow gap, in kip, in and s."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A test as it is written: its table in s, in and kip, and what the campaign says of it.
+
+    `names` are the columns' names, which carry the units; the numbers are written as they are.
+    """
+
+    id: str
+    table: pd.DataFrame
+    actuation: str
+    names: dict[str, str]
+
+    def changed(self, **columns: np.ndarray) -> Planned:
+        """The test with other numbers in its columns."""
+        return replace(self, table=self.table.assign(**columns))
+
+
+Session = list[Planned]
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,10 @@ def _test(trace: Trace, priors: PriorFile) -> Any:
     begin |= {"offset": 0.0, "start": 0.5, "gamma1": 1.0}
     values = {name: np.array([value]) for name, value in begin.items()}
     return SimpleNamespace(
-        posterior=posterior, trace=trace, stored=SimpleNamespace(values=lambda: values)
+        posterior=posterior,
+        trace=trace,
+        intervals={},
+        stored=SimpleNamespace(values=lambda: values),
     )
 
 

@@ -20,12 +20,7 @@ from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import WIDER, Design, design_of
-from mfd_bayes.population.exact import CHAINS, ExactSampler
-from mfd_bayes.population.exact import Draws as JointDraws
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
-from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
-from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 from tests.statistical.sbc_study import narrow_priors
@@ -43,25 +38,11 @@ FACTORS = {RIGHT: 1.0, HALVED: 0.5, DOUBLED: 2.0}
 LEVELS_RANKED = ("sigma0", "d2", "k3", "offset", "noise_sd")
 TEST_RANKED = ("Fc_fwd", "sigma0", "d2", "offset", "noise_sd")
 """Quantities whose levels, and whose values in the first test, are ranked."""
-WALKERS = 8
-"""Chains of each group in `draw_jointly`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What the campaigns of a study share.
-
-    Attributes
-    ----------
-    priors : PriorFile
-        Of the truths and of the inference alike.
-    motion : Trace
-    single, joint : Effort
-        Of a test's calibration and of the population.
-    draws : int
-        L, taken of each posterior; ranks go from 0 to L.
-    seed : int
-    """
+    """What the campaigns share; `draws` are taken of each posterior."""
 
     priors: PriorFile
     motion: Trace
@@ -73,42 +54,14 @@ class Study:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Synthetic tests and the hyperparameters they were drawn with.
-
-    Attributes
-    ----------
-    tests : tuple of Posterior
-    design : Design
-    truth : mapping of str to float
-        By the names of what is ranked.
-    """
+    """Synthetic tests, and what they were drawn with by the names of what is ranked."""
 
     tests: tuple[Posterior, ...]
     design: Design
     truth: Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """What the exact posterior of a campaign is made of."""
-
-    fit: JointFit
-    mixed: MixedModel
-    own: NDArray[np.bool_]
-
-
-def full_study(seed: int) -> Study:
-    """All 17 parameters, two and a half cycles and small ones inside the gap, 320 samples."""
-    time = np.arange(320) / 32.0
-    fade = 1.0 / (1.0 + np.exp((time - 6.6) / 0.15))
-    large = 0.5 * np.sin(2 * np.pi * 0.4 * time)
-    small = 0.05 * np.sin(2 * np.pi * 1.2 * time)
-    motion = Trace.from_arrays(time, large * fade + small * (1.0 - fade))
-    joint = replace(EFFORTS["thorough"], ess=1500)
-    return Study(narrow_priors(), motion, EFFORTS["standard"], joint, draws=63, seed=seed)
-
-
-def small_study(seed: int, noise_time: float = 0.2) -> Study:
+def study_of(seed: int, noise_time: float = 0.2) -> Study:
     """Eight parameters and two cycles in 96 samples: a test takes a second."""
     time = np.arange(96) / 16.0
     motion = Trace.from_arrays(time, 0.5 * np.sin(2 * np.pi * 0.3 * time))
@@ -257,62 +210,6 @@ def infer(study: Study, campaign: Campaign, draws: Sequence[Draws], index: int) 
     }
     seed = (study.seed, index, 2)
     return infer_population(tests, study.priors, InferenceSettings(LAWS, "ksi", study.joint, seed))
-
-
-def fit_campaign(campaign: Campaign, priors: PriorFile, draws: Sequence[Draws]) -> Joint:
-    """The joint fit and the mixed model, step by step as `infer_population` takes them."""
-    design = campaign.design
-    posteriors = [Posterior(test.trace, priors, "iid", test.model) for test in campaign.tests]
-    likelihoods = [TestLikelihood(p, design.coordinates) for p in posteriors]
-    medians = [{n: np.array([np.median(v)]) for n, v in d.values.items()} for d in draws]
-    start = np.concatenate([design.coordinates.of(values) for values in medians])
-    d, own = len(design.names), np.zeros(start.shape, dtype=bool)
-    own[:, d:] = True  # the start in the gap
-    common = np.zeros(start.shape[1], dtype=bool)
-    common[:d] = design.common
-    fit = fit_jointly(likelihoods, np.clip(start, -6.0, 6.0), common)
-    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, own, strict=True)]
-    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
-    mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
-    mixed.find_outliers(_choice(design, 1)[0])
-    return Joint(fit, mixed, own)
-
-
-def draw_jointly(study: Study, joint: Joint, wider: float = 1.0) -> JointDraws:
-    """Exact posterior of a `fit_campaign`; the control has a `wider` prior of the scatter."""
-    mixed, rng = joint.mixed, np.random.default_rng([study.seed, 2])
-    if wider != 1.0:
-        design = replace(mixed.design, scatter_sd=wider * mixed.design.scatter_sd)
-        mixed = MixedModel(design, mixed.y, mixed.p, mixed.weight)
-    choice, effort = _choice(mixed.design, CHAINS * WALKERS), study.joint
-    pool = [mixed.sample(choice[0], rng, 8000)] * len(choice)
-    sampler = ExactSampler(mixed, joint.fit, joint.own, choice, pool, rng)
-    return sampler.run(effort.r_hat, effort.ess, 4000, effort.kept // 4, lambda *_: None)
-
-
-def _choice(design: Design, n: int) -> NDArray[np.intp]:
-    """Numbers of the laws, (n, L)."""
-    return np.tile([LAW_NAMES.index(law) for law in design.laws.values()], (n, 1))
-
-
-def coordinates_of(design: Design, drawn: JointDraws) -> dict[str, Array]:
-    """Everything that is inferred by name, tests in shared coordinates, (chain, draw) each."""
-    names, d, f = design.names, len(design.names), design.free.size
-    centre = design.coordinates.centre[:d]
-    level = centre + design.spread * drawn.z[..., :d]
-    found = {f"level {name}": level[..., k] for k, name in enumerate(names)}
-    h = drawn.h
-    found |= {f"scatter {names[k]}": np.exp(h[..., i]) for i, k in enumerate(design.free)}
-    for i, effect in enumerate(design.effects):
-        group = next(g for g, m in FOLLOWERS.items() if names.index(m[0]) in effect.members)
-        found[f"deviation {group}"] = np.exp(h[..., f + i])
-    shapes = {shape: h[..., f + len(design.effects) + i] for i, shape in enumerate(design.shapes)}
-    found["share sigma0"] = 1.0 / (1.0 + np.exp(-shapes["sigma0", "share"]))
-    found["exponent noise_sd"] = shapes["noise_sd", "exponent"]
-    q = centre + design.spread * drawn.x[..., :d]
-    for j in range(q.shape[2]):
-        found |= {f"test {j + 1}: {name}": q[:, :, j, k] for k, name in enumerate(names)}
-    return found
 
 
 def drawn_values(inference: Inference) -> dict[str, Array]:

@@ -1,30 +1,28 @@
-"""The six-storey building with a Bouc-Wen device in each storey, in OpenSees; run by `beside.py`.
+"""The six-storey building with a Bouc-Wen device in each storey, in OpenSees, run by run.py.
 
 This file is run by a Python that has openseespy, which is no dependency of this project:
 
-    PYTHON benchmarks/response/opensees.py RECORD STEP_S PARTS [SLIPS]
+    PYTHON benchmarks/response/opensees.py RECORD STEP_S PARTS
 
-prints the largest drift of every storey, in. With SLIPS, a file of six slip forces a line, kip, and
-PARTS such as 2,4, it prints the processor time of a line, s. It imports nothing of mfd_bayes.
+prints the largest drift of every storey, in. It imports nothing of mfd_bayes.
 """
 
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 WEIGHTS = (100.0, 100.0, 100.0, 100.0, 100.0, 50.0)
 GRAVITY, STIFFNESS = 386.09, 326.32
 
 
-def device(storey: int, slip: float | None = None) -> tuple[float, float, float, float]:
+def device(storey: int) -> tuple[float, float, float, float]:
     """Stiffness, share after yield, slip force and n of the device in a storey, from 0."""
-    slip = 0.05 * sum(WEIGHTS[storey:]) if slip is None else slip
+    slip = 0.05 * sum(WEIGHTS[storey:])
     return slip / 0.1, 0.02, slip, 1.5
 
 
-def main(record: Path, step: float, parts: int, slips: list[float] | None = None) -> list[float]:
+def main(record: Path, step: float, parts: int) -> list[float]:
     """Largest drifts of the storeys, in."""
     import openseespy.opensees as ops
 
@@ -36,7 +34,7 @@ def main(record: Path, step: float, parts: int, slips: list[float] | None = None
     ops.fix(0, 1)
     for i, weight in enumerate(WEIGHTS):
         ops.mass(i + 1, weight / GRAVITY)
-        k, alpha, slip, n = device(i, None if slips is None else slips[i])
+        k, alpha, slip, n = device(i)
         ops.uniaxialMaterial("Elastic", 2 * i + 1, STIFFNESS)
         scale = (k / slip) ** n
         shape = (0.4 * scale, 0.6 * scale, 1.0, 0.0, 0.0, 0.0)
@@ -61,20 +59,5 @@ def main(record: Path, step: float, parts: int, slips: list[float] | None = None
     return most
 
 
-def timed(record: Path, step: float, parts: list[int], slips: Path) -> float:
-    """Processor time of one line of slip forces, s, at all numbers of parts of a step."""
-    lines = [[float(w) for w in line.split()] for line in slips.read_text().splitlines()]
-    begun = time.process_time()
-    for line in lines:
-        for number in parts:
-            main(record, step, number, line)
-    return (time.process_time() - begun) / len(lines)
-
-
 if __name__ == "__main__":
-    given = Path(sys.argv[1]), float(sys.argv[2])
-    several = [int(word) for word in sys.argv[3].split(",")]
-    if len(sys.argv) > 4:
-        print(timed(*given, several, Path(sys.argv[4])))
-    else:
-        print(*main(*given, several[0]))
+    print(*main(Path(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3])))

@@ -1,25 +1,22 @@
-"""How time and memory of a calibration grow with samples, walkers, parameters and tests.
+"""How do time and memory of a calibration grow with samples, walkers, parameters and tests?
 
-    python -m benchmarks.scaling.run density > benchmarks/scaling/scaling.txt
-    python -m benchmarks.scaling.run campaign 20 60 180 500 >> benchmarks/scaling/scaling.txt
+    python -m benchmarks.scaling.run > benchmarks/scaling/scaling.txt
+    python -m benchmarks.scaling.run --tests 20 60 180 500 >> benchmarks/scaling/scaling.txt
 
-`density` computes the log posterior of synthetic records of a slow sine, for all walkers of a step
-at once as the sampler does, each case in its own process. It prints the seconds of a step (the
-median of five, or of as many as take half a minute) and how far the peak memory of the process
-grows. It varies one of samples, walkers and model at a time.
-
-`campaign` calibrates synthetic campaigns with the given numbers of tests, at effort "quick" with
-two processes, the three-stage model and Ornstein–Uhlenbeck noise, two cycles at 0.5 and 1 Hz, ten
-levels of pressure, at 50 Hz. `ratio` is the time until the last test is stored, divided by half of
-the sum of the tests' own times (two processes: 1 is ideal). Then follow the seconds and the peak
-memory of each stage in the main process, the sweeps of the population, the peak memory of the
-largest worker, and the sizes of what was written. 500 tests take an hour on two cores.
+The first takes two minutes (--quick: the smallest cases): the log posterior of synthetic records of
+a slow sine, for all walkers of a step at once as the sampler does, each case in its own process;
+the median seconds of a step and how far the peak memory of the process grows. The second takes an
+hour and a half on two cores: synthetic campaigns at effort "quick" with two processes, two cycles
+at 0.5 and 1 Hz, ten levels of pressure, at 50 Hz. `ratio` is the time until the last test is
+stored, divided by half of the sum of the tests' own times (two processes: 1 is ideal). Then follow
+the seconds and the peak memory of each stage in the main process, the sweeps of the population, the
+peak memory of the largest worker, and the sizes of what was written.
 """
 
+from benchmarks import common  # isort: skip  (one thread, before numpy)
+
 import multiprocessing
-import os
 import resource
-import sys
 import tempfile
 import threading
 import time
@@ -29,7 +26,6 @@ from statistics import median
 
 import numpy as np
 
-from benchmarks.common.machine import platform_line
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import find_priors, load_priors
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
@@ -92,13 +88,14 @@ def study_step(case: tuple[int, int, str], line) -> None:
     line.send((median(seconds), peak - before, posterior.dim))
 
 
-def density() -> None:
+def density(quick: bool) -> None:
     """Print the table of one step."""
     print(f"{'samples':>9s}{'walkers':>9s}{'model, noise':>22s}{'parameters':>12s}", end="")
     print(f"{'ms a step':>12s}{'us a walker':>13s}{'MiB':>8s}")
-    cases = [(n, *USUAL[1:]) for n in SAMPLES]
-    cases += [(USUAL[0], n, USUAL[2]) for n in WALKERS]
-    cases += [(*USUAL[:2], model) for model in MODELS]
+    cases = [(n, *USUAL[1:]) for n in (SAMPLES[:2] if quick else SAMPLES)]
+    if not quick:
+        cases += [(USUAL[0], n, USUAL[2]) for n in WALKERS]
+        cases += [(*USUAL[:2], model) for model in MODELS]
     for case in cases:
         seconds, grown, dim = apart(study_step, case)
         samples, walkers, model = case
@@ -195,14 +192,16 @@ def apart(study, case):
 
 
 def main() -> None:
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    print(f"{platform_line()}, numpy {np.__version__}\n")
-    if sys.argv[1:2] == ["density"]:
-        density()
+    parser = common.parser_of(__doc__ or "")
+    parser.add_argument("--tests", type=int, nargs="+", help="campaigns of so many tests instead")
+    options = parser.parse_args()
+    common.heading((__doc__ or "").splitlines()[0])
+    if not options.tests:
+        density(options.quick)
         return
     print(" tests  s each    ratio" + "".join(f"{stage:>12s} MiB" for stage in STAGES), end="")
     print("  sweeps  worker  MiB/test    page failed")
-    for tests in map(int, sys.argv[2:]):
+    for tests in options.tests:
         campaign(tests)
 
 

@@ -33,7 +33,11 @@ def derive_from_parameters(
     pressure: float = float("nan"),
     area: float | None = None,
 ) -> dict[str, Array]:
-    """Gap width and self-energizing factors by name, (n,) each; unknown ones are left out."""
+    """Gap width, in, and self-energizing factors C = F_c/(p A) by name, (n,) each.
+
+    Those that are unknown, as without a pressure (ksi) or an area of the actuator (in²), are left
+    out.
+    """
     width = model.gap_width(values)
     derived = {} if width is None else {"gap_width": width}
     if area is not None and pressure > 0.0:

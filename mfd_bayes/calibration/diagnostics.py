@@ -24,16 +24,17 @@ FEWEST_STEPS = 8  # of fewer steps of a chain, R̂ and effective sample size can
 
 @dataclass(frozen=True)
 class Effort:
-    """Length and targets of a sampling; a FitError where one is no number that can be one."""
+    """Length and targets of a sampling.
+
+    The effective sample size alone cannot tell walkers that have not moved from independent draws:
+    hence a least number of steps too.
+    """
 
     name: str = field(default="", kw_only=True)
     ess: float  # bulk and tail effective sample size that every quantity must reach
-    # largest number of steps of each ensemble; the report shows targets that were missed
-    limit: int
+    limit: int  # largest number of steps of each ensemble
     r_hat: float = 1.01  # largest R̂ across ensembles
-    # least number of kept steps, in autocorrelation times: the effective sample size alone cannot
-    # tell walkers that have not moved from independent draws
-    length: float = 5.0
+    length: float = 5.0  # least number of kept steps, in autocorrelation times
     ensembles: int = 4  # independent ensembles, each a chain
     walkers: int = 48  # walkers of each ensemble; more are used where there are many dimensions
     kept: int = 3000  # approximate number of draws kept from each ensemble
@@ -97,7 +98,7 @@ class Convergence:
 
 
 def autocorrelation_time(chains: Array) -> Array:
-    """Integrated autocorrelation time of every coordinate, in steps, (dim,).
+    """Integrated autocorrelation time of chains (ensemble, step, walker, dim), steps, (dim,).
 
     Walkers are centred on the mean over all ensembles and steps, not on their own mean, so
     that a walker that hardly moves counts as fully correlated. The sum stops
@@ -121,7 +122,7 @@ def autocorrelation_time(chains: Array) -> Array:
 
 
 def measure(chains: Array) -> Convergence:
-    """Convergence of ensembles.
+    """Convergence of ensembles, of chains (ensemble, step, walker, dim).
 
     R̂ compares ensembles and their halves in time, since the walkers of one ensemble are not
     independent chains. The effective sample size follows each walker along its steps. A quantity
@@ -214,8 +215,7 @@ def tempering(log_weights: Array, share: float) -> float:
 
 def contraction(prior_sd: Array, draws: Array) -> Array:
     """Share of the prior's variance that the data removed, 1 − var_post/var_prior, (dim,)."""
-    shrunk: Array = 1.0 - draws.var(axis=0) / prior_sd**2
-    return shrunk
+    return np.asarray(1.0 - draws.var(axis=0) / prior_sd**2)
 
 
 def log_if_positive(*samples: Array) -> tuple[Array, ...]:
@@ -230,8 +230,8 @@ Interval = tuple[float, float, float]  # 50, 2.5 and 97.5 % quantiles of the dra
 
 def intervals_of(values: Mapping[str, Array]) -> dict[str, Interval]:
     """Median and equal-tailed 95 % interval of quantities, from draws of any shape."""
-    found = {name: np.quantile(drawn, [0.5, 0.025, 0.975]) for name, drawn in values.items()}
-    return {name: (float(a), float(b), float(c)) for name, (a, b, c) in found.items()}
+    probabilities = [0.5, 0.025, 0.975]
+    return {name: tuple(np.quantile(x, probabilities).tolist()) for name, x in values.items()}
 
 
 def interval_rows(

@@ -17,7 +17,6 @@ from mfd_bayes.calibration.proposal import PARTS, fit_mixture, learn
 Array = NDArray[np.float64]
 
 PROPOSED = 4000  # draws from each of the two proposals
-
 # Pareto k, and standard error in nats, above which a log evidence is not to be trusted. A bridge
 # needs draws from the proposal that overlap with the posterior, not light tails: the usual 0.7 is
 # the limit of importance weights alone
@@ -30,9 +29,7 @@ class Evidence:
 
     value: float  # and its standard error
     error: float
-    # of the importance weights of draws from the proposal: above 1 the proposal misses a part of
-    # the posterior
-    pareto_k: float
+    pareto_k: float  # of the proposal's importance weights: above 1 it misses a part
 
     @property
     def trusted(self) -> bool:

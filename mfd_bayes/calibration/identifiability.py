@@ -12,36 +12,28 @@ from scipy import special
 
 from mfd_bayes.calibration.diagnostics import effective_size
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.errors import FitError
 
 Array = NDArray[np.float64]
 
-# power-scaling sensitivity above which a posterior depends on the prior or likelihood
-SENSITIVE = 0.05
-
+SENSITIVE = 0.05  # power-scaling sensitivity from which a posterior depends on its prior
 TRADE_OFF = 0.7  # absolute rank correlation from which two parameters trade off
 CONFLICT = "possible prior–data conflict"
 PRIOR_LED = "strong prior or weak data"
-
 SCALING = 1.01  # power α to which the prior or likelihood is raised; 1/α is used too
-
-
-# least share of a direction's squared length for a parameter to carry it; most that are named
-LOADED, CARRIERS = 0.1, 3
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Combinations of parameters, ordered by how much the data say about them."""
+    """Combinations of parameters, ordered by how much the data say about them.
+
+    The curvature of the log likelihood is that along each direction in prior units: the precision
+    that the data add, as a multiple of the prior's.
+    """
 
     names: tuple[str, ...]
-    # (dim,): curvature of the log likelihood along each direction in prior units: the precision
-    # that the data add, as a multiple of the prior's; largest first
-    curvature: Array
-    axes: Array  # (dim, dim): unit vectors in prior units, one column for each direction
-    # curvature from which a direction is informed: 1, or more where so few draws show more than 1
-    # by chance
-    limit: float = 1.0
+    curvature: Array  # (dim,), largest first
+    axes: Array  # (dim, dim), unit vectors in prior units, one column for each direction
+    limit: float = 1.0  # from which a direction is informed; more where there are few draws
 
     @property
     def informed(self) -> int:
@@ -51,8 +43,7 @@ class Directions:
     def carriers(self, direction: int) -> tuple[str, ...]:
         """Parameters that contribute most to a direction, strongest first, at most three."""
         share = self.axes[:, direction] ** 2
-        order = np.argsort(-share)[:CARRIERS]
-        return tuple(self.names[i] for i in order if share[i] >= LOADED)
+        return tuple(self.names[i] for i in np.argsort(-share)[:3] if share[i] >= 0.1)
 
 
 @dataclass(frozen=True)
@@ -71,8 +62,7 @@ class Sensitivity:
     name: str
     prior: float  # power-scaling sensitivities, with the part due to chance removed
     likelihood: float
-    # limits above which they are significant: `SENSITIVE`, or twice the sensitivity that chance
-    # gives with this number of draws, whichever is larger
+    # `SENSITIVE`, or twice what chance gives with this number of draws
     prior_limit: float = SENSITIVE
     likelihood_limit: float = SENSITIVE
 
@@ -103,8 +93,7 @@ def identify(
     """Identifiability of a test's sampled parameters, from its stored draws.
 
     Everything is on the scale on which each prior is sampled, the logarithm for most: there
-    the priors are independent, and a prior raised to a power widens about its median. γ1 is
-    left out: it is not sampled but keeps its prior.
+    the priors are independent, and a prior raised to a power widens about its median.
     """
     names = posterior.names
     draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names])
@@ -189,19 +178,18 @@ def measure_sensitivity(
     subtracted from the squared sensitivity.
     """
     chains = draws.shape[1]
-    if chains < 2:
-        raise FitError("power-scaling sensitivity needs two independent chains, got one")
     weights = np.concatenate([_scaled_weights(p) for p in (log_prior, log_likelihood)])
     rolled = [np.roll(weights, shift, axis=1).reshape(4, -1) for shift in range(chains)]
-    found = []
+    sensitivities = []
     for name, own in zip(names, draws, strict=True):
         distance = cjs_distance(own.reshape(-1), np.concatenate(rolled))
         speed = distance.reshape(chains, 2, 2).mean(axis=2) / np.log2(SCALING)
         chance = np.mean(speed[1:] ** 2, axis=0)
         prior, likelihood = np.sqrt(np.maximum(speed[0] ** 2 - chance, 0.0))
         limits = np.maximum(SENSITIVE, 2.0 * np.sqrt(chance))
-        found.append(Sensitivity(name, float(prior), float(likelihood), *map(float, limits)))
-    return tuple(found)
+        figures = map(float, (prior, likelihood, *limits))
+        sensitivities.append(Sensitivity(name, *figures))
+    return tuple(sensitivities)
 
 
 def _scaled_weights(log_density: Array) -> Array:

@@ -17,13 +17,10 @@ Density = Callable[[Array], Array]  # log density of points (n, dim), (n,)
 
 # least squares: most steps; least relative gain of a good step; refused steps that end a start
 STEPS, TOLERANCE, REFUSED = 100, 1e-6, 8
-
 MOST = 4_000_000  # most numbers of residuals that are computed together
 LOWEST = -1e15  # log density where there is none, for what takes differences
 DISTINCT = 0.05  # least distance of two least-squares results, in prior standard deviations
-
-# least-squares results whose log posterior is this far below the best one are dropped
-HOPELESS = 400.0
+HOPELESS = 400.0  # least-squares results are dropped whose log posterior is so far below the best
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +50,7 @@ def find_modes(
     """Distinct modes, best first.
 
     From many prior draws, those that fit well and differ most are chosen; least squares on
-    residual and prior starts from each, then BFGS on the log posterior from each distinct
-    result.
+    residual and prior starts from each, then BFGS on the log posterior from each distinct result.
     """
     mean, sd = prior_scale(posterior, rng)
     begin = _starting_points(posterior, rng, starts, candidates)
@@ -68,10 +64,17 @@ def find_modes(
             ends.append(fits[i])
     modes: list[Mode] = []
     for end in ends:
-        mode = climb(posterior.log_prob, end, np.diag(sd), sd, modes)
-        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
-            modes.append(mode)
+        modes = distinct([*modes, climb(posterior.log_prob, end, np.diag(sd), sd, modes)])
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
+
+
+def distinct(modes: Sequence[Mode]) -> list[Mode]:
+    """Modes of which none is near one before it."""
+    kept: list[Mode] = []
+    for mode in modes:
+        if not any(other.is_near(mode.q, mode.log_prob) for other in kept):
+            kept.append(mode)
+    return kept
 
 
 def prior_scale(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -135,7 +138,8 @@ def climb(
 ) -> Mode:
     """Mode that BFGS reaches from a point, (dim,), in coordinates along `axes`.
 
-    Where it comes near one of the known `modes`, and is not higher, it ends there.
+    The density is about as wide as 1 along each column of the axes, (dim, dim); `sd` (dim,) are
+    the prior's. Where it comes near one of the known `modes`, and is not higher, it ends there.
     """
     from scipy.optimize import OptimizeResult, minimize  # which takes long to import
 
@@ -189,8 +193,10 @@ def laplace_covariance(density: Density, q: Array, sd: Array) -> Array:
 
 
 def least_squares(residual: Callable[[Array, Rows], Array], begin: Array, reach: float) -> Array:
-    """Points with the least sum of squares of residuals and coordinates, one from each start.
+    """Points (m, d) with the least sum of squares of residuals and coordinates, one a start.
 
+    `residual` takes points (n, d) and the numbers of their starts (n,), and gives (n, T); no
+    coordinate goes beyond ± `reach`.
     Damped Gauss-Newton steps (Levenberg, Marquardt) of all starts at once: a force costs half as
     much a vector where many are computed together.
     """

@@ -21,10 +21,8 @@ Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 
 LOG_2PI = float(np.log(2 * np.pi))
-
 # numbers per array that are worked on together, so that a piece's arrays stay in the cache
 PIECE = 1 << 15
-
 SD = Quantity("noise_sd", "force", "s", "s", "standard deviation of the noise")
 TIME = Quantity("noise_time", "time", r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise")
 DOF = Quantity(
@@ -50,8 +48,7 @@ class Noise:
     """Independent Gaussian noise, and the base of all others."""
 
     name: ClassVar[str] = "iid"  # in campaign files
-    # its parameters, in the order in which they are sampled
-    quantities: ClassVar[tuple[Quantity, ...]] = (SD,)
+    quantities: ClassVar[tuple[Quantity, ...]] = (SD,)  # in the order in which they are sampled
     needs_travel: ClassVar[bool] = False  # whether it depends on the travel since the last slip
 
     @property
@@ -62,7 +59,11 @@ class Noise:
     def log_density(
         self, residual: Array, time: Array, values: Values, travel: Array | None = None
     ) -> Array:
-        """Normalised log density of residuals."""
+        """Normalised log density of residuals (n, T), kip, at times (T,), s, (n,).
+
+        `values` are the noise's parameters, (n,) each, with d2 and d3 where there is a gap;
+        `travel` (n, T), in, is the one since the last slip, where it is needed.
+        """
         phi, shrink = self._correlation(time, values)
         scale = values["noise_sd"][:, None]
         standard = phi * residual[:, :-1]
@@ -92,7 +93,7 @@ class Noise:
     def memory(
         self, time: Array, values: Values, travel: Array | None = None
     ) -> tuple[Array, Array]:
-        """How much each sample depends on the one before, and its scale; see `log_density`."""
+        """−log φ of the step to each sample (∞ at the first), and scale, kip, (n, T) each."""
         shape = values["noise_sd"].size, time.size
         return np.full(shape, np.inf), np.broadcast_to(values["noise_sd"][:, None], shape)
 

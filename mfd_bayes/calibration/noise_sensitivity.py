@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.modes import Mode, climb, find_modes, prior_scale
+from mfd_bayes.calibration.modes import Mode, climb, distinct, find_modes, prior_scale
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Adaptive, Proposal, around_modes, fit_mixture
@@ -28,27 +28,17 @@ Array = NDArray[np.float64]
 Bounds = tuple[float, float, float]
 
 HALF = 0.5  # share of its 95 % interval by which a quantity may move
-
 QUANTILES = (0.025, 0.5, 0.975)
-
 FORMAL = frozenset({"gamma1", "gamma2", "start"})  # quantities that say nothing about the damper
 DRAWS, ROUNDS = 1000, 12  # draws of each proposal; most proposals before walkers are sent
-
-# Pareto k above which, and effective number of draws below which weights are not trusted
-LARGEST_K, ENOUGH = 0.7, 200.0
-
+LARGEST_K, ENOUGH = 0.7, 200.0  # Pareto k, effective draws, from which weights are trusted
 STARTS = 3  # draws of the first fit from which modes are climbed to
-
-# points from which modes are searched before walkers are sent: the first fit's may be minor
-SEARCHED = 6
-
+SEARCHED = 6  # points from which modes are searched before walkers are sent
 TRIED = 64  # prior draws of what the first fit does not have, of which each start takes the best
-
 # sampling where weights fail: enough for a median and an interval, not for their digits
 WALK = Effort(
     name="second fit", ess=50, limit=400, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=1
 )
-
 APART = 1.2  # R̂ of these walkers above which they do not tell where the posterior is
 AT_ONCE, BY_WEIGHTS, BY_WALKERS = "one proposal", "several proposals", "walkers"
 
@@ -59,10 +49,9 @@ class OtherFit:
 
     noise: str
     how: str = ""  # as `SecondFit` has it; "" where it failed
-    k: float = float("nan")  # Pareto k of its weights, and the effective number of its draws
-    size: float = 0.0
-    # three floats: 2.5 %, 50 % and 97.5 % quantile of each quantity, in its internal unit
-    quantities: Mapping[str, Bounds] = field(default_factory=dict)
+    k: float = float("nan")  # Pareto k of its weights
+    size: float = 0.0  # effective number of draws
+    quantities: Mapping[str, Bounds] = field(default_factory=dict)  # 2.5 %, 50 %, 97.5 %
     seconds: float = 0.0  # processor time
     error: str = ""  # why there is no fit, if there is none
 
@@ -71,11 +60,9 @@ class OtherFit:
 class SecondFit:
     """Weighted draws of a second fit."""
 
-    q: Array  # (n, dim): unconstrained coordinates
-    weights: Array  # (n,): they sum to 1
-    # {"one proposal", "several proposals", "walkers"}: whether a proposal fitted to the first fit's
-    # draws was enough, or more were fitted to weighted draws, or walkers had to be sent
-    how: str
+    q: Array  # (n, dim)
+    weights: Array  # (n,), which sum to 1
+    how: str  # AT_ONCE, BY_WEIGHTS or BY_WALKERS
     k: float  # Pareto k of the weights; of walkers, that of the weights that failed
     size: float  # effective number of draws
 
@@ -108,12 +95,12 @@ def fit_other(
     shared = [name for name in first.names if name not in first.noise.parameters]
     try:
         second = make()
-        found = fit_again(second, {n: draws.values[n].reshape(-1) for n in shared}, rng)
-        quantities = quantiles_of(second, second.values(found.q), found.weights)
+        fit = fit_again(second, {n: draws.values[n].reshape(-1) for n in shared}, rng)
+        quantities = quantiles_of(second, second.values(fit.q), fit.weights)
     except (MfdError, np.linalg.LinAlgError) as error:
         return OtherFit(noise, error=str(error), seconds=time.process_time() - began)
     seconds = time.process_time() - began
-    return OtherFit(noise, found.how, found.k, found.size, quantities, seconds)
+    return OtherFit(noise, fit.how, fit.k, fit.size, quantities, seconds)
 
 
 def quantiles_of(
@@ -121,17 +108,16 @@ def quantiles_of(
 ) -> dict[str, Bounds]:
     """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap."""
     model = posterior.model
-    named = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
+    columns = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
     if (gap := model.gap(values)) is not None:
-        named["gap"] = gap
-    formal = {*FORMAL, *posterior.noise.parameters}
-    how: dict[str, Any] = {"weights": weights, "method": "inverted_cdf"}
-    found = {
-        name: np.quantile(column, QUANTILES, **({} if weights is None else how))
-        for name, column in named.items()
-        if name not in formal and np.ptp(column) > 0.0
+        columns["gap"] = gap
+    weighted: dict[str, Any] = {"weights": weights, "method": "inverted_cdf"}
+    options = {} if weights is None else weighted
+    return {
+        name: tuple(np.quantile(column, QUANTILES, **options).tolist())
+        for name, column in columns.items()
+        if name not in {*FORMAL, *posterior.noise.parameters} and np.ptp(column) > 0.0
     }
-    return {name: (float(a), float(b), float(c)) for name, (a, b, c) in found.items()}
 
 
 def fit_again(
@@ -142,24 +128,21 @@ def fit_again(
     anchors = around_modes(near)
     begin = _completed(posterior, _some(draws, DRAWS, rng), anchors.draw(rng, DRAWS))
     first = Proposal((0.75, 0.25), (fit_mixture(begin, rng), anchors))
-    found = Adaptive(posterior.log_prob, first, rng, DRAWS)
+    fit = Adaptive(posterior.log_prob, first, rng, DRAWS)
     for rounds in range(1, ROUNDS + 1):
-        found.run()
-        if found.k <= LARGEST_K and found.size >= ENOUGH:
+        fit.run()
+        if fit.k <= LARGEST_K and fit.size >= ENOUGH:
             how = AT_ONCE if rounds == 1 else BY_WEIGHTS
-            return SecondFit(found.q, found.weights, how, found.k, found.size)
+            return SecondFit(fit.q, fit.weights, how, fit.k, fit.size)
     from mfd_bayes.calibration.sampling import sample_density  # emcee takes long to import
 
-    modes = list(near)
-    for mode in find_modes(posterior, rng, starts=SEARCHED):
-        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
-            modes.append(mode)
+    modes = distinct([*near, *find_modes(posterior, rng, starts=SEARCHED)])
     chains = sample_density(posterior.log_prob, modes, WALK, rng)
     size, r_hat = chains.convergence.worst_ess, chains.convergence.worst_r_hat
     if not (r_hat <= APART and size >= WALK.ess):
         raise FitError("neither weighted draws nor walkers settled")
     flat = chains.q.reshape(-1, posterior.dim)
-    return SecondFit(flat, np.full(len(flat), 1.0 / len(flat)), BY_WALKERS, found.k, size)
+    return SecondFit(flat, np.full(len(flat), 1.0 / len(flat)), BY_WALKERS, fit.k, size)
 
 
 def _modes_near(
@@ -181,9 +164,8 @@ def _modes_near(
         points = _completed(posterior, start, tried)
         heights = posterior.log_prob(points)
         if np.any(np.isfinite(heights)):
-            mode = climb(posterior.log_prob, points[np.argmax(heights)], axes, sd, modes)
-            if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
-                modes.append(mode)
+            best = points[np.argmax(heights)]
+            modes = distinct([*modes, climb(posterior.log_prob, best, axes, sd, modes)])
     if not modes:
         raise FitError("no density around the first fit")
     return modes

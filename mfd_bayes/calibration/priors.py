@@ -299,14 +299,10 @@ def priors_of_fit(
 
 # beginning of the title of a prior file that was made of a campaign's own records
 SCALED = "scales read off the records"
-
 WRITTEN = "priors.toml"  # the prior file that `mfd-bayes init` writes beside a campaign
-
 # the device's own scales that a prior file may state, and what each measures
 SCALES = MappingProxyType({"force": "force", "length": "displacement", "speed": "velocity"})
-
 _LONGEST = 1000  # characters of an error message, however long the names in the file
-
 _MULTIPLES = {
     "force": ("force", "", "kip"),
     "length": ("length", "", "in"),

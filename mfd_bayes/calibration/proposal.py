@@ -17,26 +17,15 @@ from mfd_bayes.errors import FitError
 
 Array = NDArray[np.float64]
 
-# draws for each dimension that shrink a component's scale to that of all components
-SHRINKAGE = 2.0
-
+SHRINKAGE = 2.0  # draws a dimension that a component's scale is shrunk by to that of all
 PARTS = 12  # largest number of components of a fit, besides the wide one
 ITERATIONS = 12  # steps of expectation-maximisation
-
-# effective number of draws, as a share of all, from which a proposal is fitted at least
-SHARE = 0.1
-
+SHARE = 0.1  # least share of effective draws from which a proposal is fitted
 FIRST = 0.05  # share of the first proposal in all others
 ANCHORED = 0.25  # share of the anchors in a proposal that is learned from walkers
 LEARNED = 8000  # largest number of walkers' draws from which a proposal is learned
-
-# bound on the parameters of a coordinate's warp, so that few draws cannot distort it much
-BENT = 1.5
-
-# misfit of one quantile, in arcsinh of the normal coordinate, that weighs as much as a parameter of
-# size 1: small, so that the fit of the quantiles decides
-LOOSE = 0.01
-
+BENT = 1.5  # bound on the parameters of a coordinate's warp, so that few draws distort it little
+LOOSE = 0.01  # misfit of a quantile, arcsinh, that weighs as much as a parameter of size 1
 # probabilities of the quantiles to which each coordinate's warp is fitted
 PROBABILITIES = np.array([0.01, 0.025, 0.07, 0.16, 0.31, 0.5, 0.69, 0.84, 0.93, 0.975, 0.99])
 

@@ -8,7 +8,7 @@ import shlex
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -18,8 +18,7 @@ from mfd_bayes.units import percent
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mfd_bayes.evaluation.design import DesignRow
-    from mfd_bayes.evaluation.views import CampaignView, Check, DerivedRow, LeftOutView
+    from mfd_bayes.evaluation.views import CampaignView, Check, LeftOutView, Rows
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.scores import Comparison
     from mfd_bayes.runs.unit_system import System
@@ -54,6 +53,19 @@ def open_console() -> Console:
     if not console.is_terminal:
         console.width = 110
     return console
+
+
+def effect_cells(row: Any) -> tuple[str, ...]:
+    """Cells of a quantity of a device that is compared with the others."""
+    has = math.isfinite(row["effect"])
+    return (
+        f"{row['effect']:+.1f}" if has else "",
+        f"{row['effect_lower']:+.1f} to {row['effect_upper']:+.1f}" if has else "",
+        f"±{row['limit']:.3g}" if math.isfinite(row["limit"]) else "",
+        f"{row['percentile']:.1f}",
+        f"{row['p_value']:.3f}",
+        str(row["verdict"]),
+    )
 
 
 def print_rows(
@@ -112,55 +124,54 @@ def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
     heads = ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data")
     rows = [
         (
-            *(row.subject, row.name, row.unit),
-            *_figures((row.truth, row.lower, row.median, row.upper)),
-            "yes" if row.inside else "NO",
-            "informed" if row.informed else "prior only",
+            *(row["test"], row["name"], row["unit"]),
+            *_figures(row[key] for key in ("truth", "lower", "median", "upper")),
+            "yes" if row["inside"] else "NO",
+            "informed" if row["informed"] else "prior only",
         )
         for row in view.truth
     ]
     if not quiet:
         title = "Truth against posterior (95 % equal-tailed interval)"
         print_rows(title, heads, rows, folded=2)
-    informed = [row for row in view.truth if row.informed]
-    hits = sum(row.inside for row in informed)
+    informed = [row for row in view.truth if row["informed"]]
+    hits = sum(row["inside"] for row in informed)
     say(
         f"truth inside the 95 % interval for {hits} of {len(informed)} quantities that the "
         f"data inform ({hits / max(len(informed), 1):.1%})"
     )
 
 
-def print_derived(rows: Sequence[DerivedRow], probability: float) -> None:
+def print_derived(rows: Rows, probability: float) -> None:
     """Print the derived quantities of a prediction."""
     low, high = (f"{percent(0.5 * (1 + side * probability))} %" for side in (-1, 1))
+    keys = ("mean", "sd", "lower", "median", "upper", "measured")
     print_rows(
         "Derived quantities, of the damper without offset and noise",
         ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured"),
-        [
-            (r.name, r.unit, *_figures((r.mean, r.sd, r.lower, r.median, r.upper, r.measured)))
-            for r in rows
-        ],
+        [(r["name"], r["unit"], *_figures(r[key] for key in keys)) for r in rows],
         folded=0,
-        caption="; ".join(f"{r.name} {r.note}" for r in rows if r.note),
+        caption="; ".join(f"{r['name']} {r['note']}" for r in rows if r["note"]),
     )
 
 
-def print_design(rows: Sequence[DesignRow]) -> None:
+def print_design(rows: Rows, probability: float) -> None:
     """Print mean and bounding properties with their factors."""
-    from mfd_bayes.evaluation.design import BASES
-
-    tail = 50.0 * (1.0 - rows[0].probability)
-    notes = "; ".join(dict.fromkeys(f"{BASES[r.basis]}, {r.note}" for r in rows if r.note))
+    tail, keys = (
+        50.0 * (1.0 - probability),
+        ("nominal", "lower", "upper", "lambda_min", "lambda_max"),
+    )
+    notes = "; ".join(dict.fromkeys(f"{r['of']}, {r['note']}" for r in rows if r["note"]))
     print_rows(
         "Mean and bounding properties",
         ("property", "of", "unit", "nominal", "lower", "upper", "λ min", "λ max"),
         [
             (
-                *(r.name, BASES[r.basis], r.unit),
-                *_figures((r.nominal, r.lower, r.upper, r.lambda_min, r.lambda_max), 3),
+                *(r["name"], r["of"], r["unit"]),
+                *_figures((r[key] for key in keys), 3),
             )
             for r in rows
-            if not r.note
+            if not r["note"]
         ],
         folded=2,
         caption=f"Each bound is exceeded with a probability of {tail:g} %; λ: bound over nominal "
@@ -170,7 +181,7 @@ def print_design(rows: Sequence[DesignRow]) -> None:
 
 def print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
     """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
-    from mfd_bayes.evaluation.width import width_sentence
+    from mfd_bayes.evaluation.scores import width_sentence
 
     if not quiet:
         ordered = sorted(shares.items(), key=lambda item: -item[1])
@@ -205,11 +216,11 @@ def print_left_out(view: LeftOutView | None, force: str, *, quiet: bool = False)
     parts = ["left out"] if view.by != "test" else []
     rows = [
         (
-            *(r.subject, *([r.part] if parts else [])),
-            *(f"{100 * share:.1f}" for share in (r.coverage_50, r.coverage_90, r.coverage_95)),
-            *(f"{r.width_95:.3f} ({r.fitted_width:.3f})", f"{r.width_ratio:.2f}"),
-            *(f"{r.interval_score:.3f}", f"{r.crps:.3f} ({r.fitted_crps:.3f})"),
-            *(f"{r.crps_ratio:.2f}", f"{r.rrse:.3f}"),
+            *(r["test"], *([r["part"]] if parts else [])),
+            *(f"{100 * r[f'coverage_{share}']:.1f}" for share in (50, 90, 95)),
+            *(f"{r['width_95']:.3f} ({r['fitted_width']:.3f})", f"{r['width_ratio']:.2f}"),
+            *(f"{r['interval_score']:.3f}", f"{r['crps']:.3f} ({r['fitted_crps']:.3f})"),
+            *(f"{r['crps_ratio']:.2f}", f"{r['rrse']:.3f}"),
         )
         for r in (*view.rows, view.mean)
     ]

@@ -58,13 +58,7 @@ class Commands(TyperGroup):
 
 @contextmanager
 def mistakes(resume: str | Callable[[], str] = "") -> Iterator[None]:
-    """Turn errors that a user can cause into one sentence and exit code 2.
-
-    Parameters
-    ----------
-    resume : str or callable
-        Command that resumes this one where it is interrupted, or what says it then.
-    """
+    """Turn errors that a user can cause into one sentence and exit code 2."""
 
     def hint() -> str:
         command = resume() if callable(resume) else resume

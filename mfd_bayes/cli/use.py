@@ -1,4 +1,4 @@
-"""The commands that use a finished run: predict, crossvalidate, compare, next, respond, export."""
+"""The commands that use a finished run: from predict to serve."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from typer import Context, Option
+from typer import Argument, Context, Option
 
 from mfd_bayes.cli import console, options
 from mfd_bayes.cli.errors import mistakes, resumption
@@ -39,6 +39,10 @@ def predict(
     ] = False,
     test: Annotated[
         str, Option(metavar="ID", help="The calibrated test, for --kind this_test.")
+    ] = "",
+    device: Annotated[
+        str,
+        Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several."),
     ] = "",
     whole: Annotated[
         bool, Option("--whole", help="Add a band that holds the whole history.")
@@ -122,7 +126,7 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     if band.explained:
         console.print_shares(band.explained, quiet=quiet)
     if answer.design:
-        console.print_design(answer.design)
+        console.print_design(answer.design, band.probability)
     if not quiet:
         console.print_derived(answer.derived, band.probability)
         console.say(f"look next at {question.beside('derived.csv')}")
@@ -219,9 +223,75 @@ def compare(
             comparison, left_out = pipeline.compare(campaign, out, names, run_options, observe)
         console.print_comparison(comparison, quiet=quiet)
         for model, (view, unit) in left_out.items():
-            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean.crps:.3f} {unit}.")
+            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean['crps']:.3f} {unit}.")
         if not quiet:
             console.say(f"look next at {out / 'comparison.csv'}")
+
+
+def accept(
+    ctx: Context,
+    out: options.Run,
+    records: Annotated[
+        list[Path], typer.Argument(parser=options.path, help="Records of the devices.")
+    ],
+    actuation: Annotated[str, Option(help='Of the records, such as "1000 psi".')],
+    folder: options.Folder,
+    device: Annotated[
+        list[str] | None,
+        Option(metavar='"no. 17"', help="The device of all records; or repeat it for each."),
+    ] = None,
+    limit: Annotated[
+        list[str] | None,
+        Option(
+            metavar='slip="15 %"',
+            help="Largest deviation of slip, gap, energy, …, or all; may be repeated.",
+            show_default="the campaign's, else all=15 %",
+        ),
+    ] = None,
+    session: Annotated[str, Option(help="The session in which the records were made.")] = "",
+    draws: Annotated[int, Option(min=200, max=10000)] = 1000,
+    seed: options.Seed = 0,
+    force: options.Replace = False,
+    units: options.Units = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Say whether a device is like the others: accepted, rejected, or that a record cannot tell.
+
+    Compares slip force, peak force, energy, effective stiffness and damping, gap,
+    and the whole loop of a record with what the run's tests scatter. A device is
+    accepted where its own level is shown to lie within the limits (two one-sided
+    tests, 5 % each); it is rejected where it lies beyond one and the scatter of
+    tests does not explain it (5 % false alarms, over all quantities and the whole
+    batch). Writes FOLDER/acceptance.csv, a page of A4 for each device, and with
+    several devices a picture. Ends with exit code 1 where a device is rejected.
+
+    Example:
+      mfd-bayes accept out no17.csv --actuation "1000 psi" --device "no. 17" -o qc
+      mfd-bayes accept out new/*.csv --actuation 1ksi --limit "slip=10 %" -o qc
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import accept as pipeline
+
+        found = pipeline.accept_records(out, options.settings(pipeline.Inspection, ctx))
+    for remark in dict.fromkeys(remark for each in found.devices for remark in each.remarks):
+        console.say(f"warning: {remark}", err=True)
+    if not quiet:
+        for each in found.devices:
+            heads = ["effect, %", "90 % interval", "limit, %", "percentile", "p", "verdict"]
+            rows = [
+                (
+                    f"{row['quantity']} {row['direction']}".strip(),
+                    *console.effect_cells(row),
+                )
+                for _, row in each.rows.iterrows()
+            ]
+            console.print_rows(f"{each.device}: {each.verdict}", ["quantity", *heads], rows)
+    for each in found.devices:
+        console.say(f"{each.device}: {each.sentence}")
+    if not quiet:
+        console.say(f"look next at {found.pages[0]}")
+    if found.rejected:
+        raise typer.Exit(1)
 
 
 def next_test(
@@ -361,15 +431,15 @@ def respond(
         for ground in () if quiet else prepared.grounds:
             console.say(ground.words)
         with watch(quiet=quiet) as observe:
-            answer = pipeline.respond(prepared, observe)
-    for remark in answer.view.remarks:
+            view = pipeline.respond(prepared, observe)
+    for remark in view.remarks:
         console.say(f"warning: {remark}", err=True)
-    for sentence in answer.view.verdict:
+    for sentence in view.verdict:
         console.say(sentence)
-    if answer.view.sweep:
-        console.say(answer.view.sweep)
+    if view.sweep:
+        console.say(view.sweep)
     if not quiet:
-        console.say(f"look next at {answer.page}")
+        console.say(f"look next at {folder / 'report.html'}")
 
 
 def export(
@@ -400,8 +470,38 @@ def export(
     with mistakes():
         from mfd_bayes.pipeline import export as pipeline
 
-        exported = pipeline.export(out, options.settings(pipeline.Export, ctx))
-    for remark in exported.remarks:
+        sentences, remarks = pipeline.export(out, options.settings(pipeline.Export, ctx))
+    for remark in remarks:
         console.say(f"warning: {remark}", err=True)
-    for sentence in exported.sentences:
+    for sentence in sentences:
         console.say(sentence)
+
+
+def serve(
+    source: Annotated[
+        str, Argument(metavar="MODEL|OUT", help="A model, as in a campaign file, or a run folder.")
+    ],
+    port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 4242,
+    motion: Annotated[
+        Path | None, Option(parser=options.path, help="A model's motion: a file, or --sine.")
+    ] = None,
+    sine: Annotated[str, Option(help='Such as "1 in, 0.5 Hz, 3 cycles".')] = "",
+    actuation: Annotated[str, Option(help='Of a model, such as "1000 psi".')] = "",
+) -> None:
+    """Serve a model, or a run's log posterior, to other programs, as UM-Bridge has it.
+
+    Any program for uncertainty quantification that speaks this protocol over HTTP
+    can call it, on this machine. OUT serves "posterior": sampled coordinates in,
+    log density out; "values": their parameters; and "forward": parameters in, force
+    of the test's motion out. A model serves "forward" for a motion that you give.
+    Names and units are printed. Writes nothing; a model in a file is run.
+
+    Example:
+      mfd-bayes serve out --port 4242
+      mfd-bayes serve lugre --sine "1 in, 0.5 Hz, 3 cycles"
+      mfd-bayes serve my_damper.py:Viscous --motion quake.csv --actuation "1 ksi"
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import serve as pipeline
+
+        pipeline.serve(source, port, motion, sine, actuation, console.say)

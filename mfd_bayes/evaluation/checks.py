@@ -27,11 +27,10 @@ from mfd_bayes.evaluation.views import (
     PRIOR_SENSITIVITY,
     TRADE_OFFS,
     Check,
-    LoopEstimate,
     Row,
-    ScoreRow,
+    Rows,
 )
-from mfd_bayes.records.measured import MeasuredCycles
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.verdict import Verdict
 
 Array = NDArray[np.float64]
@@ -53,17 +52,9 @@ FAR = 2.0
 """A slip force of the model more than this many times the measured one, or less than its inverse,
 is none: the noise stands in for the friction."""
 
-CALIBRATION = "calibration"
-REPORT = "report"
-
-SECOND_MODE = 0.1
-"""A second mode with this share of the draws makes the parameters of a test two sets."""
-
-SMALLEST_MODE = 0.01
-"""Further modes with less than this share of the draws are not spoken of."""
-
-SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
-"""Names of the checks that say whether the sampling can be trusted."""
+SECOND_MODE, SMALLEST_MODE = 0.1, 0.01
+"""Share of the draws from which a second mode makes the parameters of a test two sets, and below
+which a further mode is not spoken of."""
 
 _FEATURES = {
     "energy_per_cycle": ("energy per cycle", "kip*in", PREDICTIVE),
@@ -83,16 +74,16 @@ def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[C
 
     A quantity that is not sampled has NaN for R-hat, and no check; an infinite R-hat fails.
     """
-    return [
-        Check(test, name, row.name, value, limit, Verdict.of(good))
-        for row in rows
-        if not np.isnan(row.r_hat)
-        for name, value, limit, good in (
-            ("R-hat", row.r_hat, effort.r_hat, row.r_hat <= effort.r_hat),
-            ("bulk ESS", row.ess_bulk, effort.ess, row.ess_bulk >= effort.ess),
-            ("tail ESS", row.ess_tail, effort.ess, row.ess_tail >= effort.ess),
-        )
-    ]
+    checks = []
+    for row in rows:
+        if np.isnan(row["r_hat"]):
+            continue
+        good = Verdict.of(row["r_hat"] <= effort.r_hat)
+        checks.append(Check(test, "R-hat", row["name"], row["r_hat"], effort.r_hat, good))
+        for name, key in (("bulk ESS", "ess_bulk"), ("tail ESS", "ess_tail")):
+            enough = Verdict.of(row[key] >= effort.ess)
+            checks.append(Check(test, name, row["name"], row[key], effort.ess, enough))
+    return checks
 
 
 def length_check(test: str, facts: Mapping[str, Any], effort: Effort) -> Check:
@@ -132,15 +123,16 @@ def predictive_checks(
     for name, (feature, unit, check_name) in _FEATURES.items():
         if not axes.has(name):
             continue
-        values = properties[name][np.isfinite(properties[name])]
-        if not values.size or not np.isfinite(seen[name]):
+        values, own = properties[name][np.isfinite(properties[name])], seen[name]
+        if not values.size or not np.isfinite(own):
             continue
         if name == "energy_in_all" and measured.full_stroke.all() and measured.full_stroke.size:
             continue  # it says the same as the energy of a cycle
-        expected, own = float(values.mean()), seen[name]
+        expected = float(values.mean())
         difference = (expected - own) / max(abs(own), 1e-12)
         p_value = float(np.mean(values > own) + 0.5 * np.mean(values == own))
-        figures = unit, own, expected, difference, p_value, allowed[TOLERANCE_OF[name]], check_name
+        tolerance = allowed[TOLERANCE_OF.get(name, "energy")]
+        figures = unit, own, expected, difference, p_value, tolerance, check_name
         checks.append(feature_check(test, feature, *figures))
     return checks
 
@@ -172,25 +164,19 @@ def feature_check(
     return Check(test, check, feature, observed, expected, status, *figures)
 
 
-def coverage_checks(score: ScoreRow, tolerances: Mapping[str, float] | None = None) -> list[Check]:
+def coverage_checks(score: Row, tolerances: Mapping[str, float] | None = None) -> list[Check]:
     """Share of samples inside each band: too few are a fault, many only a wide band."""
     tolerance = complete_tolerances(tolerances)["coverage"]
     checks = []
-    shares = score.coverage_50, score.coverage_90, score.coverage_95
-    for probability, share in zip(COVERAGES, shares, strict=True):
+    for probability in COVERAGES:
+        share = score[f"coverage_{100 * probability:.0f}"]
         away = share - probability
-        status, wide = _of_size(-away, tolerance), ""
+        status, note = _of_size(-away, tolerance), ""
         if status == Verdict.PASS and away > tolerance:
-            status, wide = Verdict.NOTE, "the band is wider than necessary"
+            status, note = Verdict.NOTE, "the band is wider than necessary"
         feature = f"coverage of the {100 * probability:.0f} % band"
-        checks.append(
-            Check(
-                *(score.subject, COVERAGE, feature, share, probability, status),
-                difference=away,
-                tolerance=tolerance,
-                note=wide,
-            )
-        )
+        figures = score["test"], COVERAGE, feature, share, probability, status
+        checks.append(Check(*figures, difference=away, tolerance=tolerance, note=note))
     return checks
 
 
@@ -218,9 +204,7 @@ def slip_checks(
     return checks
 
 
-def loop_estimates(
-    checks: Iterable[Check], properties: Mapping[str, Array]
-) -> tuple[LoopEstimate, ...]:
+def loop_estimates(checks: Iterable[Check], properties: Mapping[str, Array]) -> Rows:
     """What is read off the loop of a test, beside the figures of replicated records."""
     names = {feature: name for name, (feature, *_) in _FEATURES.items()}
     estimates = []
@@ -228,24 +212,23 @@ def loop_estimates(
         if check.check == LOOP_ESTIMATE and check.feature in names:
             values = properties[names[check.feature]]
             low, middle, high = np.nanquantile(values, [0.025, 0.5, 0.975]).tolist()
-            figures = check.unit, check.observed, low, middle, high, check.tolerance
-            missed = check.status != Verdict.PASS
-            estimates.append(LoopEstimate(check.test, check.feature, *figures, missed))
+            estimates.append(
+                {"test": check.test, "name": check.feature, "unit": check.unit}
+                | {"value": check.observed, "lower": low, "median": middle, "upper": high}
+                | {"tolerance": check.tolerance, "missed": check.status != Verdict.PASS}
+            )
     return tuple(estimates)
 
 
 def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Check]:
-    """Checks that cannot fail: how well each parameter is informed, and several modes.
-
-    A second mode with `SECOND_MODE` of the draws is to be used with care.
-    """
+    """Checks that cannot fail: how well each parameter is informed, and several modes."""
     checks = [
         Check(
-            *(test, CONTRACTION, row.name, row.contraction, INFORMED),
-            Verdict.pass_or_note(row.contraction >= INFORMED),
+            *(test, CONTRACTION, row["name"], row["contraction"], INFORMED),
+            Verdict.pass_or_note(row["contraction"] >= INFORMED),
         )
         for row in rows
-        if np.isfinite(row.contraction)
+        if np.isfinite(row["contraction"])
     ]
     shares = np.sort(np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0))[::-1]
     if facts["modes"] > 1 and (shares.size < 2 or shares[1] >= SMALLEST_MODE):
@@ -282,12 +265,8 @@ def identifiability_checks(test: str, identifiability: Identifiability) -> list[
 def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     """Whether 1 is in the 95 % interval of each proportional law's exponent, set free.
 
-    An interval that holds 1 but is wider than `TELLING` says nothing either way: it is a note.
-
-    Parameters
-    ----------
-    exponents : mapping of str to iterable of float
-        2.5 %, 50 % and 97.5 % quantile by quantity.
+    `exponents` are its 2.5 %, 50 % and 97.5 % quantile by quantity. An interval that holds 1 but is
+    wider than `TELLING` says nothing either way: it is a note.
     """
     checks = []
     for name, (low, middle, high) in exponents.items():

@@ -8,8 +8,7 @@ weights of a cycle cannot be trusted, its density is computed from the evidence 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +48,13 @@ EVIDENCE_DRAWS, MOST_ROUNDS = 4000, 16
 LEAST_ESS, GOOD_K = 0.1, 0.6
 """Share of effective draws from which the next proposal is learned; Pareto k that is enough."""
 
-_FIGURES = ("elpd", "lppd", "psis_k", "k")
 _LOG_2PI = float(np.log(2 * np.pi))
 _PIECE = 1 << 19  # size of the arrays of one piece, in numbers
 _DRAWS = 400  # for the median of the force
+_UNKNOWN = Evidence(np.nan, np.nan, np.nan)
+
+
+# --- what is compared
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,7 @@ class Candidate:
 
 
 def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candidate, ...]:
-    """Every model with every noise; without noises two or more models, with the campaign's noise.
-
-    Raises
-    ------
-    CampaignError
-        When a name is unknown or there twice, or there are fewer than two to compare.
-    """
+    """Every model with every noise; without noises two or more models with the campaign's own."""
     if not noises:
         return tuple(Candidate(folder_of(name), model=name) for name in check_models(names))
     if len(noises) < 2 and len(names) < 2 and noises[0] in NOISES:
@@ -80,32 +76,22 @@ def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candid
             f"got {noises[0]!r} alone, or --models two or more models"
         )
     chosen = _chosen("--noises", noises, tuple(NOISES), 1)
-    kinds = _chosen("--models", names, _known_models(names), 0)
+    kinds = check_models(names, 0)
     if len(kinds) < 2:
         return tuple(Candidate(noise, next(iter(kinds), None), noise) for noise in chosen)
     return tuple(Candidate(f"{folder_of(m)}_{noise}", m, noise) for m in kinds for noise in chosen)
 
 
-def check_models(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of two or more models, in the program's order.
-
-    Raises
-    ------
-    CampaignError
-        When one is unknown or named twice, or there are fewer than two.
-    """
-    return _chosen("--models", names, _known_models(names), 2)
-
-
-def _known_models(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the package's and of installed models, and of those in files among `names`."""
+def check_models(names: Sequence[str], least: int = 2) -> tuple[str, ...]:
+    """Names of so many models or more, in the program's order: its own, installed, and in files."""
     files = [name for name in dict.fromkeys(names) if models.file_of(name)]
-    folders = [folder_of(name) for name in (*models.model_names(), *files)]
+    allowed = (*models.model_names(), *files)
+    folders = [folder_of(name) for name in allowed]
     if twice := [folder for folder in folders if folders.count(folder) > 1]:
         raise CampaignError(
             f"--models names two models {twice[0]!r}: each needs another class name"
         )
-    return (*models.model_names(), *files)
+    return _chosen("--models", names, allowed, least)
 
 
 def folder_of(model: str) -> str:
@@ -116,7 +102,7 @@ def folder_of(model: str) -> str:
 def _chosen(
     option: str, names: Sequence[str], allowed: Sequence[str], least: int
 ) -> tuple[str, ...]:
-    """Names of an option, each once, in the order of those that are known."""
+    """Names of an option, each once, in the order of those that are allowed."""
     if not set(names) <= set(allowed) or len(set(names)) < max(len(names), least):
         got = ", ".join(map(repr, names)) or "nothing"
         many = "two or more" if least > 1 else option.lstrip("-")
@@ -127,60 +113,101 @@ def _chosen(
 
 
 def check_cycles(task: Task) -> None:
-    """Refuse a test with too few cycles to leave one out.
-
-    Raises
-    ------
-    FitError
-        When its record has too few cycles.
-    """
+    """Refuse a test with too few cycles to leave one out."""
     try:
         find_cycles(task.trace, task.posterior().first)
     except FitError as error:
         raise FitError(f"test {task.id!r} cannot be compared: {error}") from error
 
 
-@dataclass(frozen=True, eq=False)
-class _Score:
-    """Scores of a model on one or several tests."""
+# --- the comparison of runs
 
-    validation: CrossValidation
-    squares: float  # sum of squares of the force minus its predicted median, kip²
-    spread: float  # sum of squares of the force about its mean, kip²
-    short: tuple[str, ...]  # tests whose sampling missed its targets
-    evidence: Evidence
+
+@dataclass(frozen=True, eq=False)
+class CrossValidation:
+    """Leave-one-cycle-out figures of a model, one for each cycle.
+
+    Attributes
+    ----------
+    elpd, lppd : (C,)
+        Expected log predictive density, log p(y_c | y_-c), and the same under the posterior with
+        the cycle included.
+    psis_k, k : (C,)
+        Pareto k of PSIS with the posterior's draws, and of the weights behind `elpd`, from PSIS or
+        from the evidences.
+    test : (C,) int
+        Number of each cycle's test, where there are several.
+    squares, spread : float, kip²
+        Sum of squares of the force minus its predicted median, and about its mean.
+    short : tuple of str
+        Tests whose sampling missed its targets.
+    evidence : Evidence
+        Of the tests' whole records.
+    """
+
+    elpd: Array
+    lppd: Array
+    psis_k: Array
+    k: Array
+    test: NDArray[np.intp] | None = None
+    squares: float = float("nan")
+    spread: float = float("nan")
+    short: tuple[str, ...] = ()
+    evidence: Evidence = _UNKNOWN
+
+    @property
+    def bad(self) -> NDArray[np.bool_]:
+        """Whether the figures of a cycle cannot be trusted, (C,)."""
+        return ~(self.k <= LARGEST_K)
+
+    @property
+    def redone(self) -> NDArray[np.bool_]:
+        """Whether PSIS failed for a cycle, (C,)."""
+        return ~(self.psis_k <= LARGEST_K)
+
+
+def join(parts: Iterable[CrossValidation]) -> CrossValidation:
+    """Figures of several tests, joined over all their cycles."""
+    several = list(parts)
+
+    def joined(name: str) -> Array:
+        return np.concatenate([getattr(part, name) for part in several])
+
+    return CrossValidation(
+        elpd=joined("elpd"),
+        lppd=joined("lppd"),
+        psis_k=joined("psis_k"),
+        k=joined("k"),
+        test=np.repeat(np.arange(len(several)), [p.elpd.size for p in several]),
+        squares=sum(p.squares for p in several),
+        spread=sum(p.spread for p in several),
+        short=tuple(name for p in several for name in p.short),
+        evidence=join_evidence([p.evidence for p in several]),
+    )
 
 
 def compare_runs(runs: Mapping[str, Run]) -> Comparison:
-    """Comparison of runs of one campaign, by model.
-
-    Only tests that every model was calibrated to are compared.
-
-    Raises
-    ------
-    FitError
-        When no test was calibrated under every model, or a record has too few cycles.
-    """
-    some = next(iter(runs.values()))
-    shared = [name for name in some.tests if all(name in run.tests for run in runs.values())]
+    """Comparison of runs of one campaign, by model, on the tests that all were calibrated to."""
+    names = next(iter(runs.values())).tests
+    shared = [name for name in names if all(name in run.tests for run in runs.values())]
     if not shared:
         raise FitError("there is nothing to compare: no test could be calibrated under every model")
     scores = {
-        model: {name: _score(run.tests[name], run.manifest.effort) for name in shared}
+        model: {name: score_test(run.tests[name], run.manifest.effort) for name in shared}
         for model, run in runs.items()
     }
     rows = [
         row
         for name in shared
-        for row in _rows(name, {model: per_test[name] for model, per_test in scores.items()})
+        for row in _rows(name, {model: of_tests[name] for model, of_tests in scores.items()})
     ]
-    total = {model: _together(list(per_test.values())) for model, per_test in scores.items()}
+    total = {model: join(of_tests.values()) for model, of_tests in scores.items()}
     overall = _rows(ALL, total)
     best, second = overall[0].model, overall[1].model
     sentences = [
-        _favour(total[best].validation, total[second].validation, (best, second), len(shared)),
+        _favour(total, best, second, len(shared)),
         "The comparison is about another cycle of the same tests, not about another test.",
-        _trust({model: total[model] for model in (best, second)}),
+        _trust(total, best, second),
         _evidence_sentence({model: score.evidence for model, score in total.items()}),
     ]
     lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
@@ -189,58 +216,49 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
     return Comparison((*rows, *overall), " ".join(sentences))
 
 
-def _score(test: TestResult, effort: Effort) -> _Score:
+def score_test(test: TestResult, effort: Effort) -> CrossValidation:
+    """Leave-one-cycle-out figures of a calibrated test, and its error in sample."""
     stored, posterior, facts = test.stored, test.posterior, test.stored.facts
     rng, values = np.random.default_rng(facts["seed"]), stored.values()
     chains = stored.draws.sizes["chain"]
-    validation = cross_validate(posterior, values, chains, facts["walkers"], rng)
+    scores = cross_validate(posterior, values, chains, facts["walkers"], rng)
     pick = np.linspace(0, values["offset"].size - 1, _DRAWS).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}
     force = posterior.force(taken) + taken["offset"][:, None]
     observed = np.asarray(test.trace.force)[posterior.first :]
     missed = observed - np.median(force, axis=0)[posterior.first :]
-    short = () if _converged(posterior, facts, effort) else (test.id,)
-    spread = float(observed.size * observed.var())
-    return _Score(validation, float(missed @ missed), spread, short, test.log_evidence())
-
-
-def _converged(posterior: Posterior, facts: Mapping[str, Any], effort: Effort) -> bool:
-    """Whether the sampling of a test reached the targets of an effort."""
     figures = (facts["convergence"].get(name) or (None, 0, 0) for name in posterior.names)
-    return all(
+    converged = all(
         r_hat is not None and r_hat <= effort.r_hat and min(bulk or 0, tail or 0) >= effort.ess
         for r_hat, bulk, tail in figures
     )
-
-
-def _together(scores: Sequence[_Score]) -> _Score:
-    return _Score(
-        join(score.validation for score in scores),
-        sum(score.squares for score in scores),
-        sum(score.spread for score in scores),
-        tuple(name for score in scores for name in score.short),
-        join_evidence([score.evidence for score in scores]),
+    return replace(
+        scores,
+        squares=float(missed @ missed),
+        spread=float(observed.size * observed.var()),
+        short=() if converged else (test.id,),
+        evidence=test.log_evidence(),
     )
 
 
-def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
+def _rows(subject: str, scores: Mapping[str, CrossValidation]) -> list[ComparisonRow]:
     """Row of every model, best first."""
-    order = sorted(scores, key=lambda model: -scores[model].validation.total)
-    best, rows = scores[order[0]].validation, []
+    order = sorted(scores, key=lambda model: -scores[model].elpd.sum())
+    rows = []
     for model in order:
-        score, validation = scores[model], scores[model].validation
-        less, error = difference(validation, best)
+        score = scores[model]
+        less, error = difference(score, scores[order[0]])
         rows.append(
             ComparisonRow(
                 subject=subject,
                 model=model,
-                cycles=validation.cycles,
-                elpd=validation.total,
-                elpd_se=validation.error,
-                p_loo=validation.p_loo,
-                worst_k=float(validation.psis_k.max()),
-                bad=float(validation.redone.mean()),
-                unsettled=float(validation.bad.mean()),
+                cycles=score.elpd.size,
+                elpd=float(score.elpd.sum()),
+                elpd_se=standard_error(score.elpd, score.test),
+                p_loo=float(np.sum(score.lppd - score.elpd)),
+                worst_k=float(score.psis_k.max()),
+                bad=float(score.redone.mean()),
+                unsettled=float(score.bad.mean()),
                 difference=less,
                 difference_se=error,
                 rrse=float(np.sqrt(score.squares / score.spread)),
@@ -253,18 +271,15 @@ def _rows(subject: str, scores: Mapping[str, _Score]) -> list[ComparisonRow]:
     return rows
 
 
-def _favour(
-    best: CrossValidation, second: CrossValidation, names: tuple[str, str], tests: int
-) -> str:
+def _favour(total: Mapping[str, CrossValidation], best: str, second: str, tests: int) -> str:
     """Sentence on which of the best two models the records favour, if any."""
-    more, error = difference(best, second)
-    errors = more / error if error > 0 else np.inf
-    cycles = f"{best.cycles} cycles"
-    where = f"{tests} tests of {cycles} in all" if tests > 1 else f"{cycles} of 1 test"
-    verb = "favour {} over {}" if errors >= CLEAR else "cannot decide between {} and {}"
-    few = (tests if tests > 1 else best.cycles) < FEW
+    more, error = difference(total[best], total[second])
+    errors, count = more / error if error > 0 else np.inf, total[best].elpd.size
+    where = f"{tests} tests of {count} cycles in all" if tests > 1 else f"{count} cycles of 1 test"
+    verb = f"favour {best} over" if errors >= CLEAR else f"cannot decide between {best} and"
+    few = (tests if tests > 1 else count) < FEW
     return (
-        f"The records {verb.format(*names)}: elpd higher by {more:.4g}, {errors:.1f} standard "
+        f"The records {verb} {second}: elpd higher by {more:.4g}, {errors:.1f} standard "
         f"errors over {where}{' (a rough estimate of the error, from so few)' if few else ''}."
     )
 
@@ -284,18 +299,16 @@ def _evidence_sentence(evidence: Mapping[str, Evidence]) -> str:
     return text
 
 
-def _trust(scores: Mapping[str, _Score]) -> str:
+def _trust(total: Mapping[str, CrossValidation], best: str, second: str) -> str:
     """Sentence on whether the diagnostics of the best two models support their difference."""
     redone, caveats = [], []
-    for model, score in scores.items():
-        validation = score.validation
-        if validation.redone.any():
-            cycles = f"{validation.redone.sum()} of {validation.cycles} cycles"
-            redone.append(f"{cycles} of {model} (worst {validation.psis_k.max():.2f})")
-        if validation.bad.any():
-            caveats.append(
-                f"k stays above {LARGEST_K:g} in {validation.bad.sum()} cycles of {model}"
-            )
+    for model in (best, second):
+        score = total[model]
+        if score.redone.any():
+            cycles = f"{score.redone.sum()} of {score.elpd.size} cycles"
+            redone.append(f"{cycles} of {model} (worst {score.psis_k.max():.2f})")
+        if score.bad.any():
+            caveats.append(f"k stays above {LARGEST_K:g} in {score.bad.sum()} cycles of {model}")
         if score.short:
             caveats.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
     text = ""
@@ -308,81 +321,42 @@ def _trust(scores: Mapping[str, _Score]) -> str:
     if not caveats:
         return f"{text}The diagnostics of this comparison are good."
     text += f"Do not rely on this result as it is: {'; '.join(caveats)}"
-    best, second = (score.validation for score in scores.values())
-    good = ~(best.bad | second.bad)
+    good = ~(total[best].bad | total[second].bad)
     if 1 < good.sum() < good.size:
-        more, error = difference(best.part(good), second.part(good))
-        errors = more / error if error > 0 else np.inf
-        text += f"; over the other {good.sum()} cycles elpd differs by {more:.4g}, {errors:.1f} "
-        text += "standard errors"
+        apart, test = (total[best].elpd - total[second].elpd)[good], total[best].test
+        error = standard_error(apart, None if test is None else test[good])
+        errors = apart.sum() / error if error > 0 else np.inf
+        text += f"; over the other {good.sum()} cycles elpd differs by {apart.sum():.4g}, "
+        text += f"{errors:.1f} standard errors"
     return f"{text}."
 
 
-# --- leave-one-cycle-out
+def difference(first: CrossValidation, other: CrossValidation) -> tuple[float, float]:
+    """Elpd of one minus that of the other, and its standard error, paired over cycles."""
+    apart = first.elpd - other.elpd
+    return float(apart.sum()), standard_error(apart, first.test)
 
 
-@dataclass(frozen=True, eq=False)
-class CrossValidation:
-    """Leave-one-cycle-out figures, one for each cycle.
+def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> float:
+    """Standard error of a sum over cycles (C,), of tests (C,) int; NaN for fewer than two cycles.
 
-    As in Vehtari, Gelman and Gabry (2017), but whole cycles are left out, since neighbouring
-    samples of a record depend on each other. Where PSIS weights cannot be trusted because a
-    cycle is too informative, p(y_c | y_-c) = p(y)/p(y_-c) is computed from both evidences.
-
-    Attributes
-    ----------
-    elpd : (C,)
-        Expected log predictive density, log p(y_c | y_-c).
-    lppd : (C,)
-        The same under the posterior with the cycle included.
-    psis_k : (C,)
-        Pareto k of PSIS with the posterior's draws.
-    k : (C,)
-        Pareto k of the weights behind `elpd`, from PSIS or from the evidences.
-    test : (C,) int, optional
-        Number of each cycle's test, where there are several.
+    The cycles of one test resemble each other, so that tests count, not cycles: with J tests and
+    the sum s_j of the cycles of test j, less the mean over all cycles, it is
+    √(J/(J − 1) Σ s_j²), but never less than if all cycles were independent, √(C var). Of one test
+    only the latter is known.
     """
+    if figures.size < 2:
+        return float("nan")
+    alone = np.sqrt(figures.size * np.var(figures, ddof=1))
+    tests = np.empty(0) if test is None else np.unique(test)
+    if tests.size < 2:
+        return float(alone)
+    away = figures - figures.mean()
+    sums = np.array([away[test == name].sum() for name in tests])
+    return float(max(alone, np.sqrt(tests.size / (tests.size - 1) * np.sum(sums**2))))
 
-    elpd: Array
-    lppd: Array
-    psis_k: Array
-    k: Array
-    test: NDArray[np.intp] | None = None
 
-    @property
-    def cycles(self) -> int:
-        """Number of cycles C."""
-        return self.elpd.size
-
-    @property
-    def total(self) -> float:
-        """Expected log predictive density of all cycles."""
-        return float(self.elpd.sum())
-
-    @property
-    def error(self) -> float:
-        """Standard error of the total."""
-        return standard_error(self.elpd, self.test)
-
-    @property
-    def p_loo(self) -> float:
-        """Effective number of parameters."""
-        return float(np.sum(self.lppd - self.elpd))
-
-    @property
-    def bad(self) -> NDArray[np.bool_]:
-        """Whether the figures of a cycle cannot be trusted, (C,)."""
-        return ~(self.k <= LARGEST_K)
-
-    @property
-    def redone(self) -> NDArray[np.bool_]:
-        """Whether PSIS failed for a cycle, (C,)."""
-        return ~(self.psis_k <= LARGEST_K)
-
-    def part(self, chosen: NDArray[np.bool_]) -> CrossValidation:
-        """Figures of the chosen cycles; `chosen` is (C,)."""
-        kept = {name: getattr(self, name)[chosen] for name in _FIGURES}
-        return CrossValidation(**kept, test=None if self.test is None else self.test[chosen])
+# --- leave-one-cycle-out
 
 
 def cross_validate(
@@ -392,19 +366,10 @@ def cross_validate(
     walkers: int,
     rng: np.random.Generator,
 ) -> CrossValidation:
-    """Leave-one-cycle-out figures of a calibrated test.
+    """Leave-one-cycle-out figures from posterior draws of all quantities, (chain · draw,) each.
 
-    Parameters
-    ----------
-    values : mapping of str to (chain · draw,)
-        Posterior draws of all quantities, in their stored order.
-    chains, walkers : int
-        Number of chains, and of walkers in each.
-
-    Raises
-    ------
-    FitError
-        When the record has too few cycles.
+    Where PSIS weights cannot be trusted because a cycle is too informative, p(y_c | y_-c) =
+    p(y)/p(y_-c) is computed from both evidences.
     """
     cycles = find_cycles(posterior.trace, posterior.first)
     given = cycle_log_likelihood(posterior, values, cycles)[0]
@@ -413,13 +378,12 @@ def cross_validate(
         ess = measure_draws(column.reshape(chains, -1), walkers).ess_bulk[0]
         scores.append(leave_out(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
     elpd, lppd, psis_k = np.transpose(scores)
-    plain = CrossValidation(elpd, lppd, psis_k, psis_k)
-    if not np.any(plain.redone):
-        return plain
+    failed = np.flatnonzero(~(psis_k <= LARGEST_K)).tolist()
     k = psis_k.copy()
-    draws = posterior.coordinates(values)
-    whole, whole_k = log_evidence(posterior.log_prob, draws, np.zeros(len(draws)), rng)
-    for cycle in np.flatnonzero(plain.redone).tolist():
+    if failed:
+        draws = posterior.coordinates(values)
+        whole, whole_k = log_evidence(posterior.log_prob, draws, np.zeros(len(draws)), rng)
+    for cycle in failed:
         rest = without_cycle(posterior, cycles, cycle)
         evidence, rest_k = log_evidence(rest, draws, -given[:, cycle], rng)
         if max(whole_k, rest_k) < k[cycle]:
@@ -455,45 +419,6 @@ def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, fl
     return float(elpd), float(lppd), k
 
 
-def join(parts: Iterable[CrossValidation]) -> CrossValidation:
-    """Figures of several tests, joined over all their cycles."""
-    several = list(parts)
-    joined = {n: np.concatenate([getattr(p, n) for p in several]) for n in _FIGURES}
-    test = np.repeat(np.arange(len(several)), [p.cycles for p in several])
-    return CrossValidation(**joined, test=test)
-
-
-def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> float:
-    """Standard error of a sum over cycles; NaN for fewer than two.
-
-    The cycles of one test resemble each other, so that tests count, not cycles: with J tests and
-    the sum s_j of the cycles of test j, less the mean over all cycles, it is
-    √(J/(J − 1) Σ s_j²), but never less than if all cycles were independent, √(C var). Of one test
-    only the latter is known.
-
-    Parameters
-    ----------
-    figures : (C,)
-    test : (C,) int, optional
-        Number of each cycle's test; one test if not given.
-    """
-    if figures.size < 2:
-        return float("nan")
-    alone = np.sqrt(figures.size * np.var(figures, ddof=1))
-    tests = np.empty(0) if test is None else np.unique(test)
-    if tests.size < 2:
-        return float(alone)
-    away = figures - figures.mean()
-    sums = np.array([away[test == name].sum() for name in tests])
-    return float(max(alone, np.sqrt(tests.size / (tests.size - 1) * np.sum(sums**2))))
-
-
-def difference(first: CrossValidation, other: CrossValidation) -> tuple[float, float]:
-    """Elpd of one minus that of the other, and its standard error, paired over cycles."""
-    apart = first.elpd - other.elpd
-    return float(apart.sum()), standard_error(apart, first.test)
-
-
 # --- the density of a cycle given all others
 
 
@@ -503,17 +428,8 @@ def find_cycles(trace: Trace, first: int = 0) -> NDArray[np.intp]:
     A cycle ends at every second turn of the whole motion, as in a harmonic record. In an irregular
     record small loops are joined until they last half the mean period 2π sd(x)/sd(v): a shorter
     block would be predicted too easily from its neighbours. A short rest at the end joins the last
-    cycle. The cycles follow from the motion alone: they are the same for every model.
-
-    Parameters
-    ----------
-    first : int
-        Samples before this one are in no cycle.
-
-    Raises
-    ------
-    FitError
-        When there are fewer than `FEWEST_CYCLES` cycles.
+    cycle. The cycles follow from the motion alone: they are the same for every model. Samples
+    before `first` are in no cycle.
     """
     time = trace.time
     shortest = np.pi * trace.displacement[first:].std() / trace.velocity[first:].std()
@@ -538,40 +454,24 @@ def cycle_log_likelihood(
 ) -> tuple[Array, Array]:
     """Log density of every cycle given all others, and of all together.
 
-    log p(y_c | y_-c, θ), (n, C), and log p(y | θ), (n,).
-
-    Parameters
-    ----------
-    values : mapping of str to (n,)
-        Draws of all quantities.
-    cycles : (C + 1,)
-        From `find_cycles` with the posterior's `first`.
+    log p(y_c | y_-c, θ), (n, C), and log p(y | θ), (n,), for draws of all quantities, (n,) each,
+    and `cycles` from `find_cycles` with the posterior's `first`.
     """
-    n = values["offset"].size
-    size = max(1, _PIECE // posterior.trace.samples)
-    pieces = [
-        {name: column[begin : begin + size] for name, column in values.items()}
-        for begin in range(0, n, size)
-    ]
-    found = [_log_likelihood(posterior, piece, cycles) for piece in pieces]
-    given, whole = zip(*found, strict=True)
+    kept, size = slice(cycles[0], None), max(1, _PIECE // posterior.trace.samples)
+    pieces = []
+    for begin in range(0, values["offset"].size, size):
+        some = {name: column[begin : begin + size] for name, column in values.items()}
+        residual = np.asarray(posterior.trace.force) - some["offset"][:, None]
+        residual -= posterior.force(some)
+        travel = posterior.travel(some)
+        decay, scale = posterior.noise.memory(
+            posterior.trace.time[kept], some, None if travel is None else travel[:, kept]
+        )
+        dof = some["noise_dof"] if "noise_dof" in posterior.noise.parameters else None
+        starts = cycles[:-1] - cycles[0]
+        pieces.append(conditional_density(residual[:, kept], decay, scale, starts, dof))
+    given, whole = zip(*pieces, strict=True)
     return np.concatenate(given), np.concatenate(whole)
-
-
-def _log_likelihood(
-    posterior: Posterior, values: Mapping[str, Array], cycles: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    kept = slice(cycles[0], None)
-    residual = np.asarray(posterior.trace.force) - values["offset"][:, None]
-    residual -= posterior.force(values)
-    travel = posterior.travel(values)
-    decay, scale = posterior.noise.memory(
-        posterior.trace.time[kept],
-        values,
-        None if travel is None else travel[:, kept],
-    )
-    dof = values["noise_dof"] if "noise_dof" in posterior.noise.parameters else None
-    return conditional_density(residual[:, kept], decay, scale, cycles[:-1] - cycles[0], dof)
 
 
 def conditional_density(

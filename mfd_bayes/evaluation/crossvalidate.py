@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
-from mfd_bayes.evaluation.scores import score
-from mfd_bayes.evaluation.views import LeftOutRow, LeftOutView
+from mfd_bayes.evaluation.scores import score, score_record
+from mfd_bayes.evaluation.views import LeftOutView, Row
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
@@ -88,13 +88,7 @@ class Fold:
         return MANIFEST, "priors.toml", *sorted(p.relative_to(out).as_posix() for p in records)
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Predict the part, and store its scores.
-
-        Raises
-        ------
-        StoreError
-            When they cannot be written.
-        """
+        """Predict the part, and store its scores."""
         began = time.perf_counter()
         observe(Step(self.id, "gathering the others"))
         try:
@@ -122,13 +116,7 @@ def fold_id(part: str) -> str:
 
 
 def part_kind(by: str) -> PartKind:
-    """The kind of parts to leave out, by name, checked.
-
-    Raises
-    ------
-    CampaignError
-        When the name is unknown.
-    """
+    """The kind of parts to leave out, by name, checked."""
     for kind in get_args(PartKind):
         if kind == by:
             return kind  # type: ignore[no-any-return]
@@ -138,21 +126,10 @@ def part_kind(by: str) -> PartKind:
 def parts_of(
     settings: Mapping[str, Setting], by: PartKind, actuation_unit: str, where: Path
 ) -> dict[str, tuple[str, ...]]:
-    """Calibrated tests of each part, by the part's name.
+    """Calibrated tests of each part, by the part's name, from the setting of each test by id.
 
-    Parameters
-    ----------
-    settings : mapping of str to Setting
-        Setting of every calibrated test, by id.
-    by : {"test", "level", "session"}
-    actuation_unit : {"ksi", "kip"}
-    where : Path
-        Campaign or run, named in the error message.
-
-    Raises
-    ------
-    CampaignError
-        When there are fewer than two parts, or one has all the tests with an actuation.
+    Refuses fewer than two parts, and one with all the tests that have an actuation; `where` is the
+    campaign or run that the message names.
     """
     settings = dict(zip(settings, with_zeros([*settings.values()]), strict=True))
     names = list(settings)
@@ -190,13 +167,7 @@ def parts_of(
 
 
 def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
-    """A fold for every part of a run.
-
-    Raises
-    ------
-    CampaignError
-        When there are fewer than two parts.
-    """
+    """A fold for every part of a run."""
     settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
     parts = parts_of(settings, by, run.actuation_unit, run.folder)
     digest = run.manifest.keys[CROSSVALIDATION]
@@ -215,13 +186,7 @@ def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
 def leave_out(
     run: Run, fold: Fold, observe: Callable[[Step], Any] = lambda _: None
 ) -> tuple[Prediction, ...]:
-    """Predictions of the tests of one part, from all others.
-
-    Raises
-    ------
-    MfdError
-        When no population can be inferred from the others.
-    """
+    """Predictions of the tests of one part, from all others."""
     others = {name: run.tests[name] for name in fold.kept}
     inference = infer_population(
         others,
@@ -235,7 +200,7 @@ def leave_out(
         test = run.tests[name]
         posterior = test.posterior
         predictor = Predictor(inference.population, posterior.model, posterior.noise)
-        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=run.session(name))
+        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, **run.place(name))
         order = TestSequence(
             run.manifest, others, motions, predictor, partial(_pooled, inference, others)
         )
@@ -261,13 +226,7 @@ def _fitted(test: TestResult) -> Score:
 
 
 def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
-    """Stored predictions of folds.
-
-    Raises
-    ------
-    StoreError
-        When a file is missing, or does not hold its part's predictions.
-    """
+    """Stored predictions of folds."""
     for fold in folds:
         path = check_stored(out, f"{FOLDER}/{fold.file}", {})
         yield from read_predictions_of(path, fold.left_out)
@@ -276,13 +235,7 @@ def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
 def run_folds(
     run: Run, folds: Sequence[Fold], workplace: Workplace, observe: Callable[[Step], None]
 ) -> tuple[Prediction, ...]:
-    """Predictions of every part, computed in parallel; stored ones are not computed again.
-
-    Raises
-    ------
-    MfdError
-        When a part cannot be predicted from the others.
-    """
+    """Predictions of every part, computed in parallel; stored ones are not computed again."""
     out = run.folder
     todo = [fold for fold in folds if not fold.stored(out)]
     for fold in folds:
@@ -302,57 +255,29 @@ def left_out_view(scores: CampaignCrossValidation | None) -> LeftOutView | None:
     """Scores of a cross-validation that the manifest holds; None without one."""
     if scores is None:
         return None
-    rows = tuple(map(_row, scores.predictions))
-    mean = _mean(rows)
-    by = scores.by
-    others = "the others" if by == "test" else f"those of the other {by}s"
-    sentence = (
-        f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
-        f"{100 * mean.coverage_95:.1f} % of the force, the 50 % bands "
-        f"{100 * mean.coverage_50:.1f} %; they are on average {mean.width_ratio:.1f} times as "
-        f"wide as those of the fitted tests.{_whole(rows)}"
-    )
-    return LeftOutView(by, rows, mean, sentence)
-
-
-def _row(prediction: Prediction) -> LeftOutRow:
-    score, fitted = prediction.score, prediction.fitted
-    half, most, nearly = score.coverage
-    return LeftOutRow(
-        part=prediction.part,
-        subject=prediction.test,
-        coverage_50=half,
-        coverage_90=most,
-        coverage_95=nearly,
-        width_95=score.width,
-        interval_score=score.interval_score,
-        crps=score.crps,
-        rrse=score.rrse,
-        fitted_width=fitted.width,
-        fitted_crps=fitted.crps,
-        width_ratio=_ratio(score.width, fitted.width),
-        crps_ratio=_ratio(score.crps, fitted.crps),
-        whole_95=float("nan") if prediction.whole is None else float(prediction.whole),
-    )
-
-
-def _whole(rows: tuple[LeftOutRow, ...]) -> str:
-    """How often the bands of whole histories held; empty where they were not computed."""
-    held = [row.whole_95 for row in rows]
-    if not np.all(np.isfinite(held)):
-        return ""
-    return (
+    rows: list[Row] = []
+    for prediction in scores.predictions:
+        own, fitted = prediction.score, prediction.fitted
+        rows.append(
+            {"part": prediction.part, "test": prediction.test}
+            | score_record(own)
+            | {"fitted_width": fitted.width, "fitted_crps": fitted.crps}
+            | {"width_ratio": own.width / fitted.width if fitted.width > 0 else np.nan}
+            | {"crps_ratio": own.crps / fitted.crps if fitted.crps > 0 else np.nan}
+            | {"whole_95": np.nan if prediction.whole is None else float(prediction.whole)}
+        )
+    names = [name for name in rows[0] if name not in ("part", "test")]
+    mean = {name: float(np.mean([row[name] for row in rows])) for name in names}
+    others = "the others" if scores.by == "test" else f"those of the other {scores.by}s"
+    held = [row["whole_95"] for row in rows]
+    whole = (
         " The 95 % bands of whole histories hold the whole force of "
         f"{sum(held):.0f} of {len(held)} tests."
     )
-
-
-def _ratio(predicted: float, fitted: float) -> float:
-    return predicted / fitted if fitted > 0 else float("nan")
-
-
-def _mean(rows: tuple[LeftOutRow, ...]) -> LeftOutRow:
-    """Mean of each column."""
-    names = [field.name for field in fields(LeftOutRow)][2:]
-    columns = {name: float(np.mean([getattr(row, name) for row in rows])) for name in names}
-    return LeftOutRow("", "mean", **columns)
+    sentence = (
+        f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
+        f"{100 * mean['coverage_95']:.1f} % of the force, the 50 % bands "
+        f"{100 * mean['coverage_50']:.1f} %; they are on average {mean['width_ratio']:.1f} times "
+        f"as wide as those of the fitted tests.{whole if np.all(np.isfinite(held)) else ''}"
+    )
+    return LeftOutView(scores.by, tuple(rows), {"part": "", "test": "mean"} | mean, sentence)

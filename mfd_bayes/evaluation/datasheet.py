@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.evaluation.design import sessions_of
+from mfd_bayes.evaluation.design import NEW, places_of, sessions_of
 from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
 from mfd_bayes.messages import Message
 from mfd_bayes.records.channels import NO_ACTUATION
-from mfd_bayes.records.measured import FORMULAS, UNITS, MeasuredCycles
+from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
@@ -50,7 +50,8 @@ _QUANTITIES = (
 _COLUMNS = [
     *("condition", "actuation", "actuation_unit", "stroke", "frequency", "tested"),
     *("quantity", "direction", "unit", "cycle", "measured_low", "measured", "measured_high"),
-    *("n_cycles", "n_outside", "nominal", "lower", "upper", "lambda_min", "lambda_max", "note"),
+    *("n_cycles", "n_outside", "nominal", "lower", "upper", "lambda_min", "lambda_max"),
+    *("lambda_min_other", "lambda_max_other", "note"),
 ]
 """Of `Datasheet.rows`, there even where no test is harmonic."""
 
@@ -75,13 +76,12 @@ class Datasheet:
         `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was
         tested. `nominal` is the mean of the mean property (the device at this actuation), `lower`
         and `upper` hold a cycle of a new test with 95 %, offset, noise and chatter included.
-        `n_outside` counts the measured cycles outside of them.
-    measured : DataFrame
-        Each test's measured values: test, session, role, condition, cycle (at full stroke, from 1),
-        quantity, direction, unit, value and offset, which is not taken off.
+        `n_outside` counts the measured cycles outside of them. `lambda_min_other` and
+        `lambda_max_other` are those of another device: NaN where all tests are of one.
     tested : mapping of str to Message
         Ranges and numbers of what was tested, by name.
-    verdict : tuple of three Message
+    verdict : tuple of Message
+        Three; a fourth of other devices, where there are several.
     not_known : tuple of Message
         What a standard asks for and these tests cannot tell.
     formulas : mapping of str to str
@@ -89,7 +89,6 @@ class Datasheet:
     """
 
     rows: pd.DataFrame
-    measured: pd.DataFrame
     tested: Mapping[str, Message]
     verdict: tuple[Message, ...]
     not_known: tuple[Message, ...]
@@ -97,13 +96,7 @@ class Datasheet:
 
 
 def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:
-    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency.
-
-    Raises
-    ------
-    MfdError
-        When it has not these three parts, or the actuation is of another kind than the tests'.
-    """
+    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency."""
     if not axes.actuated:
         text = f"{NO_ACTUATION}, {text}"
     level, _, motion = text.partition(",")
@@ -119,18 +112,11 @@ def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Cond
 
 
 def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
-    """Data sheet of a run: every condition that was tested, and those asked for.
-
-    Raises
-    ------
-    FitError
-        When a condition cannot be predicted.
-    """
-    peaks = peaks_of(run)
-    tests = _harmonic_tests(run)
-    table, measured, lacking = [], [], []
-    for condition in dict.fromkeys([*sorted({c for c, _, _, _ in tests}), *at]):
-        own = [(name, trace, cycles) for c, name, trace, cycles in tests if c == condition]
+    """Data sheet of a run: every condition that was tested, and those of `at`."""
+    peaks, tests = peaks_of(run), _harmonic_tests(run)
+    table, lacking = [], []
+    for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *at]):
+        own = [test for test in tests if test[0] == condition]
         label = condition_words(run, condition)
         try:
             table += _rows(run, condition, label, own, peaks)
@@ -138,11 +124,9 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
             if condition in at:
                 raise
             lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
-        measured += [row for name, _, cycles in own for row in _measured(run, name, label, cycles)]
     rows = pd.DataFrame(table, columns=_COLUMNS)
     return Datasheet(
         rows=rows,
-        measured=pd.DataFrame(measured),
         tested=_tested(run),
         verdict=_verdict(run, rows),
         not_known=(*lacking, *_not_known(run)),
@@ -156,16 +140,19 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
 
 def condition_words(run: Run, condition: Condition) -> str:
     """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
-    say, unit = run.system.words, run.actuation_unit
-    parts, axes = [say([condition.stroke], "in", 3)], run.system.axes
+    words, axes = run.system.words, run.system.axes
+    parts = [words([condition.stroke], "in", 3)]
     if axes.actuated:
-        parts.insert(0, say([condition.actuation], unit, actuation=True))
+        parts.insert(0, words([condition.actuation], run.actuation_unit, actuation=True))
     if axes.timed:
         parts.append(f"{condition.frequency:.3g} Hz")
     return ", ".join(parts)
 
 
-def _harmonic_tests(run: Run) -> list[tuple[Condition, str, Trace, MeasuredCycles]]:
+Tested = tuple[Condition, str, Trace, MeasuredCycles]
+
+
+def _harmonic_tests(run: Run) -> list[Tested]:
     """Condition and measured cycles of every harmonic test, also of those held out."""
     traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
     tests = []
@@ -191,20 +178,18 @@ def _rounded(value: float) -> float:
 
 
 def _rows(
-    run: Run,
-    condition: Condition,
-    label: str,
-    own: Sequence[tuple[str, Trace, MeasuredCycles]],
-    peaks: Peaks,
+    run: Run, condition: Condition, label: str, own: Sequence[Tested], peaks: Peaks
 ) -> list[dict[str, object]]:
     """Rows of one condition; `own` are its tests."""
-    trace = (
-        own[0][1]
-        if own
-        else Harmonic(*condition[1:], CYCLES, run.system.axes.timed).trace(condition.actuation)
-    )
-    names = dict.fromkeys(run.session(name) for name, _, _ in own) or sessions_of(run)
+    axes = run.system.axes
+    if own:
+        trace = own[0][2]
+    else:
+        trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
+    devices = run.manifest.settings.devices
+    names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in own) or places_of(run)
     nominal, bounded = _predicted(run, trace, list(names), peaks)
+    others = _predicted(run, trace, [(NEW, NEW)], peaks)[1] if len(run.devices) > 1 else {}
     remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
     head = {
         "condition": label,
@@ -214,62 +199,59 @@ def _rows(
         "frequency": condition.frequency,
         "tested": bool(own),
     }
-    tail = 0.5 * (1.0 - PROBABILITY)
-    rows = []
+    tail, rows = 0.5 * (1.0 - PROBABILITY), []
     for quantity, direction, name in _QUANTITIES:
-        if not run.system.axes.has(name):
+        if not axes.has(name):
             continue
-        values = [getattr(cycles, name)[cycles.full_stroke] for _, _, cycles in own]
+        values = [getattr(cycles, name)[cycles.full_stroke] for _, _, _, cycles in own]
         for cycle in range(CYCLES + 1 if name == "energy" else 1):
             kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
-            drawn = bounded[name][:, kept]
-            drawn = drawn[np.isfinite(drawn)]
+            drawn = _finite(bounded[name][:, kept])
             if cycle and not drawn.size:
                 continue
-            lower, upper = (
-                np.quantile(drawn, [tail, 1.0 - tail]) if drawn.size else (np.nan, np.nan)
-            )
-            seen = np.concatenate([v[kept] for v in values]) if values else np.empty(0)
-            seen = seen[np.isfinite(seen)]
-            middle = _mean(nominal[name][:, kept])
+            seen = _finite(np.concatenate([np.empty(0), *(v[kept] for v in values)]))
+            middle = _finite(nominal[name][:, kept])
+            level = float(middle.mean()) if middle.size else float("nan")
             low, mean, high = (seen.min(), seen.mean(), seen.max()) if seen.size else (np.nan,) * 3
+            tails = [tail, 1.0 - tail]
+            lower, upper = np.quantile(drawn, tails) if drawn.size else (np.nan, np.nan)
             rows.append(
                 head
-                | {
-                    "quantity": quantity,
-                    "direction": direction,
-                    "unit": UNITS[name],
-                    "cycle": cycle,
-                    "measured_low": float(low),
-                    "measured": float(mean),
-                    "measured_high": float(high),
-                    "n_cycles": int(seen.size),
-                    "n_outside": int(np.sum((seen < lower) | (seen > upper))),
-                    "nominal": middle,
-                    "lower": float(lower),
-                    "upper": float(upper),
-                    "lambda_min": float(lower / middle) if middle else float("nan"),
-                    "lambda_max": float(upper / middle) if middle else float("nan"),
-                    "note": "; ".join(remarks),
-                }
+                | {"quantity": quantity, "direction": direction, "unit": UNITS[name]}
+                | {"cycle": cycle, "measured_low": float(low), "measured": float(mean)}
+                | {"measured_high": float(high), "n_cycles": int(seen.size)}
+                | {"n_outside": int(np.sum((seen < lower) | (seen > upper)))}
+                | {"nominal": level, "lower": float(lower), "upper": float(upper)}
+                | {"lambda_min": float(lower / level) if level else float("nan")}
+                | {"lambda_max": float(upper / level) if level else float("nan")}
+                | _other_factors(others.get(name), kept, level)
+                | {"note": "; ".join(remarks)}
             )
     return rows
 
 
-def _mean(values: Array) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else float("nan")
+def _other_factors(drawn: Array | None, kept: slice, middle: float) -> dict[str, float]:
+    """Property modification factors of another device."""
+    values = np.empty(0) if drawn is None else drawn[:, kept]
+    values, tail = values[np.isfinite(values)], 0.5 * (1.0 - PROBABILITY)
+    known = values.size and middle
+    low, high = np.quantile(values, [tail, 1.0 - tail]) / middle if known else (np.nan, np.nan)
+    return {"lambda_min_other": float(low), "lambda_max_other": float(high)}
+
+
+def _finite(values: Array) -> Array:
+    return values[np.isfinite(values)]
 
 
 def _predicted(
-    run: Run, trace: Trace, sessions: Sequence[str], peaks: Peaks
+    run: Run, trace: Trace, places: Sequence[tuple[str, str]], peaks: Peaks
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Draws of the nominal values of the cycles at full stroke, and of those of a measurement."""
     nominal, bounded = [], []
-    draws = max(DRAWS // len(sessions), 10)
-    for session in sessions:
+    draws = max(DRAWS // len(places), 10)
+    for session, name in places:
         device, test, seen = (
-            run.predict(trace, kind, PROBABILITY, draws=draws, session=session)
+            run.predict(trace, kind, PROBABILITY, draws=draws, session=session, device=name)
             for kind in ("device", "new_test", "observation")
         )
         middle = cycles_of(trace, device.draws)
@@ -278,33 +260,11 @@ def _predicted(
         nominal.append(middle)
         with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
         bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
-    return _together(nominal), _together(bounded)
-
-
-def _together(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
-    return {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
-
-
-def _measured(
-    run: Run, name: str, label: str, cycles: MeasuredCycles
-) -> Iterable[dict[str, object]]:
-    """Rows of the measured values of one test, cycle by cycle."""
-    for number, cycle in enumerate(np.flatnonzero(cycles.full_stroke).tolist(), start=1):
-        for quantity, direction, column in _QUANTITIES:
-            if not run.system.axes.has(column):
-                continue
-            yield {
-                "test": name,
-                "session": run.session(name),
-                "role": run.manifest.tests[name].role,
-                "condition": label,
-                "cycle": number,
-                "quantity": quantity,
-                "direction": direction,
-                "unit": UNITS[column],
-                "value": float(getattr(cycles, column)[cycle]),
-                "offset": float(cycles.offset[cycle]),
-            }
+    together = (
+        {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
+        for parts in (nominal, bounded)
+    )
+    return next(together), next(together)
 
 
 def _tested(run: Run) -> dict[str, Message]:
@@ -319,7 +279,7 @@ def _tested(run: Run) -> dict[str, Message]:
     }
     sessions = [session for session in sessions_of(run) if session]
     return ranges | {
-        "devices": Message("1"),
+        "devices": Message(f"{len(run.devices)}"),
         "sessions": Message(f"{len(sessions)}" if sessions else "1 (none declared)"),
         "tests": Message(f"{len(run.tests)} calibrated, {len(run.held_out)} held out"),
     }
@@ -353,16 +313,24 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
         "Bounds hold for one device within {where}; outside they rest on the form of the laws.",
         {"where": ", ".join(span.words(run.system) for span in where)},
     )
-    return first, second, third
+    if len(run.devices) < 2:
+        return first, second, third
+    slip = rows[(rows["cycle"] == 0) & (rows["quantity"] == "slip_force")]
+    low, high = slip["lambda_min_other"].min(), slip["lambda_max_other"].max()
+    fourth = Message(
+        f"Another device of the make, from {len(run.devices)} devices: slip force of "
+        f"{low:.2f} to {high:.2f} times the nominal one."
+    )
+    return first, second, third, fourth
 
 
 def _not_known(run: Run) -> tuple[Message, ...]:
     """What ASCE/SEI 7 and EN 15129 ask of property factors and these tests cannot tell."""
-    unless = (
-        "unless the declared sessions are devices" if any(sessions_of(run)) else "none is known"
-    )
-    return (
-        Message(f"Other devices of the same make: {unless}."),
-        Message("Ageing, wear and contamination: all tests are of a few cycles of a new device."),
-        Message("Temperature: no record has one."),
-    )
+    followed = {c for those in run.manifest.settings.dependence.values() for c in those}
+    ageing = "Ageing, wear and contamination: all tests are of a few cycles of a new device."
+    unknown = {
+        "Other devices of the same make: all tests are of one device.": len(run.devices) < 2,
+        ageing: not followed & {"date", "cycles"},
+        "Temperature: no law of these tests follows one.": "temperature" not in followed,
+    }
+    return tuple(Message(text) for text, lacking in unknown.items() if lacking)

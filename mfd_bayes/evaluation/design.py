@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.evaluation.properties import NO_FACTOR, UNITS, kept, peaks_of, properties_of
+from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
 from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
@@ -18,7 +19,7 @@ from mfd_bayes.runs.run import Run
 Array = NDArray[np.float64]
 
 ANOTHER = "another_device"
-"""Another device of the same make: known where the sessions of a campaign are devices."""
+"""Another device of the same make: known where the calibrated tests are of several devices."""
 
 BASES: Mapping[str, str] = {
     "device": KIND_NAMES["device"],
@@ -31,100 +32,78 @@ BASES: Mapping[str, str] = {
 DRAWS = 1000
 """Draws of each basis: few would leave the bounds to chance."""
 
-NOT_KNOWN = "not known: no sessions of several devices are declared"
+NOT_KNOWN = "not known: the calibrated tests are of one device"
 
 PROPERTIES = (
     *("slip_fwd", "slip_bwd", "energy_per_cycle", "effective_stiffness", "effective_damping"),
     *("c_eq", "peak_fwd", "peak_bwd", "gap"),
 )
-_NEW = "\x00another"  # a session that no campaign can declare
+NEW = "\x00another"  # a session or a device that no campaign can declare
 
 
-@dataclass(frozen=True)
-class DesignRow:
-    """Bounds of one property on one basis, in `unit`.
-
-    Attributes
-    ----------
-    basis : str
-        A key of `BASES`.
-    name, unit : str
-    nominal : float
-        Mean of the mean property: what every factor is relative to.
-    lower, upper : float
-        Each is exceeded with a probability of half of what the interval leaves.
-    probability : float
-        Of the interval between the bounds.
-    note : str
-        Why the bounds are not known.
-    """
-
-    basis: str
-    name: str
-    unit: str
-    nominal: float
-    lower: float
-    upper: float
-    probability: float
-    note: str = ""
-
-    @property
-    def lambda_min(self) -> float:
-        """Lower bound over the nominal value."""
-        return self.lower / self.nominal if self.nominal else float("nan")
-
-    @property
-    def lambda_max(self) -> float:
-        """Upper bound over the nominal value."""
-        return self.upper / self.nominal if self.nominal else float("nan")
-
-
-def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> tuple[DesignRow, ...]:
+def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
     """Mean and bounding properties under a motion and an actuation, by property, then by basis.
 
-    "This device tested again" is a test in one of the declared sessions, "another device" one in a
-    session that was not. Without sessions the latter is not known. The mean property has the mean
-    of the factor between the model's peak and the measured one, the others its scatter too.
-
-    Parameters
-    ----------
-    run : Run
-    trace : Trace
-        With its actuation.
-    probability : float
-        Of the interval between lower and upper bound.
-
-    Raises
-    ------
-    FitError
-        When the trace has no actuation, or the probability is not between 0 and 1.
+    "This device tested again" is a test of one of the calibrated devices in one of the declared
+    sessions, "another device" a test of a new one, in a new session where there are several. With
+    one device the latter is not known. The mean property has the mean of the factor between the
+    model's peak and the measured one, the others its scatter too.
     """
-    sessions, n, peaks = sessions_of(run), n_draws(run), peaks_of(run)
+    places, n, peaks = places_of(run), n_draws(run), peaks_of(run)
 
-    def draw(kind: str, session: str, draws: int = n) -> Band:
-        return run.predict(trace, kind, probability, session=session, draws=draws)
+    def draw(kind: str, session: str, device: str, draws: int = n) -> Band:
+        how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
+        return run.predict(trace, kind, probability, **how)
 
-    bands = {
-        kind: [draw(kind, session) for session in sessions] for kind in KIND_NAMES if kind in BASES
-    }
-    smooth = {kind: bands[kind] for kind in ("device", "new_test")}
-    if len(sessions) > 1:
-        bands[ANOTHER] = [draw("new_test", _NEW, DRAWS)]
+    bands = {kind: [draw(kind, *place) for place in places] for kind in KIND_NAMES if kind in BASES}
+    if len(run.devices) > 1:
+        session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
+        bands[ANOTHER] = [draw("new_test", session, NEW, DRAWS)]
     drawn = {}
     for basis, several in bands.items():
         parts = []
         for number, band in enumerate(several):
-            without_noise = band.draws
+            smooth = band.draws
             if basis == "observation":
-                test = smooth["new_test"][number]
-                without_noise = test.draws + np.asarray(test.values["offset"])[:, None]
+                test = bands["new_test"][number]
+                smooth = test.draws + np.asarray(test.values["offset"])[:, None]
             factor = NO_FACTOR if basis == "device" else peaks
-            parts.append(properties_of(trace, band.draws, factor, smooth=without_noise))
+            parts.append(properties_of(trace, band.draws, factor, smooth=smooth))
         drawn[basis] = {name: np.concatenate([p[name] for p in parts]) for name in PROPERTIES}
     for side, factor_of in peaks.items():
         drawn["device"][f"peak_{side}"] *= factor_of.expected
-    axes = run.manifest.axes
-    return bounds_of({basis: kept(d, axes) for basis, d in drawn.items()}, probability)
+    drawn = {basis: kept(of, run.manifest.axes) for basis, of in drawn.items()}
+    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
+
+
+def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
+    """Bounds of draws (n,) by basis and property; "device" has the nominal values.
+
+    A basis of `BASES` that is missing is not known, and its bounds are NaN. `lambda_min` and
+    `lambda_max` are the bounds over the nominal value. The `note` is of another device.
+    """
+    tail, rows = 0.5 * (1.0 - probability), []
+    for name, mean in drawn["device"].items():
+        finite = mean[np.isfinite(mean)]
+        if not finite.size:  # the motion has no full cycle
+            continue
+        nominal = float(np.mean(finite))
+        for basis in BASES:
+            lower = upper = np.nan
+            if basis in drawn:
+                values = drawn[basis].get(name, np.empty(0))
+                values = values[np.isfinite(values)]
+                if not values.size:
+                    continue
+                lower, upper = np.quantile(values, [tail, 1.0 - tail]).tolist()
+            rows.append(
+                {"name": name, "unit": UNITS[name], "basis": basis, "of": BASES[basis]}
+                | {"nominal": nominal, "lower": lower, "upper": upper}
+                | {"lambda_min": lower / nominal if nominal else np.nan}
+                | {"lambda_max": upper / nominal if nominal else np.nan}
+                | {"note": (note if basis == ANOTHER else "") if basis in drawn else NOT_KNOWN}
+            )
+    return tuple(rows)
 
 
 def design_warnings(run: Run) -> tuple[str, ...]:
@@ -140,38 +119,18 @@ def design_warnings(run: Run) -> tuple[str, ...]:
     )
 
 
-def bounds_of(
-    drawn: Mapping[str, Mapping[str, Array]], probability: float
-) -> tuple[DesignRow, ...]:
-    """Bounds of draws (n,) by basis and property; "device" has the nominal values.
-
-    A basis of `BASES` that is missing is not known, and its bounds are NaN.
-    """
-    tail = 0.5 * (1.0 - probability)
-    rows = []
-    for name, mean in drawn["device"].items():
-        finite = mean[np.isfinite(mean)]
-        if not finite.size:  # the motion has no full cycle
-            continue
-        head = name, UNITS[name], float(np.mean(finite))
-        for basis in BASES:
-            if basis not in drawn:
-                rows.append(DesignRow(basis, *head, np.nan, np.nan, probability, NOT_KNOWN))
-                continue
-            values = drawn[basis].get(name, np.empty(0))
-            values = values[np.isfinite(values)]
-            if values.size:
-                lower, upper = np.quantile(values, [tail, 1.0 - tail]).tolist()
-                rows.append(DesignRow(basis, *head, lower, upper, probability))
-    return tuple(rows)
-
-
 def n_draws(run: Run) -> int:
-    """Draws of the bands behind the bounds, for each session.
+    """Draws of the bands behind the bounds, for each session and device.
 
-    A band with as many, without sessions, has the same draws as the bounds.
+    A band with as many, of one session and device, has the same draws as the bounds.
     """
-    return DRAWS // len(sessions_of(run)) + 10
+    return DRAWS // len(places_of(run)) + 10
+
+
+def places_of(run: Run) -> tuple[tuple[str, str], ...]:
+    """Session and device of the calibrated tests, each pair once."""
+    devices = run.manifest.settings.devices
+    return tuple(dict.fromkeys((run.session(name), devices[name]) for name in run.tests))
 
 
 def sessions_of(run: Run) -> tuple[str, ...]:

@@ -54,10 +54,13 @@ def goal_words(advice: Advice, system: System, unit: str) -> str:
 def advice_sentence(advice: Advice, system: System, unit: str) -> str:
     """Which test to make next, what it is expected to tell, and when it is enough."""
     best, goal = advice[0], goal_words(advice, system, unit)
+    scatter = ""
+    if advice.goal.kind == "new_test":
+        scatter = " This band contains test-to-test scatter, which no further test can reduce."
     if best.reduction < LITTLE:
         return (
             f"No test on this list is expected to narrow {goal} by more than "
-            f"{100 * LITTLE:.0f} %: the tests are enough for this goal.{_scatter(advice)}"
+            f"{100 * LITTLE:.0f} %: the tests are enough for this goal.{scatter}"
         )
     test = candidate_words(best.candidate, system, unit)
     text = f"One test at {test} is expected to narrow {goal} by {in_percent(best)}"
@@ -67,35 +70,22 @@ def advice_sentence(advice: Advice, system: System, unit: str) -> str:
         text += f"; repeating {old} by {in_percent(again)}"
     elif again is best:
         text += "; that repeats a test that was made"
-    return f"{text}. {_enough(advice)}{_scatter(advice)}"
+    enough, steps = "", [t.reduction for t in advice.together]
+    if len(steps) > TOGETHER:
+        after = max(100 * (steps[TOGETHER] - steps[TOGETHER - 1]), 0.5)
+        enough = (
+            f"After {_COUNT[TOGETHER]} more tests no further test on this list gains more than "
+            f"{after:.2g} % of today's width."
+        )
+    return f"{text}. {enough}{scatter}"
 
 
 def in_percent(row: Row | Together) -> str:
     """Expected reduction with its 95 % interval: "18 % (14 to 22)"."""
-    gain = row
-    low = max(0.0, gain.reduction - _SURE * gain.error)
-    high = min(1.0, gain.reduction + _SURE * gain.error)
-    digits = 0 if gain.reduction >= 0.1 else 1
-    figures = (f"{100 * share:.{digits}f}" for share in (gain.reduction, low, high))
+    low, high = max(0.0, row.reduction - _SURE * row.error), row.reduction + _SURE * row.error
+    digits = 0 if row.reduction >= 0.1 else 1
+    figures = (f"{100 * share:.{digits}f}" for share in (row.reduction, low, min(1.0, high)))
     return "{} % ({} to {})".format(*figures)
-
-
-def _enough(advice: Advice) -> str:
-    """After how many tests nothing on the list gains much any more."""
-    steps = [t.reduction for t in advice.together]
-    if len(steps) <= TOGETHER:
-        return ""
-    after = max(100 * (steps[TOGETHER] - steps[TOGETHER - 1]), 0.0)
-    return (
-        f"After {_COUNT[TOGETHER]} more tests no further test on this list gains more than "
-        f"{max(after, 0.5):.2g} % of today's width."
-    )
-
-
-def _scatter(advice: Advice) -> str:
-    if advice.goal.kind != "new_test":
-        return ""
-    return " This band contains test-to-test scatter, which no further test can reduce."
 
 
 def together_words(advice: Advice, system: System, unit: str) -> list[str]:
@@ -111,38 +101,34 @@ def together_words(advice: Advice, system: System, unit: str) -> list[str]:
 def advice_rows(advice: Advice, system: System, unit: str) -> list[dict[str, str | float]]:
     """Rows of the table, the best first, and then what the limits rule out; by column."""
     by, name = system.of_actuation(unit)
-
-    def row(candidate: Candidate, score: Row | None, why: str) -> dict[str, str | float]:
-        nan = float("nan")
-        figures = {
-            "expected_reduction": nan if score is None else score.reduction,
-            "error": nan if score is None else score.error,
+    figures = {
+        "expected_reduction": "reduction",
+        "error": "error",
+        "cost_h": "",
+        "reduction_per_h": "per_hour",
+        "information_nat": "information",
+        "information_error": "information_error",
+    }
+    entries: list[tuple[Candidate, Row | None, str]] = [(row.candidate, row, "") for row in advice]
+    entries += [(candidate, None, why) for candidate, why in advice.ruled_out]
+    rows = []
+    for candidate, score, why in entries:
+        row: dict[str, str | float] = {"candidate": candidate_words(candidate, system, unit)}
+        for column, field in figures.items():
+            row[column] = getattr(score, field) if score and field else float("nan")
+        row |= {
             "cost_h": candidate.cost,
-            "reduction_per_h": nan if score is None else score.per_hour,
-            "information_nat": nan if score is None else score.information,
-            "information_error": nan if score is None else score.information_error,
-        }
-        motion = {
             f"actuation_{name}": candidate.actuation * by,
             "frequency_Hz": candidate.frequency,
-        }
-        if not system.axes.actuated:
-            del motion[f"actuation_{name}"]
-        if not system.axes.timed:
-            del motion["frequency_Hz"]
-        return {
-            "candidate": candidate_words(candidate, system, unit),
-            **figures,
-            **motion,
             system.column("amplitude", "in"): candidate.amplitude * system.factor("in"),
             "cycles": candidate.cycles,
             "waveform": candidate.waveform,
             "repeats_a_test": "" if score is None else "yes" if score.repeat else "no",
             "ruled_out_by": why,
         }
-
-    rows = [row(scored.candidate, scored, "") for scored in advice]
-    return rows + [row(candidate, None, why) for candidate, why in advice.ruled_out]
+        rows.append(row)
+    lost = {f"actuation_{name}": not system.axes.actuated, "frequency_Hz": not system.axes.timed}
+    return [{key: value for key, value in row.items() if not lost.get(key)} for row in rows]
 
 
 def advice_content(advice: Advice, system: System, unit: str) -> dict[str, Any]:
@@ -156,21 +142,20 @@ def advice_content(advice: Advice, system: System, unit: str) -> dict[str, Any]:
         "sentence": advice_sentence(advice, system, unit),
         "remarks": list(advice.remarks),
         "candidates": advice_rows(advice, system, unit),
-        "together": [_content(t, system, unit) for t in advice.together[:TOGETHER]],
+        "together": [
+            {
+                "candidates": [candidate_words(c, system, unit) for c in together.candidates],
+                "expected_reduction": together.reduction,
+                "error": together.error,
+                "information_nat": together.information,
+                "cost_h": sum(c.cost for c in together.candidates),
+            }
+            for together in advice.together[:TOGETHER]
+        ],
         "curve": [
             {"tests": number, "expected_width": float(width) * factor}
             for number, width in enumerate(advice.curve[: CURVE + 1])
         ],
-    }
-
-
-def _content(together: Together, system: System, unit: str) -> dict[str, Any]:
-    return {
-        "candidates": [candidate_words(c, system, unit) for c in together.candidates],
-        "expected_reduction": together.reduction,
-        "error": together.error,
-        "information_nat": together.information,
-        "cost_h": sum(c.cost for c in together.candidates),
     }
 
 

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.priors import units
-from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.design import Design
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.runs.paths import pooled_of
 from mfd_bayes.runs.run import Run
@@ -39,49 +37,53 @@ right in the gap: on real tests a start moved by 0.1 when the test was pooled wi
 MOST_OUTSIDE = 0.5
 """A device value that more than this share of its tests do not have is named."""
 
+_WORDS = {
+    "d2": "gap",
+    "d3": "d3/d2",
+    "Fc_fwd": "forward slip force",
+    "Fc_bwd": "backward slip force",
+}
+"""What a shared coordinate is, where that is not the quantity of its name."""
+
 
 def outlying_tests(run: Run) -> list[Finding]:
     """A warning for every test and quantity that stand out.
 
-    A test's deviation from the law is compared with the deviations of the others: a Student-t
-    statistic that leaves the test out, with Bonferroni's correction for tests and quantities.
+    A test's deviation from the law is compared with the deviations of the others that inform the
+    quantity: a Student-t statistic that leaves the test out, with Bonferroni's correction for tests
+    and quantities.
     """
     if len(run.tests) < FEWEST:
         return []
     design = run.population.design
-    columns = [k for k, name in enumerate(design.names) if _compared(design, k, name)]
     places, medians = _places(run)
+    deviations, names = places - medians, list(run.tests)
+    groups: dict[bytes, list[int]] = {}  # quantities by the tests that inform them
+    for k, name in enumerate(design.names):
+        if not (design.common[k] or name == "offset" or name.startswith("noise_")):
+            groups.setdefault(design.informs[:, k].tobytes(), []).append(k)
     findings = []
-    names, deviations = list(run.tests), places - medians
-    for j, k, away in _outlying(deviations, columns, design.informs):
-        others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
-        subject, unit = _subject(design, k, run.model)
-        values = {
-            key: Quantity.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
-            for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(others)))
-        }
-        message = Message(
-            f"{{test}} stands apart from the other tests: {subject} {{own}}, where the others "
-            f"suggest {{others}}, {away:.1f} of their standard deviations away; check its "
-            "displacement, units and actuation before you use the campaign",
-            {"test": names[j], **values},
-        )
-        findings.append(Finding(names[j], "stands apart", message, stage="results"))
+    for columns in groups.values():
+        tests = np.flatnonzero(design.informs[:, columns[0]])
+        if tests.size < FEWEST:
+            continue
+        for row, column, away in standing_out(deviations[tests][:, columns]):
+            j, k = int(tests[row]), columns[column]
+            others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
+            name = design.names[k]
+            unit = "1" if name == "d3" else units(run.model)[name]
+            values = {
+                key: Quantity.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
+                for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(others)))
+            }
+            message = Message(
+                f"{{test}} stands apart from the other tests: {_WORDS.get(name, name)} {{own}}, "
+                f"where the others suggest {{others}}, {away:.1f} of their standard deviations "
+                "away; check its displacement, units and actuation before you use the campaign",
+                {"test": names[j], **values},
+            )
+            findings.append(Finding(names[j], "stands apart", message, stage="results"))
     return findings
-
-
-def _outlying(
-    deviations: Array, columns: list[int], informs: NDArray[np.bool_]
-) -> Iterator[tuple[int, int, float]]:
-    """As `standing_out`, in each quantity, of the tests that inform it."""
-    groups: dict[bytes, list[int]] = {}
-    for k in columns:
-        groups.setdefault(informs[:, k].tobytes(), []).append(k)
-    for same in groups.values():
-        rows = np.flatnonzero(informs[:, same[0]])
-        if rows.size >= FEWEST:
-            for j, i, away in standing_out(deviations[rows][:, same]):
-                yield int(rows[j]), same[i], away
 
 
 def standing_out(deviations: Array) -> Iterator[tuple[int, int, float]]:
@@ -96,11 +98,6 @@ def standing_out(deviations: Array) -> Iterator[tuple[int, int, float]]:
             yield j, i, float(away[i])
 
 
-def _compared(design: Design, k: int, name: str) -> bool:
-    """Whether a quantity may differ between tests, and is the damper's."""
-    return not design.common[k] and name != "offset" and not name.startswith("noise_")
-
-
 def _places(run: Run) -> tuple[Array, Array]:
     """Each test's shared coordinates, and those that laws and effects give it, (J, d) each."""
     population, design = run.population, run.population.design
@@ -111,12 +108,12 @@ def _places(run: Run) -> tuple[Array, Array]:
         values, _ = load_arrays(run.folder / pooled_of(name))
         flat = {n: values[n].reshape(-1).astype(np.float64) for n in design.coordinates.names}
         places.append(design.coordinates.of(flat).mean(axis=0)[:d])
-        medians.append(_mean_property(run, setting, index, rng).mean(axis=0))
+        medians.append(_coordinates(run, setting, index, rng).mean(axis=0))
     centre, spread = design.coordinates.centre[:d], design.spread
     return centre + spread * np.array(places), centre + spread * np.array(medians)
 
 
-def _mean_property(
+def _coordinates(
     run: Run,
     setting: Setting,
     index: NDArray[np.intp],
@@ -124,20 +121,13 @@ def _mean_property(
     *,
     scatter: bool = False,
 ) -> Array:
-    """Coordinates of the device at a setting, by law and level effect, and of a test, (n, d)."""
+    """Coordinates of the device at a setting, or of a test with its scatter, (n, d)."""
     population = run.population
     numbers = population.draw_numbers(index.size, 1, rng)
     effects = population.level_effects(index, setting.session, [setting.actuation], numbers.level)
     here = {n: effect[:, 0] for n, effect in effects.items()}
     parts = population.parts(setting, index, numbers, here, scatter=scatter)
     return np.asarray(parts.mean + parts.scatter if scatter else parts.mean)
-
-
-def _subject(design: Design, k: int, model: Model) -> tuple[str, str]:
-    """What a shared coordinate is, in words, and its unit."""
-    name = design.names[k]
-    words = {"d2": "gap", "Fc_fwd": "forward slip force", "Fc_bwd": "backward slip force"}
-    return ("d3/d2", "1") if name == "d3" else (words.get(name, name), units(model)[name])
 
 
 def uncommon_device_values(run: Run) -> list[Finding]:
@@ -148,12 +138,12 @@ def uncommon_device_values(run: Run) -> list[Finding]:
     """
     if len(run.tests) < FEWEST:
         return []
-    by_quantity: dict[str, list[tuple[float, float, float, bool]]] = {}
+    rows: dict[str, list[tuple[float, float, float, bool]]] = {}
     rng = np.random.default_rng(0)
     for test, setting in zip(run.tests.values(), run.population.design.settings, strict=True):
         index = run.population.draw_index(DRAWS, setting.actuation, rng) % run.population.size
-        coordinates = _mean_property(run, setting, index, rng, scatter=True)
-        drawn, own = run.population.values(coordinates), dict(test.intervals)
+        drawn = run.population.values(_coordinates(run, setting, index, rng, scatter=True))
+        own = dict(test.intervals)
         if "d2" in drawn and "d3" in drawn:
             drawn["gap"] = drawn["d2"] + drawn["d3"]
             middle, lower, upper = (own["d2"][k] + own["d3"][k] for k in range(3))
@@ -162,24 +152,22 @@ def uncommon_device_values(run: Run) -> list[Finding]:
             if name in drawn:
                 low, high = np.quantile(drawn[name], [0.025, 0.975]).tolist()
                 middle, lower, upper = own[name]
-                rows = by_quantity.setdefault(name, [])
-                rows.append((low, high, middle, lower > high or upper < low))
+                outside = lower > high or upper < low
+                rows.setdefault(name, []).append((low, high, middle, outside))
     findings = []
-    for name, rows in by_quantity.items():
-        count = sum(row[3] for row in rows)
-        if count <= MOST_OUTSIDE * len(rows):
+    for name, of_tests in rows.items():
+        lows, highs, middles, outside_of = zip(*of_tests, strict=True)
+        count = sum(outside_of)
+        if count <= MOST_OUTSIDE * len(of_tests):
             continue
         unit = "in" if name == "gap" else units(run.model)[name]
-        low, high = min(row[0] for row in rows), max(row[1] for row in rows)
-        own_values = [row[2] for row in rows]
-        values = {
-            "device": Quantity.of(low, high, unit=unit),
-            "tests": Quantity.of(min(own_values), max(own_values), unit=unit),
-        }
         message = Message(
-            f"{name} of the device, {{device}}, is outside of {count} of its {len(rows)} tests, "
-            "which have {tests} each by itself",
-            values,
+            f"{name} of the device, {{device}}, is outside of {count} of its {len(of_tests)} "
+            "tests, which have {tests} each by itself",
+            {
+                "device": Quantity.of(min(lows), max(highs), unit=unit),
+                "tests": Quantity.of(min(middles), max(middles), unit=unit),
+            },
         )
         findings.append(Finding("laws", "device value", message, stage="results"))
     return findings
@@ -196,8 +184,16 @@ def contradicted_order(run: Run) -> list[Finding]:
         test = run.tests.get(name)
         if test is None or after not in run.tests or "start" not in test.posterior.names:
             continue
-        places = (np.quantile(draws, [0.025, 0.5, 0.975]).tolist() for draws in _ends(run, name))
-        (low, middle, high), (lowest, ended, highest) = places
+        model, trace = test.posterior.model, test.trace
+        before = run.sequence.before(name, trace, Forecast(draws=START_DRAWS))
+        values = run.sequence.values(name)
+        own, theta = values["start"], model.theta(values)
+        expected = own if before is None else before.starts(model, theta, trace, 0)
+        # the place of a start is the start of a place: both count along the first direction
+        (low, middle, high), (lowest, ended, highest) = (
+            np.quantile(model.start_at(start, trace), [0.025, 0.5, 0.975]).tolist()
+            for start in (own, expected)
+        )
         if (low > highest or high < lowest) and abs(middle - ended) >= LEAST:
             message = Message(
                 f"the test begins at {middle:.2f} [{low:.2f}, {high:.2f}] of its gap (0: slip "
@@ -208,15 +204,3 @@ def contradicted_order(run: Run) -> list[Finding]:
             )
             findings.append(Finding(name, "start in the gap", message, stage="results"))
     return findings
-
-
-def _ends(run: Run, name: str) -> tuple[Array, Array]:
-    """Draws of the place in the gap where a test begins, and of where the one before ended."""
-    test = run.tests[name]
-    model, trace = test.posterior.model, test.trace
-    before = run.sequence.before(name, trace, Forecast(draws=START_DRAWS))
-    values = run.sequence.values(name)
-    own = values["start"], model.theta(values)
-    expected = own[0] if before is None else before.starts(model, own[1], trace, 0)
-    # the place of a start is the start of a place: both count along the first direction
-    return model.start_at(own[0], trace), model.start_at(expected, trace)

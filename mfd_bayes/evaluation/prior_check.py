@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import Prior, PriorFile
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.campaign import Campaign
 from mfd_bayes.evaluation.scores import fan_of
 from mfd_bayes.evaluation.views import Fan
@@ -25,19 +25,9 @@ MOST = 0.5
 
 @dataclass(frozen=True)
 class Misfit:
-    """A prior beside what a record shows.
+    """A prior's median, `expected`, and what a record shows, `observed`, in `unit`.
 
-    Attributes
-    ----------
-    quantity : str
-    unit : str
-        Internal unit of `expected` and `observed`.
-    expected, observed : float
-        Median of the prior, and the figure that the record shows.
-    away : float
-        Distance of both in standard deviations of the prior.
-    source : str
-        Where the figure is read.
+    `away` is their distance in standard deviations of the prior, `source` where the figure is read.
     """
 
     quantity: str
@@ -62,14 +52,12 @@ def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
     """Bands of the force under the prior, without noise, for a test's motion."""
     posterior = Posterior(trace, priors, campaign.noise, campaign.force_model)
     drawn = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
-    force = posterior.force(drawn) + drawn["offset"][:, None]
-    return fan_of("prior", force)
+    return fan_of("prior", posterior.force(drawn) + drawn["offset"][:, None])
 
 
 def share_inside(fan: Fan, trace: Trace) -> float:
     """Share of the samples whose force is inside the widest band."""
-    widest = fan.intervals[-1]
-    force = np.asarray(trace.force)
+    force, widest = np.asarray(trace.force), fan.widest
     return float(np.mean((force >= widest.lower) & (force <= widest.upper)))
 
 
@@ -78,41 +66,31 @@ def most_wrong(priors: PriorFile, model: Model, traces: Sequence[Trace]) -> Misf
 
     None where the records show no scales, or no prior can be compared with one.
     """
+    scales = [own for trace in traces if (own := scales_of(trace)) is not None]
     names = {quantity.name for quantity in model.quantities}
-    misfits = [
-        misfit
-        for trace in traces
-        if (scales := scales_of(trace)) is not None
-        for misfit in _misfits(priors, scales)
-        if misfit.quantity in names
-    ]
+    misfits = (misfit for own in scales for misfit in _misfits(priors, own, names))
     return max(misfits, key=lambda misfit: misfit.away, default=None)
 
 
-def _misfits(priors: PriorFile, scales: Scales) -> Iterator[Misfit]:
+def _misfits(priors: PriorFile, scales: Scales, names: set[str]) -> Iterator[Misfit]:
     """Each prior that a record shows something of, beside it."""
     slip = ("kip", scales.force, "the plateau of the loop")
     rise = ("kip/in", scales.build_up, "the slope at which the force comes back")
     shown = {
         **dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"), slip),
         "sigma0": ("kip/in", scales.unloading, "the slope after a reversal"),
-        "k3": rise,
-        **dict.fromkeys(("k", "k_fwd", "k_bwd"), rise),
+        **dict.fromkeys(("k3", "k", "k_fwd", "k_bwd"), rise),
         "d2": ("in", 0.5 * scales.length, "half the travel until the force has come back"),
     }
     for name, (unit, value, source) in shown.items():
         prior = priors.parameters.get(name)
-        if prior is not None and (away := _away(prior, value)) is not None:
-            yield Misfit(name, unit, prior.typical, value, away, source)
-
-
-def _away(prior: Prior, value: float) -> float | None:
-    """Distance of a value from a prior's median, in its standard deviations."""
-    drawn = prior.draw(np.random.default_rng(0), 1001)
-    middle = prior.typical
-    if prior.on_half_line:
-        drawn, middle = np.log(drawn), float(np.log(middle))
-        value = float(np.log(value)) if value > 0.0 else np.nan
-    spread = float(np.std(drawn))
-    comparable = spread > 0.0 and np.isfinite(value)
-    return abs(value - middle) / spread if comparable else None
+        if prior is None or name not in names:
+            continue
+        drawn = prior.draw(np.random.default_rng(0), 1001)
+        middle, at = prior.typical, value
+        if prior.on_half_line:
+            drawn, middle = np.log(drawn), float(np.log(middle))
+            at = float(np.log(value)) if value > 0.0 else np.nan
+        spread = float(np.std(drawn))
+        if spread > 0.0 and np.isfinite(at):
+            yield Misfit(name, unit, prior.typical, value, abs(at - middle) / spread, source)

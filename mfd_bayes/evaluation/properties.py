@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
 from typing import Any
@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import Axes
 from mfd_bayes.calibration.cycles import derive_from_parameters
-from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.evaluation.scores import spread_of
-from mfd_bayes.evaluation.views import DerivedRow
+from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
-from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.measured import (
+from mfd_bayes.records.loops import (
     MeasuredCycles,
     cycle_values,
+    find_loops,
     mean_of,
     measured_cycles,
 )
@@ -35,21 +34,14 @@ from mfd_bayes.runs.run import Run
 Array = NDArray[np.float64]
 
 UNITS: Mapping[str, str] = {
-    "slip_fwd": "kip",
-    "slip_bwd": "kip",
-    "peak_fwd": "kip",
-    "peak_bwd": "kip",
+    **dict.fromkeys(("slip_fwd", "slip_bwd", "peak_fwd", "peak_bwd"), "kip"),
     "effective_stiffness": "kip/in",
     "effective_damping": "1",
-    "energy_per_cycle": "kip*in",
-    "energy_of_ramps": "kip*in",
-    "energy_in_all": "kip*in",
+    **dict.fromkeys(("energy_per_cycle", "energy_of_ramps", "energy_in_all"), "kip*in"),
     "c_eq": "kip*s/in",
     "build_up_slope": "kip/in",
-    "gap": "in",
-    "gap_width": "in",
-    "C_fwd": "1",
-    "C_bwd": "1",
+    **dict.fromkeys(("gap", "gap_width"), "in"),
+    **dict.fromkeys(("C_fwd", "C_bwd"), "1"),
 }
 """Internal unit of every property of a test, in the order of tables."""
 
@@ -57,25 +49,16 @@ EXTREME = 0.005
 """Share of draws on one side of a measured value at which the value is extreme among them."""
 
 TOLERANCE_OF: Mapping[str, str] = {
-    "energy_per_cycle": "energy",
-    "energy_in_all": "energy",
-    "peak_fwd": "peak",
-    "peak_bwd": "peak",
-    "slip_fwd": "slip_force",
-    "slip_bwd": "slip_force",
+    **dict.fromkeys(("peak_fwd", "peak_bwd"), "peak"),
+    **dict.fromkeys(("slip_fwd", "slip_bwd"), "slip_force"),
     "build_up_slope": "build_up",
     "gap": "gap",
 }
 """Kind of the tolerance of a property; of others that of an energy."""
 
-_MEANS = frozenset(
-    {
-        *("energy_per_cycle", "energy_of_ramps", "effective_stiffness", "effective_damping"),
-        "c_eq",
-    }
+_MEANS = (
+    *("energy_per_cycle", "energy_of_ramps", "effective_stiffness", "effective_damping", "c_eq"),
 )
-"""Properties that are means over cycles."""
-
 _SIGNS = {"fwd": 1.0, "bwd": -1.0}
 _OF_CYCLES = (
     *("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq"),
@@ -163,21 +146,16 @@ def peak_factors(manifest: Manifest, tests: Mapping[str, TestResult]) -> Peaks:
     ratios: dict[str, list[Array]] = {"fwd": [], "bwd": []}
     for name, test in tests.items():
         cycles = measured_of(manifest, name)
-        values = cycle_values(test.trace, _median_force(test.posterior, test)[None])
-        loops = find_loops(test.trace)
-        if loops.strong.size != cycles.full_stroke.size:
+        if find_loops(test.trace).strong.size != cycles.full_stroke.size:
             continue  # noise that the filter took away made other cycles
+        medians = {name: np.atleast_1d(bounds[0]) for name, bounds in test.intervals.items()}
+        force = test.posterior.force(medians) + medians["offset"][:, None]
+        values = cycle_values(test.trace, force)
         for side, side_ratios in ratios.items():
             measured, model = getattr(cycles, f"peak_{side}"), values[f"peak_{side}"][0]
             kept = cycles.full_stroke & (measured > 0.0) & (model > 0.0)
             side_ratios.append(measured[kept] / model[kept])
-    return {"fwd": PeakFactor.of(ratios["fwd"]), "bwd": PeakFactor.of(ratios["bwd"])}
-
-
-def _median_force(posterior: Posterior, test: TestResult) -> Array:
-    """Force and offset for the posterior medians of a test, (T,), kip."""
-    medians = {name: np.atleast_1d(bounds[0]) for name, bounds in test.intervals.items()}
-    return np.asarray((posterior.force(medians) + medians["offset"][:, None])[0])
+    return {side: PeakFactor.of(side_ratios) for side, side_ratios in ratios.items()}
 
 
 def peaks_of(run: Run) -> Peaks:
@@ -196,57 +174,45 @@ def stored_peaks(run: Run) -> dict[str, tuple[float, ...]]:
     return {side: astuple(factor) for side, factor in peak_factors(run.manifest, run.tests).items()}
 
 
+def _seen_peaks(force: Array, spans: Sequence[tuple[int, int]], peaks: Peaks) -> dict[str, Array]:
+    """Peaks of forces (n, T) that a load cell would see in each span, (n, spans), by direction."""
+    rng, shape = np.random.default_rng(0), (len(force), len(spans))
+    seen: dict[str, Array] = {}
+    for side, sign in _SIGNS.items():
+        largest = np.transpose([np.max(sign * force[:, a:b], axis=1) for a, b in spans])
+        seen[f"peak_{side}"] = largest.reshape(shape) * peaks[side].draw(rng, *shape)
+    return seen
+
+
 def properties_of(
-    trace: Trace,
-    force: Array,
-    peaks: Peaks = NO_FACTOR,
-    *,
-    smooth: Array | None = None,
-    seed: int = 0,
+    trace: Trace, force: Array, peaks: Peaks = NO_FACTOR, *, smooth: Array | None = None
 ) -> dict[str, Array]:
     """Properties under a motion of forces (n, T), kip, by name, (n,) each, in `UNITS`.
 
     Peaks are those that a load cell would see: `peaks` times those of the forces without noise,
     `smooth`, by default the same forces.
     """
-    loops = find_loops(trace)
-    values, full = cycle_values(trace, force), loops.strong
+    loops, values = find_loops(trace), cycle_values(trace, force)
+    full = loops.strong
     properties = {name: mean_of(values[name], full) for name in _OF_CYCLES}
     properties["energy_per_cycle"] = mean_of(values["energy"], full)
     properties["energy_of_ramps"] = mean_of(values["energy"], ~full)
     properties["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
-    parts = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
-    rng = np.random.default_rng(seed)
-    smooth = force if smooth is None else smooth
-    for side, sign in _SIGNS.items():
-        largest = [np.max(sign * smooth[:, a:b], axis=1) for a, b in pairwise(parts) if b > a]
-        factor = peaks[side].draw(rng, len(force), len(largest))
-        properties[f"peak_{side}"] = np.max(np.transpose(largest) * factor, axis=1)
-    return properties
+    ends = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
+    spans = [(a, b) for a, b in pairwise(ends) if b > a]
+    seen = _seen_peaks(force if smooth is None else smooth, spans, peaks)
+    return properties | {name: values.max(axis=1) for name, values in seen.items()}
 
 
 def cycles_of(
-    trace: Trace,
-    force: Array,
-    peaks: Peaks = NO_FACTOR,
-    *,
-    smooth: Array | None = None,
-    seed: int = 0,
+    trace: Trace, force: Array, peaks: Peaks = NO_FACTOR, *, smooth: Array | None = None
 ) -> dict[str, Array]:
     """Values of each full cycle at full stroke, (n, L) each, by name, as `properties_of`."""
-    loops, rng = find_loops(trace), np.random.default_rng(seed)
+    loops = find_loops(trace)
     values = {name: cycles[:, loops.strong] for name, cycles in cycle_values(trace, force).items()}
-    smooth = force if smooth is None else smooth
-    spans = [
-        s for s, full in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True) if full
-    ]
-    for side, sign in _SIGNS.items():
-        largest = [np.max(sign * smooth[:, a : b + 1], axis=1) for a, b in spans]
-        shape = len(force), len(spans)
-        values[f"peak_{side}"] = np.transpose(largest).reshape(shape) * peaks[side].draw(
-            rng, *shape
-        )
-    return values
+    pairs = zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True)
+    spans = [(a, b + 1) for (a, b), full in pairs if full]
+    return values | _seen_peaks(force if smooth is None else smooth, spans, peaks)
 
 
 def of_parameters(
@@ -262,8 +228,8 @@ def device_properties(run: Run, trace: Trace, band: Band, test: Band) -> dict[st
     smooth = test.draws
     if band.kind == "observation" and "offset" in test.values:
         smooth = smooth + np.asarray(test.values["offset"])[:, None]
-    model, level = run.predictor.model, trace.reference_actuation
     drawn = properties_of(trace, band.draws, peaks_of(run), smooth=smooth)
+    model, level = run.predictor.model, trace.reference_actuation
     return drawn | of_parameters(model, band.values, level, run.manifest.settings)
 
 
@@ -274,7 +240,8 @@ def predicted_rows(
     record: Record | None = None,
     after: str = "",
     given: Trace | None = None,
-) -> tuple[DerivedRow, ...]:
+    device: str = "",
+) -> Rows:
     """Properties of a prediction, with intervals of the band's probability.
 
     Those of a band of kind "observation" have offset and noise, as a measured record has them.
@@ -290,11 +257,14 @@ def predicted_rows(
         Test that the motion follows without a reset.
     given : Trace, optional
         With the force of the part that was given.
+    device : str
+        That was predicted.
     """
     test = band
     if band.kind == "observation":
         window = band.given.window if band.given else None
         how: dict[str, Any] = {"given": window, "after": after, "draws": len(band.draws)}
+        how |= {"device": device} if device else {}
         test = source.predict(given or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):
         drawn = properties_of(trace, band.draws, peaks_of(source.runs[0]), smooth=test.draws)
@@ -313,14 +283,17 @@ def kept(properties: Mapping[str, Array], axes: Axes) -> dict[str, Array]:
 
 
 def property_rows(
-    subject: str,
+    test: str,
     role: str,
     trace: Trace,
     drawn: Mapping[str, Array],
     measured: Mapping[str, float],
     probability: float = 0.95,
-) -> tuple[DerivedRow, ...]:
-    """Rows of properties, in the order of `UNITS`, from draws (n,) by name."""
+) -> Rows:
+    """Rows of properties, in the order of `UNITS`, from draws (n,) by name.
+
+    `role` is a test's, or the kind of a prediction.
+    """
     full, tail = find_loops(trace).strong, 0.5 * (1.0 - probability)
     strong, ramps = int(np.count_nonzero(full)), int(np.count_nonzero(~full))
     rows = []
@@ -329,18 +302,15 @@ def property_rows(
             continue
         note = ""
         if name in _MEANS:
-            which, count = (
-                ("of smaller", ramps) if name == "energy_of_ramps" else ("at full", strong)
-            )
+            of_ramps = name == "energy_of_ramps"
+            which, count = ("of smaller", ramps) if of_ramps else ("at full", strong)
             cycles = f"{count} full cycle{'' if count == 1 else 's'}"
             note = f"over {cycles} {which} stroke" if count else "the motion has no full cycle"
         value = measured.get(name, float("nan"))
-        missed = bool(np.isfinite(value)) and is_missed(drawn[name], value, name)
-        spread = spread_of(drawn[name], tail)
         rows.append(
-            DerivedRow(
-                subject, role, name, unit, **spread, measured=value, note=note, missed=missed
-            )
+            {"test": test, "role": role, "name": name, "unit": unit}
+            | spread_of(drawn[name], tail)
+            | {"measured": value, "note": note, "missed": is_missed(drawn[name], value, name)}
         )
     return tuple(rows)
 
@@ -349,7 +319,7 @@ def is_missed(values: Array, measured: float, name: str) -> bool:
     """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
     tolerance, _ = TOLERANCES[TOLERANCE_OF.get(name, "energy")]
     finite = values[np.isfinite(values)]
-    if not finite.size:
+    if not finite.size or not np.isfinite(measured):
         return False
     share = float(np.mean(finite > measured) + 0.5 * np.mean(finite == measured))
     beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.predictive import COVERAGES
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval, ScoreRow
-from mfd_bayes.population.bands import Band
+from mfd_bayes.evaluation.views import Fan, Interval, Row
+from mfd_bayes.population.bands import ADVICE, Band
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.scores import Score
@@ -28,10 +27,11 @@ PROBABILITIES = (0.5, 0.95)
 OFTEN = 3.0
 """A band is said to miss a record that leaves it so many times as often as its probability says."""
 
-STILL = 0.01
-DWELL = 0.125
+STILL, DWELL = 0.01, 0.125
 """At rest: within this share of the stroke, for longer than this share of a mean cycle. A sine is
 so near to its turn for half as long."""
+
+_OF_MEASUREMENT = ("peak_fwd", "peak_bwd", "slip_fwd", "slip_bwd")  # with offset and noise
 
 
 def fan_of(kind: str, draws: Array) -> Fan:
@@ -44,25 +44,88 @@ def fan_of(kind: str, draws: Array) -> Fan:
     return Fan(kind, median, tuple(intervals))
 
 
+def spread_of(draws: Array, tail: float = 0.025) -> dict[str, float]:
+    """Mean, sd, median, and the bounds that leave `tail` of the draws (n,) on either side."""
+    lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail]).tolist()
+    mean, sd = float(draws.mean()), float(draws.std())
+    return {"mean": mean, "sd": sd, "lower": lower, "median": median, "upper": upper}
+
+
+def score(draws: Array, observed: Array) -> Score:
+    """Scores of draws (n, T) against an observed force (T,), kip."""
+    coverage = []
+    width = interval = np.nan
+    for probability in COVERAGES:
+        tail = 0.5 * (1.0 - probability)
+        lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
+        coverage.append(float(np.mean((observed >= lower) & (observed <= upper))))
+        width = float(np.mean(upper - lower))
+        beyond = np.maximum(lower - observed, 0.0) + np.maximum(observed - upper, 0.0)
+        interval = width + float(np.mean(beyond)) / tail
+    return Score(
+        coverage=tuple(coverage),
+        width=width,
+        interval_score=interval,
+        crps=float(np.mean(crps(draws, observed))),
+        rrse=rrse(np.median(draws, axis=0), observed),
+    )
+
+
+def score_record(scores: Score) -> Row:
+    """Scores as they stand in tables."""
+    half, most, nearly = scores.coverage
+    return {
+        "coverage_50": half,
+        "coverage_90": most,
+        "coverage_95": nearly,
+        "width_95": scores.width,
+        "interval_score": scores.interval_score,
+        "crps": scores.crps,
+        "rrse": scores.rrse,
+    }
+
+
+def crps(draws: Array, observed: Array) -> Array:
+    """Continuous ranked probability score E|X − y| − ½ E|X − X'| of each sample, (T,), kip."""
+    n = len(draws)
+    weights = (2.0 * np.arange(1, n + 1) - n - 1.0)[:, None] / n**2
+    spread = np.sum(weights * np.sort(draws, axis=0), axis=0)
+    return np.asarray(np.mean(np.abs(draws - observed), axis=0) - spread)
+
+
+def rrse(predicted: Array, observed: Array) -> float:
+    """Root relative squared error √(Σ(F − F̂)² / Σ(F − F̄)²), NaN for a constant force."""
+    error, spread = np.sum((observed - predicted) ** 2), np.sum((observed - observed.mean()) ** 2)
+    return float(np.sqrt(error / spread)) if spread > 0 else float("nan")
+
+
+def width_sentence(shares: Mapping[str, float]) -> str:
+    """Which source makes a band wide, and what can be done about it; "" without shares."""
+    if not shares:
+        return ""
+    name = max(shares, key=lambda source: shares[source])
+    article = "" if name == "noise" or name.startswith("test-to-test") else "the "
+    return f"{100 * shares[name]:.0f} % of the variance is from {article}{name}. {ADVICE[name]}"
+
+
+# --- a prediction and the force that was measured in the same motion
+
+
 @dataclass(frozen=True)
 class Compared:
     """A predicted band beside the force that was measured in the same motion.
 
     Attributes
     ----------
-    coverage : float
-        Share of the measured samples in motion inside the band.
-    full : float
-        The same of those in full cycles at full stroke; NaN where there are none.
+    coverage, full : float
+        Share inside the band of the measured samples in motion, and of those in full cycles at
+        full stroke; NaN where there are none.
     samples : int
         Those in motion that were not given.
-    rrse : float
-        Error of the median: 0 for a perfect prediction; 1 where the mean force would be as good.
-    crps : float, kip
-        Mean distance between the draws and the force.
+    rrse, crps : float
+        Error of the median; mean distance between the draws and the force, kip.
     kind : str
         Of the band.
-    probability : float
     given : bool
         Whether a first part of the record was given.
     """
@@ -90,26 +153,34 @@ class Compared:
             return text
         return f"{text}; this kind holds no offset and noise: measured data need --kind observation"
 
-    def disagrees(self, rows: Sequence[DerivedRow]) -> bool:
+    def _held(self, rows: Sequence[Row]) -> list[Row]:
+        """Properties whose measured value can be held to their interval."""
+        skipped = () if self.kind == "observation" else _OF_MEASUREMENT
+        return [r for r in rows if np.isfinite(r["measured"]) and r["name"] not in skipped]
+
+    def _outside(self, rows: Sequence[Row]) -> list[str]:
+        return [
+            r["name"] for r in self._held(rows) if not r["lower"] <= r["measured"] <= r["upper"]
+        ]
+
+    def disagrees(self, rows: Sequence[Row]) -> bool:
         """Whether most measured values are outside, or far more samples than the band allows."""
         worst = np.nanmin([self.coverage, self.full])
         missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
-        held = len(_held(rows))
-        return (missed and self.kind == "observation") or 2 * len(outside(rows)) > held
+        most_outside = 2 * len(self._outside(rows)) > len(self._held(rows))
+        return bool((missed and self.kind == "observation") or most_outside)
 
-    def judged(self, rows: Sequence[DerivedRow]) -> str:
+    def judged(self, rows: Sequence[Row]) -> str:
         """What measured values outside their intervals, and a low coverage, say; "" for nothing.
 
         `rows` are those of `predicted_rows`.
         """
-        out, promised = outside(rows), f"{percent(self.probability)} %"
-        parts = []
-        if out:
-            held = len(_held(rows))
-            counted = ", offset and noise included" if self.kind == "observation" else ""
+        outside, promised, parts = self._outside(rows), f"{percent(self.probability)} %", []
+        if outside:
+            noise = ", offset and noise included" if self.kind == "observation" else ""
             parts = [
-                f"{len(out)} of {held} measured values lie outside their {promised} "
-                f"intervals{counted} ({', '.join(out)})"
+                f"{len(outside)} of {len(self._held(rows))} measured values lie outside their "
+                f"{promised} intervals{noise} ({', '.join(outside)})"
             ]
         if not self.disagrees(rows):
             return "".join(parts)
@@ -124,24 +195,8 @@ class Compared:
         )
 
 
-def outside(rows: Sequence[DerivedRow]) -> list[str]:
-    """Names of quantities whose measured value lies outside its interval."""
-    return [row.name for row in _held(rows) if not row.lower <= row.measured <= row.upper]
-
-
-def _held(rows: Sequence[DerivedRow]) -> list[DerivedRow]:
-    """Rows whose measured value can be held to them: only a measurement has offset and noise."""
-    offset = ("peak_fwd", "peak_bwd", "slip_fwd", "slip_bwd")
-    return [
-        row
-        for row in rows
-        if np.isfinite(row.measured) and (row.role == "observation" or row.name not in offset)
-    ]
-
-
 def compare(band: Band, trace: Trace) -> Compared:
     """A band beside the measured force of its motion, where that moves and was not given."""
-    given = band.given is not None
     force = np.asarray(trace.force)
     rest = ~band.given.holds(band.time) if band.given else np.ones(force.size, dtype=np.bool_)
     if not np.any(rest):
@@ -149,7 +204,9 @@ def compare(band: Band, trace: Trace) -> Compared:
     moving = in_motion(trace)
     kept = rest & moving if np.any(rest & moving) else rest
     inside = (force >= band.lower) & (force <= band.upper)
-    full = kept & _at_full_stroke(trace)
+    full, loops = np.zeros(force.size, dtype=np.bool_), find_loops(trace)
+    for (begin, end), strong in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True):
+        full[begin:end] |= kept[begin:end] & strong
     return Compared(
         float(np.mean(inside[kept])),
         float(np.mean(inside[full])) if np.any(full) else float("nan"),
@@ -158,15 +215,12 @@ def compare(band: Band, trace: Trace) -> Compared:
         float(np.mean(crps(band.draws[:, kept], force[kept]))),
         band.kind,
         band.probability,
-        given,
+        band.given is not None,
     )
 
 
 def in_motion(trace: Trace) -> NDArray[np.bool_]:
-    """Samples at which the device is not at rest, (T,).
-
-    It rests where it stays within `STILL` of its stroke for longer than `DWELL` of a cycle.
-    """
+    """Samples at which the device is not at rest, (T,), by `STILL` and `DWELL`."""
     from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 
     x, speed = trace.displacement, float(trace.velocity.std())
@@ -178,72 +232,3 @@ def in_motion(trace: Trace) -> NDArray[np.bool_]:
     span = maximum_filter1d(x, window, mode="nearest") - minimum_filter1d(x, window, mode="nearest")
     still = span <= STILL * float(np.ptp(x))
     return np.asarray(~binary_dilation(still, np.ones(window, dtype=np.bool_)))
-
-
-def _at_full_stroke(trace: Trace) -> NDArray[np.bool_]:
-    """Samples in the full cycles at full stroke, (T,)."""
-    inside, loops = np.zeros(trace.samples, dtype=np.bool_), find_loops(trace)
-    for (begin, end), full in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True):
-        inside[begin:end] |= full
-    return inside
-
-
-class Spread(TypedDict):
-    """Mean, sd and three quantiles of draws, as rows of tables have them."""
-
-    mean: float
-    sd: float
-    lower: float
-    median: float
-    upper: float
-
-
-def spread_of(draws: Array, tail: float = 0.025) -> Spread:
-    """Mean, sd, median, and the bounds that leave `tail` of the draws (n,) on either side."""
-    lower, median, upper = (float(q) for q in np.quantile(draws, [tail, 0.5, 1.0 - tail]))
-    mean, sd = float(draws.mean()), float(draws.std())
-    return {"mean": mean, "sd": sd, "lower": lower, "median": median, "upper": upper}
-
-
-def score_of(name: str, role: str, trace: Trace, draws: Array, first: int) -> ScoreRow:
-    """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
-    scores = score(draws[:, first:], np.asarray(trace.force)[first:])
-    scales = scores.width, scores.interval_score, scores.crps
-    half, most, nearly = scores.coverage
-    return ScoreRow(name, role, half, most, nearly, *scales, scores.rrse)
-
-
-def score(draws: Array, observed: Array) -> Score:
-    """Scores of draws (n, T) against an observed force (T,), kip."""
-    coverage = []
-    width = interval = np.nan
-    for probability in COVERAGES:
-        tail = 0.5 * (1.0 - probability)
-        lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
-        coverage.append(float(np.mean((observed >= lower) & (observed <= upper))))
-        width = float(np.mean(upper - lower))
-        beyond = np.maximum(lower - observed, 0.0) + np.maximum(observed - upper, 0.0)
-        interval = width + float(np.mean(beyond)) / tail
-    return Score(
-        coverage=tuple(coverage),
-        width=width,
-        interval_score=interval,
-        crps=float(np.mean(crps(draws, observed))),
-        rrse=rrse(np.median(draws, axis=0), observed),
-    )
-
-
-def crps(draws: Array, observed: Array) -> Array:
-    """Continuous ranked probability score E|X − y| − ½ E|X − X'| of each sample, (T,), kip."""
-    n = len(draws)
-    ordered = np.sort(draws, axis=0)
-    weights = (2.0 * np.arange(1, n + 1) - n - 1.0)[:, None] / n**2
-    spread = np.sum(weights * ordered, axis=0)
-    score: Array = np.mean(np.abs(draws - observed), axis=0) - spread
-    return score
-
-
-def rrse(predicted: Array, observed: Array) -> float:
-    """Root relative squared error √(Σ(F − F̂)² / Σ(F − F̄)²), NaN for a constant force."""
-    error, spread = np.sum((observed - predicted) ** 2), np.sum((observed - observed.mean()) ** 2)
-    return float(np.sqrt(error / spread)) if spread > 0 else float("nan")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -10,9 +10,10 @@ from typing import TypeVar
 import numpy as np
 
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.evaluation.checks import CALIBRATION, REPORT, convergence_checks, exponent_checks
+from mfd_bayes.evaluation.checks import convergence_checks, exponent_checks
 from mfd_bayes.evaluation.crossvalidate import left_out_view
-from mfd_bayes.evaluation.laws import law_choices, law_rows, law_views
+from mfd_bayes.evaluation.drift import drift_rows
+from mfd_bayes.evaluation.laws import law_choices, law_rows, law_score_rows, law_views
 from mfd_bayes.evaluation.outliers import (
     contradicted_order,
     outlying_tests,
@@ -26,13 +27,21 @@ from mfd_bayes.evaluation.test_summary import (
     with_joint,
 )
 from mfd_bayes.evaluation.verdict import judge, remarks, use_of, verdict_sentences
-from mfd_bayes.evaluation.views import CampaignView, Check, LawView, Row, TestView, TruthRow
+from mfd_bayes.evaluation.views import (
+    CALIBRATION,
+    REPORT,
+    CampaignView,
+    Check,
+    LawView,
+    Rows,
+    TestView,
+)
 from mfd_bayes.jobs.parallel import Meanwhile, in_turn, meanwhile, several_processes, when_wanted
 from mfd_bayes.messages import Message, join
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
-from mfd_bayes.runs.verdict import Finding, Use, Verdict
+from mfd_bayes.runs.verdict import Use, Verdict
 
 Given = TypeVar("Given")
 
@@ -50,18 +59,7 @@ def views_of_tests(
 ) -> tuple[list[TestView], dict[str, str]]:
     """Views of all tests, in the order of the campaign; and why others cannot be shown.
 
-    Parameters
-    ----------
-    run : Run
-    jobs : int
-        Processes that make those of calibrated tests.
-    background : Meanwhile
-        Makes those of the other tests.
-
-    Raises
-    ------
-    StoreError
-        When a stored file cannot be used: that is no fault of one test.
+    Several processes make those of calibrated tests, `background` the others.
     """
     others = {
         name: background(partial(_attempt, partial(held_out_view, run, name), trace))
@@ -73,18 +71,22 @@ def views_of_tests(
     tests = enumerate(replace(test, extras=None) for test in run.tests.values())
     with several_processes(views, jobs) as in_processes:
         made = list((in_processes or in_turn(views))(tests))
-    found = {
+    all_tests = {
         name: sharing_priors(with_joint(run, view)) if isinstance(view, TestView) else view
         for name, view in zip(run.tests, made, strict=True)
-    }
-    found |= {name: view() for name, view in others.items()}
-    names = [name for name in run.manifest.tests if name in found]
-    shown = [view for name in names if isinstance(view := found[name], TestView)]
-    return shown, {name: str(e) for name in names if isinstance(e := found[name], MfdError)}
+    } | {name: view() for name, view in others.items()}
+    shown, lost = [], {}
+    for name in run.manifest.tests:
+        view = all_tests.get(name)
+        if isinstance(view, TestView):
+            shown.append(view)
+        elif view is not None:
+            lost[name] = str(view)
+    return shown, lost
 
 
 def _attempt(make: Callable[[Given], TestView], given: Given) -> TestView | MfdError:
-    """A view, or why it cannot be made."""
+    """A view, or why it cannot be made; a stored file that cannot be used is no fault of a test."""
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused by name
             return make(given)
@@ -97,26 +99,36 @@ def _attempt(make: Callable[[Given], TestView], given: Given) -> TestView | MfdE
 def build_summary(
     run: Run,
     tests: list[TestView],
-    table: tuple[Row, ...],
+    table: Rows,
     laws: tuple[LawView, ...],
     lost: Mapping[str, str] | None = None,
 ) -> CampaignView:
     """The report of a run from the views of its tests and laws, and from its manifest.
 
-    `lost` are the tests that cannot be shown, and why.
+    `table` are the constants of the laws, `lost` the tests that cannot be shown, and why.
     """
     manifest, lost = run.manifest, lost or {}
     failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
-    checks = _all_checks(manifest, tests, table, failures, lost)
-    before = [warning for warning in manifest.warnings if warning.stage == "records"]
-    results = (*outlying_tests(run), *uncommon_device_values(run), *contradicted_order(run))
-    warnings: tuple[Finding, ...] = (*before, *results)
+    missing = [(name, CALIBRATION, "finished") for name in failures]
+    missing += [(name, REPORT, "shown") for name in lost]
+    checks = (
+        *(check for view in tests for check in view.checks),
+        *convergence_checks("population", table, manifest.effort),
+        *exponent_checks(manifest.free_exponents),
+        *(Check(*key, 0.0, 1.0, Verdict.FAIL) for key in missing),
+    )
+    warnings = (
+        *(warning for warning in manifest.warnings if warning.stage == "records"),
+        *outlying_tests(run),
+        *uncommon_device_values(run),
+        *contradicted_order(run),
+    )
     judged = judge([*run.tests, *failures], checks, warnings)
     left_out = (
         Message("Test {test} is left out of the report: {why}.", {"test": name, "why": why})
         for name, why in lost.items()
     )
-    compared = manifest.comparison
+    scores = law_score_rows(manifest.law_scores, manifest.settings.laws)
     return CampaignView(
         title=manifest.title,
         verdict=use_of(judged, checks),
@@ -127,38 +139,21 @@ def build_summary(
         laws=laws,
         law_rows=table,
         checks=checks,
-        scores=tuple(view.score for view in tests),
         truth=_truth_rows(manifest, tests, table),
         provenance=_provenance(manifest),
         remarks=remarks(run, tests),
         common=run.population.common if table else (),
-        law_choices=law_choices(manifest.law_scores, manifest.settings.laws),
+        law_scores=scores,
+        law_choices=law_choices(scores, manifest.settings.laws),
         left_out=left_out_view(manifest.crossvalidation),
-        comparison=compared.rows if compared else (),
-        comparison_sentence=compared.sentence if compared else "",
+        comparison=manifest.comparison,
         judgements=judged,
         warnings=warnings,
         metric=run.system.name == SI.name,
         systems=both_systems(run.system),
         tested=run.tested,
-    )
-
-
-def _all_checks(
-    manifest: Manifest,
-    tests: list[TestView],
-    table: tuple[Row, ...],
-    failures: Iterable[str],
-    lost: Iterable[str],
-) -> tuple[Check, ...]:
-    """Checks of tests and laws, and one that fails for each test without a result or a view."""
-    missing = [(name, CALIBRATION, "finished") for name in failures]
-    missing += [(name, REPORT, "shown") for name in lost]
-    return (
-        *(check for view in tests for check in view.checks),
-        *convergence_checks("population", table, manifest.effort),
-        *exponent_checks(manifest.free_exponents),
-        *(Check(*key, 0.0, 1.0, Verdict.FAIL) for key in missing),
+        drifts=drift_rows(run) if table else (),
+        model=run.model,
     )
 
 
@@ -180,50 +175,33 @@ def verdicts(view: CampaignView) -> dict[str, str]:
         if worse != Use.WITH_CARE or uses.get(check.test) != Use.NOT_USABLE:
             uses[check.test] = worse or uses.get(check.test, Use.USABLE)
     uses |= {judged.subject: judged.use for judged in view.judgements}
-    sentence = join(view.sentences, " ").to_text(view.systems[view.metric])
+    sentence = join(view.sentences, " ").to_text(view.system)
     whole = {"campaign": view.verdict, "sentence": sentence}
     return whole | uses | whole  # tests may have these names too
 
 
-def _truth_rows(
-    manifest: Manifest, tests: list[TestView], table: tuple[Row, ...]
-) -> tuple[TruthRow, ...]:
-    """The true values of a synthetic campaign, each beside its posterior."""
-    truths = _truths(manifest)
-    rows = [*(row for view in tests for row in view.rows), *table]
-    return tuple(
-        TruthRow(
-            subject=row.subject,
-            name=row.name,
-            unit=row.unit,
-            truth=float(value),
-            lower=row.lower,
-            median=row.median,
-            upper=row.upper,
-            inside=bool(row.lower <= value <= row.upper),
-            informed=not row.note,
-        )
-        for row in rows
-        if (value := truths.get(row.subject, {}).get(row.name)) is not None
-    )
-
-
-def _truths(manifest: Manifest) -> dict[str, dict[str, float | None]]:
-    """True values by subject and name; empty for real tests.
+def _truth_rows(manifest: Manifest, tests: list[TestView], table: Rows) -> Rows:
+    """The true values of a synthetic campaign, each beside its posterior.
 
     Noise is left out where a record was low-passed: it is not the noise that was added.
     """
-    truth = manifest.truth
-    if not truth:
-        return {}
-    truths = {"population": dict(truth.population)}
-    for name, values in truth.tests.items():
+    if not manifest.truth:
+        return ()
+    truths: dict[str, dict[str, float | None]] = {"population": dict(manifest.truth.population)}
+    for name, values in manifest.truth.tests.items():
         filtered = manifest.tests[name].filtered
         truths[name] = {k: v for k, v in values.items() if not (filtered and "noise" in k)}
         if filtered:
             for noise in ("scatter_noise_sd", "scatter_noise_time"):
                 truths["population"].pop(noise, None)
-    return truths
+    return tuple(
+        {key: row[key] for key in ("test", "name", "unit")}
+        | {"truth": float(value)}
+        | {key: row[key] for key in ("lower", "median", "upper")}
+        | {"inside": row["lower"] <= value <= row["upper"], "informed": not row["note"]}
+        for row in (*(row for view in tests for row in view.rows), *table)
+        if (value := truths.get(row["test"], {}).get(row["name"])) is not None
+    )
 
 
 def _provenance(manifest: Manifest) -> dict[str, str]:
@@ -242,6 +220,4 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
     for number, machine in enumerate(manifest.machines):
         name = f"machine {number + 1}" if number else "machine"
         facts[name] = ", ".join(f"{part} {words}" for part, words in machine.items())
-    for name, digest in manifest.inputs.items():
-        facts[f"SHA-256 of {name}"] = digest
-    return facts
+    return facts | {f"SHA-256 of {name}": digest for name, digest in manifest.inputs.items()}

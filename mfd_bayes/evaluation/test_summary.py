@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 from weakref import WeakValueDictionary
@@ -28,18 +28,17 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
     property_rows,
 )
-from mfd_bayes.evaluation.scores import fan_of, score_of, spread_of
-from mfd_bayes.evaluation.views import Marginal, NoiseRow, Row, TestView
+from mfd_bayes.evaluation.scores import fan_of, score, score_record, spread_of
+from mfd_bayes.evaluation.views import Marginal, Row, Rows, TestView
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import US
-from mfd_bayes.store.netcdf import StoredTest
 
 Array = NDArray[np.float64]
 
-SCALE_ONLY = frozenset({"gamma1", "gamma2"})
+SCALE_ONLY = ("gamma1", "gamma2")
 SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
 
 MAX_PLOTTED_DRAWS, FEWER, MANY = 2000, 1000, 100
@@ -51,7 +50,7 @@ FAR_APART = 0.25
 """A median alone and one in the joint posterior that differ by less, a share, do not disagree."""
 
 _ALIKE: WeakValueDictionary[bytes, Array] = WeakValueDictionary()
-"""Draws by their bytes, as long as a view holds them."""
+"""Draws by their bytes, as long as a view holds them: the prior is the same in many tests."""
 
 _CORNER = (
     *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
@@ -64,22 +63,29 @@ _FIRST = ("gap", "k3", "k2", "Fs_fwd", "Fs_bwd")
 def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestView:
     """A test that was fitted; `peaks` are the factors of the run."""
     posterior, stored, trace = test.posterior, test.stored, test.trace
-    values, facts, tolerances = stored.values(), stored.facts, manifest.settings.tolerances
+    values, facts, settings = stored.values(), stored.facts, manifest.settings
     replicas = replicate(posterior, values, np.random.default_rng(0))
-    prior = _prior_values(posterior)
-    noises = noise_rows(test.id, posterior, values, facts)
-    rows = _parameters(test, stored, prior, noises)
+    drawn = posterior.draw_prior(np.random.default_rng(0), 2000)
+    theta = posterior.theta(drawn)
+    prior = drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
+    rows = _parameters(test, values, prior)
     densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
     identifiability = identify(posterior, draws, prior, *densities)
     measured = measured_of(manifest, test.id)
     properties = properties_of(trace, replicas.observed, peaks, smooth=replicas.force)
-    score = score_of(test.id, "calibrate", trace, replicas.observed, posterior.first)
-    arguments = test.id, posterior, replicas, measured, properties, tolerances
+    scores = _score(test.id, "calibrate", trace, replicas.observed, posterior.first)
+    arguments = test.id, posterior, replicas, measured, properties, settings.tolerances
     predictive = checks.predictive_checks(*arguments)
-    level, settings = trace.reference_actuation, manifest.settings
-    drawn = properties | of_parameters(posterior.model, replicas.values, level, settings)
-    stage, travel = _stages(posterior, values)
+    level = trace.reference_actuation
+    derived = properties | of_parameters(posterior.model, replicas.values, level, settings)
+    derived = kept(derived, manifest.axes)
+    by_name = {row["name"]: row for row in rows}
+    informed = {name for name, row in by_name.items() if row["contraction"] >= checks.INFORMED}
+    most = FEWER if len(manifest.tests) > MANY else MAX_PLOTTED_DRAWS
+    medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
+    at = posterior.theta(medians), trace, medians.get("start")
+    stage = posterior.model.stages(*at)
     return TestView(
         id=test.id,
         role="calibrate",
@@ -89,43 +95,42 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
         device=fan_of("this_test", replicas.force),
         observation=fan_of("observation", replicas.observed),
         rows=rows,
-        marginals=_marginals(posterior, values, prior, rows, len(manifest.tests) > MANY),
-        chains={name: _by_step(stored, name) for name in posterior.names},
-        corner=tuple(
-            name
-            for name in _CORNER
-            if any(r.name == name and r.contraction >= checks.INFORMED for r in rows)
+        marginals=tuple(
+            Marginal(
+                *(name, by_name[name]["unit"], _some(prior[name], most)),
+                *(_some(values[name], most), by_name[name]["contraction"]),
+            )
+            for name in posterior.names
         ),
+        chains=stored.draws.sizes["chain"],
+        corner=tuple(name for name in _CORNER if name in informed),
         checks=(
             *checks.convergence_checks(test.id, rows, manifest.effort),
             checks.length_check(test.id, facts, manifest.effort),
             *predictive,
-            *checks.coverage_checks(score, tolerances),
+            *checks.coverage_checks(scores, settings.tolerances),
             *checks.slip_checks(test.id, posterior, values, measured),
             *checks.notes(test.id, rows, facts),
             *checks.identifiability_checks(test.id, identifiability),
         ),
-        score=score,
+        score=scores,
         identifiability=identifiability,
-        derived=property_rows(
-            test.id, "calibrate", trace, kept(drawn, manifest.axes), measured_properties(measured)
-        ),
+        derived=property_rows(test.id, "calibrate", trace, derived, measured_properties(measured)),
         loop_estimates=checks.loop_estimates(predictive, properties),
-        noises=noises,
+        noises=noise_rows(test.id, posterior, values, facts),
         modes=_modes(facts),
-        stage=stage,
-        travel=travel,
+        stage=None if stage is None else stage[0],
+        travel=None if stage is None else posterior.model.travel(*at)[0],
     )
 
 
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
-    session = run.session(name)
-    before = run.sequence.before(name, trace, Forecast(draws=HELD_OUT_DRAWS, session=session))
-    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, "session": session, "after": before or ""}
+    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **run.place(name)}
+    before = run.sequence.before(name, trace, Forecast(**how))
+    how["after"] = before or ""
     seen = run.predict(trace, "observation", explain=True, **how)
-    test = run.predict(trace, "new_test", **how)
-    drawn = device_properties(run, trace, seen, test)
+    drawn = device_properties(run, trace, seen, run.predict(trace, "new_test", **how))
     measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
         id=name,
@@ -134,84 +139,68 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         trace=trace,
         first=0,
         observation=fan_of("observation", seen.draws),
-        score=score_of(name, "validate", trace, seen.draws, 0),
+        score=_score(name, "validate", trace, seen.draws, 0),
         derived=property_rows(name, "validate", trace, kept(drawn, run.manifest.axes), measured),
         shares=seen.explained,
         begun=before.words if before else "",
     )
 
 
-# --- parameters
+def _score(name: str, role: str, trace: Trace, draws: Array, first: int) -> Row:
+    """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
+    scores = score(draws[:, first:], np.asarray(trace.force)[first:])
+    return {"test": name, "role": role} | score_record(scores)
 
 
-def _parameters(
-    test: TestResult, stored: StoredTest, prior: Mapping[str, Array], noises: Sequence[NoiseRow]
-) -> tuple[Row, ...]:
+def _parameters(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Array]) -> Rows:
     """Table I of one test: every parameter with its uncertainty and convergence."""
     rows, kinds = [], units(test.posterior.model)
-    for name, draws in stored.values().items():
-        shrunk = float("nan")
-        if name not in SCALE_ONLY and np.ptp(prior[name]) > 0:  # what is fixed has no spread
+    for name, draws in values.items():
+        shrunk, scale_only = float("nan"), name in SCALE_ONLY
+        if not scale_only and np.ptp(prior[name]) > 0:  # what is fixed has no spread
             before, after = log_if_positive(prior[name], draws)
             shrunk = float(contraction(np.array([before.std()]), after[:, None])[0])
-        note = SCALE_NOTE if name in SCALE_ONLY else ""
-        if shrunk < checks.INFORMED:
-            note = checks.NOT_INFORMED
-        r_hat, bulk, tail = stored.facts["convergence"].get(name, (np.nan, np.nan, np.nan))
+        note = SCALE_NOTE if scale_only else ""
+        r_hat, bulk, tail = test.stored.facts["convergence"].get(name, (np.nan, np.nan, np.nan))
         rows.append(
-            Row(
-                subject=test.id,
-                name=name,
-                unit=kinds[name],
-                **spread_of(draws),
+            {"test": test.id, "name": name, "unit": kinds[name]}
+            | spread_of(draws)
+            | {
+                "ess_bulk": 0.0 if bulk is None else bulk,
+                "ess_tail": 0.0 if tail is None else tail,
                 # None, for JSON has no infinity: walkers that never moved, or too few draws
-                r_hat=np.inf if r_hat is None else r_hat,
-                ess_bulk=0.0 if bulk is None else bulk,
-                ess_tail=0.0 if tail is None else tail,
-                contraction=shrunk,
-                note=note,
-                other_noises=tuple(n for n in noises if n.decides and n.name == name),
-            )
+                "r_hat": np.inf if r_hat is None else r_hat,
+                "contraction": shrunk,
+                "note": checks.NOT_INFORMED if shrunk < checks.INFORMED else note,
+                **dict.fromkeys(("joint_lower", "joint_median", "joint_upper"), np.nan),
+                "disagrees": False,
+            }
         )
     return tuple(rows)
 
 
 def with_joint(run: Run, view: TestView) -> TestView:
-    """A fitted test with each parameter's interval in the joint posterior of all tests."""
+    """A fitted test with each parameter's interval in the joint posterior of all tests.
+
+    Alone and together disagree where the intervals do not overlap and the medians are far apart.
+    """
     if not view.rows or not run.sequence.pooled(view.id):
         return view
     values, model = run.sequence.values(view.id), run.tests[view.id].posterior.model
     joint = {**values} | dict(zip(model.parameters, model.theta(values).T, strict=True))
     rows = []
     for row in view.rows:
-        draws = joint.get(row.name)
-        if draws is None or row.name in SCALE_ONLY or not np.ptp(draws) > 0.0:
+        name, draws = row["name"], joint.get(row["name"])
+        if draws is None or name in SCALE_ONLY or not np.ptp(draws) > 0.0:
             rows.append(row)
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
-        of_device = row.name in (*model.parameters, "ell") and row.contraction >= checks.INFORMED
-        apart = of_device and (low > row.upper or high < row.lower)
-        apart = apart and abs(middle - row.median) > FAR_APART * abs(row.median)
-        joint_row = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
-        rows.append(replace(row, **joint_row, disagrees=apart))
+        of_device = name in (*model.parameters, "ell") and row["contraction"] >= checks.INFORMED
+        apart = of_device and (low > row["upper"] or high < row["lower"])
+        apart = apart and abs(middle - row["median"]) > FAR_APART * abs(row["median"])
+        together = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
+        rows.append(row | together | {"disagrees": bool(apart)})
     return replace(view, rows=tuple(rows))
-
-
-def _prior_values(posterior: Posterior, n: int = 2000) -> dict[str, Array]:
-    """Prior draws of every stored quantity."""
-    drawn = posterior.draw_prior(np.random.default_rng(0), n)
-    theta = posterior.theta(drawn)
-    return drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
-
-
-def _stages(
-    posterior: Posterior, values: Mapping[str, Array]
-) -> tuple[NDArray[np.int8] | None, Array | None]:
-    """Stage, and travel in the gap, at each sample for the posterior medians."""
-    medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
-    at = posterior.theta(medians), posterior.trace, medians.get("start")
-    stage = posterior.model.stages(*at)
-    return (None, None) if stage is None else (stage[0], posterior.model.travel(*at)[0])
 
 
 def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
@@ -224,30 +213,11 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
     return tuple({**values[k], "share": float(shares[k])} for k in kept)
 
 
-def _marginals(
-    posterior: Posterior,
-    values: Mapping[str, Array],
-    prior: Mapping[str, Array],
-    rows: Iterable[Row],
-    many: bool,
-) -> tuple[Marginal, ...]:
-    kinds = units(posterior.model)
-    shrunk, most = {row.name: row.contraction for row in rows}, FEWER if many else MAX_PLOTTED_DRAWS
-    return tuple(
-        Marginal(n, kinds[n], _once(_some(prior[n], most)), _some(values[n], most), shrunk[n])
-        for n in posterior.names
-    )
-
-
 def sharing_priors(view: TestView) -> TestView:
     """A test that another process has made, with the prior draws that others of this one hold."""
-    marginals = (replace(m, prior=_once(m.prior)) for m in view.marginals)
-    return replace(view, marginals=tuple(marginals))
-
-
-def _once(draws: Array) -> Array:
-    """One array for all that are alike: the prior is the same in many tests."""
-    return _ALIKE.setdefault(draws.tobytes(), draws)
+    alike = (_ALIKE.setdefault(m.prior.tobytes(), m.prior) for m in view.marginals)
+    pairs = zip(view.marginals, alike, strict=True)
+    return replace(view, marginals=tuple(replace(m, prior=prior) for m, prior in pairs))
 
 
 def _some(draws: Array, most: int) -> Array:
@@ -255,27 +225,12 @@ def _some(draws: Array, most: int) -> Array:
     return np.asarray(draws[:: -(-len(draws) // most)], dtype=np.float32)
 
 
-def _by_step(stored: StoredTest, name: str) -> Array:
-    """Mean over walkers at each kept step, (chain, step)."""
-    draws = stored.draws[name].to_numpy()
-    mean: Array = draws.reshape(len(draws), stored.facts["walkers"], -1).mean(axis=1)
-    return mean
-
-
-# --- other noises
-
-
 def noise_rows(
     test: str, posterior: Posterior, values: Mapping[str, Array], facts: Mapping[str, Any]
-) -> tuple[NoiseRow, ...]:
+) -> Rows:
     """Every quantity of a test under its own noise and under others; empty where not checked.
 
-    Parameters
-    ----------
-    values : mapping of str to (n,)
-        Posterior draws of all quantities.
-    facts : mapping
-        Stored facts of the test.
+    `values` are the posterior draws of all quantities, (n,) each, and `facts` those of the test.
     """
     fits = [fit for fit in facts.get("other_noises", ()) if fit["quantities"]]
     if not fits:
@@ -283,16 +238,14 @@ def noise_rows(
     own, kinds = quantiles_of(posterior, values), {"gap": "in"} | units(posterior.model)
     first = (*posterior.model.slip_forces, *_FIRST)
     ordered = sorted(own, key=lambda name: first.index(name) if name in first else len(first))
-    rows = []
-    for fit in fits:
-        for name in ordered:
-            other = fit["quantities"].get(name, [None])
-            if None in other:
-                continue
-            (low, middle, high), (below, there, above) = own[name], other
-            decides = moves(own[name], other)
-            head = test, name, kinds[name], posterior.noise.name
-            rows.append(
-                NoiseRow(*head, low, middle, high, fit["noise"], below, there, above, decides)
-            )
-    return tuple(rows)
+    keys = ("lower", "median", "upper")
+    return tuple(
+        {"test": test, "name": name, "unit": kinds[name], "noise": posterior.noise.name}
+        | dict(zip(keys, own[name], strict=True))
+        | {"other": fit["noise"]}
+        | {f"other_{key}": value for key, value in zip(keys, other, strict=True)}
+        | {"decides": moves(own[name], other)}
+        for fit in fits
+        for name in ordered
+        if None not in (other := fit["quantities"].get(name, [None]))
+    )

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.priors import SCALED
-from mfd_bayes.evaluation.checks import CALIBRATION, INFORMED, REPORT, SAMPLING
+from mfd_bayes.evaluation.checks import INFORMED
 from mfd_bayes.evaluation.test_summary import SCALE_NOTE
 from mfd_bayes.evaluation.views import (
+    CALIBRATION,
     COVERAGE,
     FREE_EXPONENT,
     LOOP_ESTIMATE,
     MODES,
     PREDICTIVE,
+    REPORT,
+    SAMPLING,
     Check,
     Judgement,
     TestView,
@@ -51,24 +54,24 @@ MOST_NAMED = 4
 def judge(
     tests: Iterable[str], checks: Sequence[Check], findings: Sequence[Finding]
 ) -> tuple[Judgement, ...]:
-    """Judgement of each test, the one to believe least first.
+    """Judgement of each test from its checks and warnings, the one to believe least first.
 
     Misfit is counted in tolerances: 1 where the model misses a figure by as much as its tolerance.
     What is wrong with the record itself counts more than any misfit.
     """
-    judged = []
-    for name in tests:
-        own = [check for check in checks if check.test == name]
-        judged.append(_judge(name, own, [f for f in findings if f.subject == name]))
+    judged = [
+        _judge(
+            name, [c for c in checks if c.test == name], [f for f in findings if f.subject == name]
+        )
+        for name in tests
+    ]
     return tuple(sorted(judged, key=lambda j: -j.misfit))
 
 
 def _judge(test: str, checks: Sequence[Check], findings: Sequence[Finding]) -> Judgement:
-    """Judgement of one test from its own checks and warnings."""
-    missed = sorted(
-        (c for c in checks if _is_of_fit(c) and c.status in (Verdict.WARNING, Verdict.FAIL)),
-        key=lambda check: -misfit_of(check),
-    )
+    of_fit = [c for c in checks if c.check in (PREDICTIVE, COVERAGE)]
+    missed = [c for c in of_fit if c.status in (Verdict.WARNING, Verdict.FAIL)]
+    missed.sort(key=lambda check: -misfit_of(check))
     reasons: list[tuple[float, Message]] = []
     for number, finding in enumerate(sorted(findings, key=lambda f: not f.spoils)):
         message = finding.message
@@ -84,16 +87,12 @@ def _judge(test: str, checks: Sequence[Check], findings: Sequence[Finding]) -> J
     wrong = spoiled or bool(failed - set(SAMPLING))
     use = Use.NOT_USABLE if wrong or failed else Use.WITH_CARE if reasons else Use.USABLE
     reasons.sort(key=lambda reason: -reason[0])
-    least = max((misfit_of(c) for c in checks if _is_of_fit(c)), default=0.0)
+    least = max(map(misfit_of, of_fit), default=0.0)
     misfit = sum(size for size, _ in reasons) if reasons else min(least, 1.0)
     if reasons and not counted:  # else the worst misfit is one of the reasons
         misfit += least
-    notes = tuple(_modes(check) for check in checks if _is_mode(check, Verdict.NOTE))
+    notes = tuple(_modes(c) for c in checks if c.check == MODES and c.status == Verdict.NOTE)
     return Judgement(test, use, tuple(message for _, message in reasons), misfit, wrong, notes)
-
-
-def _is_of_fit(check: Check) -> bool:
-    return check.check in (PREDICTIVE, COVERAGE)
 
 
 def misfit_of(check: Check) -> float:
@@ -102,11 +101,12 @@ def misfit_of(check: Check) -> float:
     return max(float(size / check.tolerance), 0.0) if np.isfinite(check.tolerance) else 0.0
 
 
-def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, Message]]:
+def _of_sampler(checks: Sequence[Check]) -> Iterator[tuple[float, Message]]:
     """Sampling that did not reach its targets, a test that was lost, and several modes."""
-    if any(check.check == CALIBRATION for check in checks):
+    names = {check.check for check in checks}
+    if CALIBRATION in names:
         yield _LOST, Message("it could not be calibrated")
-    if any(check.check == REPORT for check in checks):
+    if REPORT in names:
         yield _LOST, Message("it could not be shown in the report")
     short = [c for c in checks if c.check in SAMPLING and c.status == Verdict.FAIL]
     if short:
@@ -114,12 +114,9 @@ def _of_sampler(checks: Sequence[Check]) -> Iterable[tuple[float, Message]]:
         first = f"{short[0].check} of {short[0].feature}{more}"
         text = "the sampling did not reach its targets ({first})"
         yield _UNREACHED, Message(text, {"first": first})
-    for check in (c for c in checks if _is_mode(c, Verdict.WARNING)):
-        yield MILD, _modes(check)
-
-
-def _is_mode(check: Check, status: Verdict) -> bool:
-    return check.check == MODES and check.status == status
+    for check in checks:
+        if check.check == MODES and check.status == Verdict.WARNING:
+            yield MILD, _modes(check)
 
 
 def _modes(check: Check) -> Message:
@@ -128,21 +125,17 @@ def _modes(check: Check) -> Message:
     return Message(text, {"held": held})
 
 
-def _of_slip(checks: Sequence[Check]) -> Iterable[tuple[float, Message]]:
+def _of_slip(checks: Sequence[Check]) -> Iterator[tuple[float, Message]]:
     """Slip forces that are far from the measured ones, and whether the band is usable."""
     far = [c for c in checks if c.check == LOOP_ESTIMATE and c.status == Verdict.FAIL]
-    if far:
-        bands = [c for c in checks if c.check == COVERAGE]
-        holds = bands and all(c.status in (Verdict.PASS, Verdict.NOTE) for c in bands)
-        use = "its band is usable, its parameters are not" if holds else "do not use its parameters"
-        why = Message(f"{use}: a slip force is not the measured one, the noise stands in for it")
-        parts = (
-            Message(
-                "{name} {expected}, measured {observed}", {**c.message.values, "name": c.feature}
-            )
-            for c in far
-        )
-        yield _UNLIKE, join([why, join(parts, ", ")], ": ")
+    if not far:
+        return
+    bands = [c for c in checks if c.check == COVERAGE]
+    holds = bands and all(c.status in (Verdict.PASS, Verdict.NOTE) for c in bands)
+    use = "its band is usable, its parameters are not" if holds else "do not use its parameters"
+    why = Message(f"{use}: a slip force is not the measured one, the noise stands in for it")
+    parts = (Message("{feature} {expected}, measured {observed}", c.message.values) for c in far)
+    yield _UNLIKE, join([why, join(parts, ", ")], ": ")
 
 
 def _miss(missed: Sequence[Check]) -> Message:
@@ -172,17 +165,18 @@ def verdict_sentences(
     wrong = [j for j in judged if j.wrong]
     careful = [j for j in judged if j.use == Use.WITH_CARE]
     sentences = []
-    for lead, some in (("something is wrong with", wrong), ("to be used with care:", careful)):
+    for lead, some in (("Something is wrong with", wrong), ("To be used with care:", careful)):
         if some:
-            lead = lead[0].upper() + lead[1:]
-            sentences.append(Message(f"{lead} {len(some)} of {_tests(len(judged))}."))
-            sentences += [_sentence_of(j) for j in some[:MOST_NAMED]]
+            tests = f"{len(judged)} test{'' if len(judged) == 1 else 's'}"
+            sentences.append(Message(f"{lead} {len(some)} of {tests}."))
+            for j in some[:MOST_NAMED]:
+                head = Message("{test}: ", {"test": j.subject})
+                sentences.append(join([head, join(j.reasons, "; "), Message(".")], ""))
             if some[MOST_NAMED:]:
                 sentences.append(Message(f"And {len(some) - MOST_NAMED} more."))
     if all(j.use == Use.USABLE for j in judged):
-        which = {1: "The test is", 2: "Both tests are"}.get(
-            len(judged), f"All {len(judged)} tests are"
-        )
+        count = len(judged)
+        which = {1: "The test is", 2: "Both tests are"}.get(count, f"All {count} tests are")
         sentences.append(Message(f"{which} reproduced within tolerance."))
     lost = {check.test for check in failed if check.check == CALIBRATION}
     advice = "correct what is wrong first" if wrong else "give a larger --effort"
@@ -195,23 +189,9 @@ def verdict_sentences(
     bent = [c for c in checks if c.check == FREE_EXPONENT and c.status == Verdict.WARNING]
     if bent:
         what = ", ".join(f"{c.feature}: exponent {c.observed:.2f}" for c in bent)
-        sentences.append(
-            Message(
-                f"The proportional law is not supported ({what}, not 1): "
-                "do not extrapolate with it."
-            )
-        )
+        text = f"The proportional law is not supported ({what}, not 1): do not extrapolate with it."
+        sentences.append(Message(text))
     return tuple(sentences)
-
-
-def _tests(count: int) -> str:
-    return f"{count} test{'' if count == 1 else 's'}"
-
-
-def _sentence_of(judged: Judgement) -> Message:
-    """A test with its reasons."""
-    head = Message("{test}: ", {"test": judged.subject})
-    return join([head, join(judged.reasons, "; "), Message(".")], "")
 
 
 def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advice: str) -> Message:
@@ -240,7 +220,7 @@ def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advic
 
 def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
     """Sentences that a reader must know besides the verdict."""
-    texts = []
+    rows, texts = [row for view in tests for row in view.rows], []
     if run.manifest.truth:
         texts.append(
             "The tests are synthetic: they were computed from known parameters with known noise. "
@@ -256,17 +236,15 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
         for name, entry in run.manifest.tests.items()
         for role, text in entry.derived.items()
     ]
-    weak = _counted(r.name for view in tests for r in view.rows if r.contraction < INFORMED)
-    if weak:
+    if weak := _counted(row["name"] for row in rows if row["contraction"] < INFORMED):
         texts.append(f"Parameters that the data do not determine (number of tests): {weak}.")
     texts += _of_identifiability(tests)
-    apart = _counted(r.name for view in tests for r in view.rows if r.disagrees)
-    if apart:
+    if apart := _counted(row["name"] for row in rows if row["disagrees"]):
         texts.append(
             "Parameters whose interval in a test alone does not overlap that in the joint "
             f"posterior of all tests, which predictions use (number of tests): {apart}."
         )
-    if any(r.name == "gamma1" for view in tests for r in view.rows):
+    if any(row["name"] == "gamma1" for row in rows):
         texts.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
     left = [test.id for test in tests if test.rows and not test.noises]
     if left:
@@ -276,7 +254,15 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
             "parameters depend on that choice is not known. The effort standard does it; at quick, "
             "noise_check = true in [campaign] asks for it."
         )
-    texts += _of_dependence(run)
+    followed = run.population.design.dependence
+    texts += [
+        f"Tests that were held out are predicted better if {s.quantity} depends on {s.covariate} "
+        f"(elpd {s.difference:+.1f} ± {s.se:.1f} over tests): try it under [dependence]."
+        for s in run.manifest.dependence_scores
+        if s.covariate
+        and s.covariate not in followed.get(s.quantity, ())
+        and s.difference > max(s.se, 1.0)
+    ]
     texts += zero_pressure_sentences(run.population.design, run.tests)
     levels = {round(t.trace.reference_actuation, 9) for t in run.tests.values()}
     if len(levels) < 2 and run.manifest.axes.actuated:
@@ -290,19 +276,6 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
 def _counted(names: Iterable[str], most: int | None = None) -> str:
     """Names with how often each is there, the most frequent first."""
     return ", ".join(f"{name} ({times})" for name, times in Counter(names).most_common(most))
-
-
-def _of_dependence(run: Run) -> list[str]:
-    """Quantities that predict held-out tests better if they followed speed or stroke."""
-    design = run.population.design.dependence
-    return [
-        f"Tests that were held out are predicted better if {s.quantity} depends on {s.covariate} "
-        f"(elpd {s.difference:+.1f} ± {s.se:.1f} over tests): try it under [dependence]."
-        for s in run.manifest.dependence_scores
-        if s.covariate
-        and s.covariate not in design.get(s.quantity, ())
-        and s.difference > max(s.se, 1.0)
-    ]
 
 
 def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
@@ -327,18 +300,14 @@ def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
 
 
 def zero_pressure_sentences(design: Design, tests: Iterable[str]) -> list[str]:
-    """Sentences about tests at zero actuation: what informs no law, and why.
-
-    `tests` are the ids of the calibrated tests, in the design's order.
-    """
+    """Which laws learn nothing from the tests at zero actuation; `tests` in the design's order."""
     settings = zip(tests, design.settings, strict=False)
     zeros = ", ".join(name for name, setting in settings if setting.actuation == 0)
-    out = [
-        n for n, informs in zip(design.names, design.informs.T, strict=True) if not informs.all()
-    ]
-    if not zeros or not out:
+    columns = zip(design.names, design.informs.T, strict=True)
+    left = [name for name, informs in columns if not informs.all()]
+    if not zeros or not left:
         return []
-    laws = ", ".join(f"{name} ({design.laws[name]})" for name in out)
+    laws = ", ".join(f"{name} ({design.laws[name]})" for name in left)
     return [
         f"A law without an intercept has no value at zero actuation: from {zeros} nothing is "
         f"learned about {laws}. The laws affine and residual_power would learn from it."

@@ -1,8 +1,8 @@
 """Jobs on the workers of a dask.distributed cluster, which share no files with this machine.
 
-A worker gets a test's trace and settings; it sends small messages of its progress, and at the end
-the bytes of the files that it made. Both ends must trust each other: dask.distributed unpickles
-what they send.
+A worker gets a job and the files that it needs; it sends small messages of its progress, and at the
+end the files that it made. Both ends must trust each other: dask.distributed unpickles what they
+send.
 """
 
 from __future__ import annotations
@@ -32,11 +32,8 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Job, Outcome, Progress, State, Step
 from mfd_bayes.store.files import write_bytes
 
-PATIENCE = 5.0
-"""Seconds in which a scheduler must answer."""
-
-WATCH = 0.2
-"""Seconds between looks at what has ended."""
+PATIENCE = 5.0  # s in which a scheduler must answer
+WATCH = 0.2  # s between looks at what has ended
 
 FAULTS = (OSError, TimeoutError, CancelledError, RuntimeError)
 """Errors that dask.distributed raises when the scheduler is lost, depending on the moment."""
@@ -46,12 +43,7 @@ _SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")
 
 
 def check_cluster(address: str) -> None:
-    """Refuse a scheduler that does not answer, or has a worker of other versions.
-
-    Raises
-    ------
-    FitError
-    """
+    """Refuse a scheduler that does not answer, or has a worker of other versions."""
     with _connected(address) as client, _losses(address):
         answers = client.run(differences, versions(), on_error="return")
     for worker, answer in answers.items():
@@ -73,13 +65,6 @@ def run_on_cluster(
 
     Jobs that have not ended when this ends, in whatever way, are cancelled. A job whose worker is
     lost begins again on another one from the same seed, as often as the scheduler allows.
-
-    Raises
-    ------
-    StoreError
-        When the files of a job cannot be written.
-    FitError
-        When the scheduler is lost, or a worker is not the same as this machine.
     """
     for job in jobs:
         observe(Step(job.id, State.WAITING))
@@ -87,28 +72,40 @@ def run_on_cluster(
         return
     messages: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
     topic = f"mfd_bayes-{uuid.uuid4().hex}"
-    attempts: dict[str, list[str]] = {}  # of each job that has not ended; only the last one counts
+    attempts: dict[str, list[str]] = {}  # of each job; only the last one counts
+    idle = False
     with _connected(address) as client:
         with _losses(address):
             client.subscribe_topic(topic, lambda event: messages.put(event[1]))
             futures = _submit(client, jobs, out, topic)
-        names = {future.key: job for future, job in futures.items()}
+        ids = {future.key: job.id for future, job in futures.items()}
         ended = as_completed(futures, loop=client.loop, raise_errors=False)
-        idle = False
         try:
             while not ended.is_empty():
                 with _losses(address):
                     if client.status != "running":
                         raise _lost(address)
-                    idle = _tell_idle(client, address, observe, idle=idle)
+                    missing = not client.nthreads()
+                if missing and not idle:
+                    start = f"start one with: dask worker {address}"
+                    observe(Step("cluster", "waits for a worker:", message=start))
+                elif idle and not missing:
+                    observe(Step("cluster", State.DONE))
+                idle = missing
                 while not messages.empty():
                     message = messages.get()
-                    if message["key"] in names:
-                        _follow(message, names[message["key"]].id, attempts, observe)
+                    earlier = attempts.setdefault(message["key"], [])
+                    if message["key"] not in ids or message["attempt"] in earlier[:-1]:
+                        continue
+                    name = ids[message["key"]]
+                    if message["attempt"] not in earlier:
+                        if earlier:
+                            observe(Step(name, State.RESTARTED, message="its worker was lost"))
+                        earlier.append(message["attempt"])
+                    observe(_step(name, message["step"]))
                 for future in ended.next_batch(block=False) if ended.has_ready() else ():
-                    job = names.pop(future.key)
-                    del futures[future]
-                    yield _store(future, job, out, address, observe)
+                    del ids[future.key]
+                    yield _store(future, futures.pop(future), out, address, observe)
                 time.sleep(WATCH)
         finally:
             with suppress(*FAULTS):
@@ -136,34 +133,6 @@ def _submit(client: Any, jobs: Sequence[Job], out: Path, topic: str) -> dict[Any
     return futures
 
 
-def _tell_idle(client: Any, address: str, observe: Callable[[Step], None], *, idle: bool) -> bool:
-    """Whether the scheduler has no worker; it is said once, and also when there is one again."""
-    missing = not client.nthreads()
-    if missing and not idle:
-        start = f"start one with: dask worker {address}"
-        observe(Step("cluster", "waits for a worker:", message=start))
-    elif idle and not missing:
-        observe(Step("cluster", State.DONE))
-    return missing
-
-
-def _follow(
-    message: Mapping[str, Any],
-    name: str,
-    attempts: dict[str, list[str]],
-    observe: Callable[[Step], None],
-) -> None:
-    """Pass on a step of a job, unless it is of an attempt that was lost."""
-    earlier = attempts.setdefault(message["key"], [])
-    if message["attempt"] in earlier[:-1]:
-        return
-    if message["attempt"] not in earlier:
-        if earlier:
-            observe(Step(name, State.RESTARTED, message="its worker was lost"))
-        earlier.append(message["attempt"])
-    observe(_step(name, message["step"]))
-
-
 def _store(
     future: Any, job: Job, out: Path, address: str, observe: Callable[[Step], None]
 ) -> Outcome:
@@ -173,8 +142,6 @@ def _store(
     with _losses(address):
         error = future.exception()
         answer = None if error else future.result()
-    if answer is not None and answer["refused"]:
-        raise FitError(answer["refused"])
     if answer is None:
         reason = _in_a_line(error)
         if isinstance(error, KilledWorker):
@@ -182,35 +149,36 @@ def _store(
                 f"its workers were lost {error.allowed_failures + 1} times, the last one "
                 f"{error.last_worker.address}: if memory is short, give them fewer tests at a time"
             )
-    elif set(answer["files"]) - set(job.makes):
-        reason = "its worker sent files that are not this test's"
-    else:
-        for name, content in answer["files"].items():
-            write_bytes(out / name, content)
-        for step in answer["steps"]:
-            observe(_step(job.id, step))
-        return Outcome(job.id, State(answer["status"]), answer["seconds"], answer["error"])
-    observe(Step(job.id, State.FAILED, message=reason))
-    return Outcome(job.id, State.FAILED, 0.0, reason)
+        observe(Step(job.id, State.FAILED, message=reason))
+        return Outcome(job.id, State.FAILED, 0.0, reason)
+    if answer["refused"]:
+        raise FitError(answer["refused"])
+    for name in job.makes:  # and no other file
+        if name in answer["files"]:
+            write_bytes(out / name, answer["files"][name])
+    for step in answer["steps"]:
+        observe(_step(job.id, step))
+    return Outcome(job.id, State(answer["status"]), answer["seconds"], answer["error"])
 
 
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    """Connection to a scheduler; the library's own log messages are suppressed."""
+    """Connection to a scheduler, without the library's own log messages."""
     if not re.fullmatch(r"(tcp|tls)://.+:\d+", address):
         raise FitError(f"--scheduler must be like tcp://host:8786, got {address!r}")
     before = {name: logging.getLogger(name).level for name in _LOGS}
     for name in _LOGS:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", VersionMismatchWarning)  # `differences` reports it
-            client = Client(address, timeout=PATIENCE, name="mfd-bayes", set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise FitError(
-            f"no scheduler answers at {address} ({_in_a_line(error)}); start one: dask scheduler"
-        ) from error
-    else:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", VersionMismatchWarning)  # `differences` reports it
+                client = Client(address, timeout=PATIENCE, name="mfd-bayes", set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise FitError(
+                f"no scheduler answers at {address} ({_in_a_line(error)}); start one: dask "
+                "scheduler"
+            ) from error
         try:
             yield client
         finally:
@@ -249,23 +217,9 @@ def _in_a_line(error: BaseException) -> str:
 def work(
     job: Job, given: Mapping[str, bytes], expected: Mapping[str, str], topic: str
 ) -> dict[str, Any]:
-    """Do a job in a temporary folder, and return the files that it made.
+    """Do a job in a temporary folder; its outcome, its last steps and the files that it made.
 
-    Parameters
-    ----------
-    job : Job
-    given : mapping of str to bytes
-        Files that the job needs, by their paths in the run folder.
-    expected : mapping of str to str
-        Versions that this worker must have.
-    topic : str
-        Dask's name for the messages of progress.
-
-    Returns
-    -------
-    dict
-        "refused": why the job was not done, or ""; "status", "seconds", "error": as of an
-        `Outcome`; "files": content by name; "steps": the last steps.
+    "refused" says why it was not done: other versions than `expected`, or several threads.
     """
     worker = get_worker()
     found = differences(expected)
@@ -316,9 +270,9 @@ def differences(expected: Mapping[str, str]) -> str:
     """Versions of this process that are not the expected ones, in words; "" where all are."""
     found = versions()
     return ", ".join(
-        f"{name} {found.get(name, 'of no version')} and not {wanted}"
-        for name, wanted in expected.items()
-        if found.get(name) != wanted
+        f"{name} {found.get(name, 'of no version')} and not {other}"
+        for name, other in expected.items()
+        if found.get(name) != other
     )
 
 
@@ -327,11 +281,10 @@ def _other_versions(worker: str, found: str) -> str:
 
 
 def limit_threads() -> str:
-    """Let numpy use one thread in this process from now on; "", or why that is not possible.
+    """Let numpy and scipy use one thread in this process; "", or why that is not possible.
 
-    The number of threads changes the last bits of numpy's sums. It is not set back: other jobs may
-    run in other threads of this process. It holds for the libraries that are loaded by now: numpy
-    and scipy each have a BLAS, and both are loaded with this module.
+    The number of threads changes the last bits of sums. It is not set back: other jobs may run in
+    other threads of this process.
     """
     threadpool_limits(limits=1)
     many = [pool for pool in threadpool_info() if pool["num_threads"] != 1]

@@ -29,11 +29,8 @@ from typing import Any
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Job, Outcome, State, Step
 
-ATTEMPTS = 3
-"""The run gives up when this many processes were killed at one job, as where memory is short."""
-
-WATCH = 0.1
-"""Seconds between looks at the news of other processes."""
+ATTEMPTS = 3  # so many processes may be killed at one job, as where memory is short
+WATCH = 0.1  # s between looks at the news of other processes
 
 LONGEST = 107 - len("/pymp-12345678/listener-12345678")
 """Most bytes of the path of the folder of the server's socket; Linux takes 107 in all."""
@@ -47,8 +44,8 @@ _ENVIRONMENT = {
 _TIDIED = "ignore:resource_tracker"
 """Where a signal ends this process, the tracker removes its semaphores; it need not say so."""
 
+# In a worker process: the run folder, and what sends a step to the parent.
 _WORKER: ContextVar[tuple[Path, Callable[[Step], Any]]] = ContextVar("_WORKER")
-"""In a worker process: the run folder, and what sends a step to the parent."""
 
 
 @dataclass(frozen=True)
@@ -72,25 +69,14 @@ class Workplace:
 def run_jobs(
     jobs: Sequence[Job], out: Path, workplace: Workplace, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
-    """Outcomes of jobs in the order in which they end; the draws are the same on every machine.
-
-    Raises
-    ------
-    MfdError
-        When the result of a job cannot be written, or its processes or the cluster are lost.
-    """
+    """Outcomes of jobs in the order in which they end; the draws are the same on every machine."""
     if not workplace.scheduler:
         return run_in_processes(jobs, out, workplace.processes, observe)
     return _cluster().run_on_cluster(jobs, out, workplace.scheduler, observe)  # type: ignore[no-any-return]
 
 
 def check_workers(workplace: Workplace) -> None:
-    """Refuse a cluster that does not answer or has other versions, before anything is written.
-
-    Raises
-    ------
-    FitError
-    """
+    """Refuse a cluster that does not answer or has other versions, before anything is written."""
     if workplace.scheduler:
         if workplace.jobs:
             raise FitError("give either --jobs, for this machine, or --scheduler, for a cluster")
@@ -115,13 +101,6 @@ def run_in_processes(
 
     All are first said to be waiting. Where a process is killed, the jobs that were at work begin
     again in new processes, from the same seeds.
-
-    Raises
-    ------
-    StoreError
-        When a result cannot be written.
-    FitError
-        When processes are killed `ATTEMPTS` times at one job, or memory is too short for it.
     """
     for job in jobs:
         observe(Step(job.id, State.WAITING))
@@ -158,17 +137,12 @@ def run_in_processes(
             for name in stopped:
                 observe(Step(name, State.WAITING))
         finally:
-            _end(pool)
-
-
-def _end(pool: ProcessPoolExecutor) -> None:
-    """Kill the processes of a pool; files that they have stored are whole."""
-    processes = list((pool._processes or {}).values())  # Python 3.14 has `kill_workers`
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.kill()
-    for process in processes:
-        process.join()
+            workers = list((pool._processes or {}).values())  # Python 3.14 has `kill_workers`
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:  # files that they have stored are whole
+                worker.kill()
+            for worker in workers:
+                worker.join()
 
 
 def _begin(out: Path, news: Any) -> None:
@@ -215,7 +189,7 @@ def started_alike() -> Iterator[None]:
     """
     warnings = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), _TIDIED)))
     environment = _ENVIRONMENT | {"PYTHONWARNINGS": warnings}
-    before = {name: os.environ.get(name) for name in environment}
+    before = dict(os.environ)
     os.environ |= environment
     blocks = hasattr(signal, "pthread_sigmask")
     if blocks:
@@ -226,11 +200,9 @@ def started_alike() -> Iterator[None]:
     finally:
         if blocks:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in environment:
+            del os.environ[name]
+            os.environ |= {name: before[name]} if name in before else {}
 
 
 def follow_parent() -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from itertools import islice
 from typing import Any, Protocol, TypeVar
@@ -18,18 +18,12 @@ Argument = TypeVar("Argument")
 Value = TypeVar("Value")
 
 Evaluate = Callable[[Iterable[tuple[int, Argument]]], Iterator[Value]]
-"""Values of tests' functions, as of their log likelihoods, at pairs of a test's number and an
-argument.
-"""
+"""Values of tests' functions at pairs of a test's number and an argument."""
 
-FEWEST = 4
-"""With fewer tests, one process is faster than several."""
-
-MOST = 16
-"""Largest number of tests that are sent together."""
+FEWEST = 4  # tests; with fewer, one process is faster than several
+MOST = 16  # tests that are sent together
 
 _FUNCTIONS: ContextVar[Sequence[Callable[[Any], Any]]] = ContextVar("_FUNCTIONS")
-"""In a worker process: the functions that it was started with."""
 
 
 def in_turn(functions: Sequence[Callable[[Argument], Value]]) -> Evaluate[Argument, Value]:
@@ -45,14 +39,6 @@ def several_processes(
 
     The figures are those of this process, bit for bit, and come in the order of the arguments.
     Where a process is lost, this one goes on alone.
-
-    Parameters
-    ----------
-    functions : sequence of callable
-        Of each test, such as its log likelihood, (n, D) coordinates to (n,); each process gets a
-        copy of all.
-    jobs : int
-        Number of processes.
     """
     if jobs < 2 or len(functions) < FEWEST:
         yield None
@@ -60,27 +46,19 @@ def several_processes(
     pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(functions,))
     size = max(1, min(MOST, len(functions) // (2 * jobs)))
 
-    def send(batch: list[tuple[int, Argument]]) -> Future[list[Value]] | None:
-        try:
-            return pool.submit(_compute, batch)
-        except BrokenProcessPool:
-            return None
-
-    def receive(
-        batch: list[tuple[int, Argument]], future: Future[list[Value]] | None
-    ) -> list[Value]:
+    def receive(batch: list[tuple[int, Argument]], future: Any) -> Iterable[Value]:
         if future is not None:
-            try:
-                return future.result()
-            except BrokenProcessPool:
-                pass
-        return [functions[j](x) for j, x in batch]
+            with suppress(BrokenProcessPool):
+                return future.result()  # type: ignore[no-any-return]
+        return in_turn(functions)(batch)
 
     def evaluate(points: Iterable[tuple[int, Argument]]) -> Iterator[Value]:
-        source = iter(points)
-        sent = deque[tuple[list[tuple[int, Argument]], Future[list[Value]] | None]]()
+        source, sent = iter(points), deque[Any]()
         while batch := list(islice(source, size)):
-            sent.append((batch, send(batch)))
+            future = None
+            with suppress(BrokenProcessPool):
+                future = pool.submit(_compute, batch)
+            sent.append((batch, future))
             if len(sent) > 2 * jobs:  # a few are computed ahead
                 yield from receive(*sent.popleft())
         while sent:
@@ -101,8 +79,7 @@ def _start(functions: Sequence[Callable[[Any], Any]]) -> None:
 
 
 def _compute(batch: list[tuple[int, Any]]) -> list[Any]:
-    functions = _FUNCTIONS.get()
-    return [functions[j](x) for j, x in batch]
+    return list(in_turn(_FUNCTIONS.get())(batch))
 
 
 class Meanwhile(Protocol):

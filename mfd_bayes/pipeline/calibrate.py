@@ -62,20 +62,7 @@ Observe = Callable[[Step], None]
 
 
 def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
-    """Calibrate a campaign into a run folder, up to but not including its report.
-
-    Parameters
-    ----------
-    out : Path
-        Run folder; must not exist unless the plan's options say `resume` or `force`.
-    observe : callable
-        Called with every step of every test.
-
-    Raises
-    ------
-    MfdError
-        When an input cannot be used; nothing is written then.
-    """
+    """Calibrate a campaign into a run folder, up to but not including its report."""
     with working_in(plan, out):
         return calibrate_locked(plan, out, observe)
 
@@ -96,13 +83,7 @@ def calibrate_campaign(
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
-    """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it.
-
-    Raises
-    ------
-    StoreError
-        When the folder exists and is not to be replaced.
-    """
+    """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it."""
     get_ready(PRELOAD)
     check_workers(options)
     check_links(out, ["campaign"])
@@ -142,14 +123,7 @@ def check_dry(plan: Plan, out: Path) -> None:
 
 @contextmanager
 def working_in(plan: Plan, out: Path) -> Iterator[None]:
-    """Check that a plan may be carried out in a run folder, and lock it until the end.
-
-    Raises
-    ------
-    StoreError
-        When the options contradict each other, the run would remove its own inputs, or another
-        process works in the folder.
-    """
+    """Check that a plan may be carried out in a run folder, and lock it until the end."""
     _check_place(plan, out)
     check_workers(plan.options)
     with alone_in(out):

@@ -26,32 +26,7 @@ from mfd_bayes.store.files import write_text
 def compare(
     campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
 ) -> tuple[Comparison, dict[str, tuple[LeftOutView, str]]]:
-    """Calibrate a campaign under several models or noises, and compare what they predict.
-
-    Parameters
-    ----------
-    out : Path
-        OUT/MODEL, OUT/NOISE or OUT/MODEL_NOISE hold the runs; OUT/comparison.csv is written last.
-    models : sequence of str
-        Two or more of "three_stage", "lugre", "bouc_wen", "backlash" and models of the user's own,
-        "my_file.py:MyClass", whose folder is that of the class; with `noises` in the options also
-        one, or none for the campaign's own.
-    options : Options
-        `model` and `noise` are ignored; with `by`, each run is also cross-validated, as by
-        `crossvalidate`.
-
-    Returns
-    -------
-    Comparison
-    dict of str to (LeftOutView, str)
-        How each run predicted what was left out, in the units of the campaign, and its unit of
-        force; empty without `by`.
-
-    Raises
-    ------
-    MfdError
-        When an input cannot be used under one of the models; nothing is written then.
-    """
+    """Calibrate a campaign under several models or noises, and compare what they predict."""
     plans = _plan_models(campaign, out, candidates(models, options.noises), options)
     for model, plan in plans.items():
         for task in plan.tasks:

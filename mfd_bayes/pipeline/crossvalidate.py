@@ -18,20 +18,7 @@ from mfd_bayes.runs.scores import CampaignCrossValidation
 
 
 def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:
-    """Calibrate a campaign, then predict every part of it from all the others.
-
-    Parameters
-    ----------
-    campaign, out : Path
-        As in `calibrate_campaign`; OUT/crossvalidation.csv is written too.
-    options : Options
-        `by` says what is left out at a time.
-
-    Raises
-    ------
-    MfdError
-        When an input cannot be used, or there are too few parts; nothing is written then.
-    """
+    """Calibrate a campaign, then predict every part of it from all the others."""
     plan = plan_campaign(campaign, options)
     parts = check_parts(plan)
     for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):

@@ -32,7 +32,7 @@ _MADE_BY = "mfd_bayes export"
 
 @dataclass(frozen=True)
 class Export:
-    """What is to be written: for whom, where, at which actuation, how many draws."""
+    """What is to be written; the options of the command."""
 
     to: str
     folder: Path
@@ -43,27 +43,19 @@ class Export:
     extrapolate: bool = False
 
 
-@dataclass(frozen=True)
-class Exported:
-    """Sentences that say what was written, and reasons to trust it less."""
-
-    sentences: list[str]
-    remarks: list[str]
-
-
-def export(out: Path, request: Export) -> Exported:
-    """Write the samples of a new device.
-
-    Raises
-    ------
-    MfdError
-        When the run or the actuation cannot be used, the actuation lies far outside of what was
-        tested and is not asked for expressly, or the folder is not this command's.
-    """
+def export(out: Path, request: Export) -> tuple[list[str], list[str]]:
+    """Write the samples of a new device; what was written, and reasons to trust it less."""
     folder = request.folder
     check_folder(folder, force=request.force)
     run = open_run(out)
-    level = _level(run, request.actuation)
+    level = float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
+    if request.actuation:
+        level, unit = parse_actuation(request.actuation, of="--actuation")
+        if unit != run.actuation_unit:
+            kind = actuation_kind(run.actuation_unit)
+            raise CampaignError(
+                f"--actuation {request.actuation!r} must be {kind}, as in the campaign"
+            )
     outside = departures(run.tested, [Span("actuation", run.actuation_unit, level, level)])
     far = far_sentences(outside, run.system)
     if far and not request.extrapolate:
@@ -87,18 +79,7 @@ def export(out: Path, request: Export) -> Exported:
     else:
         sentences = _write_opensees(folder, run, samples[:FITS], about)
     write_json(folder / ABOUT, about)
-    return Exported(sentences, remarks)
-
-
-def _level(run: Run, actuation: str) -> float:
-    """Actuation that is asked for, or the middle of the tested ones."""
-    if not actuation:
-        return float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
-    level, unit = parse_actuation(actuation, of="--actuation")
-    if unit != run.actuation_unit:
-        kind = actuation_kind(run.actuation_unit)
-        raise CampaignError(f"--actuation {actuation!r} must be {kind}, as in the campaign")
-    return level
+    return sentences, remarks
 
 
 def _samples(run: Run, level: float, request: Export) -> tuple[dict[str, str], Array]:
@@ -157,16 +138,9 @@ def _write_quofem(folder: Path, names: list[str], samples: Array) -> list[str]:
     """A column per variable without a header, the group of all, and dakotaTab.out."""
     for name, column in zip(names, samples.T, strict=True):
         write_text(folder / f"{name}.txt", "\n".join(f"{v:.12g}" for v in column) + "\n")
+    kind = {"variableClass": "Uncertain", "inputType": "Dataset", "distribution": "Discrete"}
     variables = [
-        {
-            "name": name,
-            "variableClass": "Uncertain",
-            "inputType": "Dataset",
-            "distribution": "Discrete",
-            "refCount": 1,
-            "value": f"RV.{name}",
-            "dataDir": f"{name}.txt",
-        }
+        {"name": name, **kind, "refCount": 1, "value": f"RV.{name}", "dataDir": f"{name}.txt"}
         for name in names
     ]
     group = [f"{{{','.join(names)}}}"]

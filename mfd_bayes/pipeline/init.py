@@ -22,12 +22,6 @@ def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft, bool]:
     """Path and content of a first campaign.toml, written for the test files in a folder.
 
     Also returns whether priors.toml was written too, since no shipped file knows such a device.
-
-    Raises
-    ------
-    MfdError
-        When the folder holds no test, or a campaign.toml and `force` is not given; nothing is
-        written then.
     """
     path, priors = folder / "campaign.toml", folder / WRITTEN
     _check_new([path], force=force)
@@ -44,12 +38,6 @@ def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
     """Path of a prior file beside a campaign, its scales read off the campaign's records.
 
     Also returns whether the campaign names it already.
-
-    Raises
-    ------
-    MfdError
-        When the campaign or a record cannot be used, or there is a priors.toml and `force` is not
-        given; nothing is written then.
     """
     campaign = load_campaign(path)
     written = campaign.folder / WRITTEN
@@ -68,11 +56,6 @@ def init_building(path: Path, *, force: bool = False) -> Path:
     """Write a first building file, and an artificial ground motion, ground.AT2, beside it.
 
     Its actuation is one of the campaign beside it, if there is any.
-
-    Raises
-    ------
-    CampaignError
-        When one exists and `force` is not given; nothing is written then.
     """
     target = path / "building.toml" if path.is_dir() or path.suffix != ".toml" else path
     ground, text = target.with_name("ground.AT2"), example_building()

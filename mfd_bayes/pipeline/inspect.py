@@ -28,11 +28,6 @@ def inspect(
     Its facts are in the units of a system, "us" or "si"; by default the records' own. That system
     is returned too: in it the messages of faults are written. With `force`, a PNG that exists is
     replaced.
-
-    Raises
-    ------
-    MfdError
-        When the file cannot be read or used.
     """
     if path.suffix.lower() == ".toml":
         inspections, records = inspect_campaign(path)

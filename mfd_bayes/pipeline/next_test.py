@@ -26,32 +26,13 @@ from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text, write_bytes, write_text
 from mfd_bayes.store.toml import commented, quoted
 
-SHOWN = 10
-"""Candidates that are shown on a terminal."""
-
+SHOWN = 10  # candidates on a terminal
 _LARGEST = 2**20  # bytes of a file of candidates
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked about the next test.
-
-    Attributes
-    ----------
-    goal, candidates, limits : str
-        In words; empty for those of the campaign file. Candidates may be a file with a test in
-        each line.
-    table : Path or None
-        CSV to write, with JSON and PNG beside it; None for next.csv in the run folder.
-    draft : Path or None
-        TOML to write, with the campaign's next tests.
-    tests : int
-        How many tests are drafted: the best one, or the best two or three together.
-    draws, seed : int
-    units : {"", "us", "si"}
-    force : bool
-        Whether files that exist are replaced.
-    """
+    """What is asked about the next test; the options of the command."""
 
     goal: str = ""
     candidates: str = ""
@@ -67,36 +48,19 @@ class Wish:
 
 @dataclass(frozen=True, eq=False)
 class Recommendation:
-    """Advice on the next test, in words.
-
-    Attributes
-    ----------
-    advice : Advice
-    sentence : str
-    together : list of str
-        The best two and three tests together.
-    rows : sequence of tuple of str
-        Cells of the first candidates.
-    files : list of Path
-        That were written.
-    """
+    """Advice on the next test, in words."""
 
     advice: Advice
     sentence: str
     together: list[str]
+    """The best two and three tests together."""
     rows: list[tuple[str, ...]]
+    """Cells of the first candidates."""
     files: list[Path]
 
 
 def next_test(out: Path, wish: Wish) -> Recommendation:
-    """Which test to make next; the table, its JSON and a picture are written.
-
-    Raises
-    ------
-    MfdError
-        When the run, the goal, the candidates or the limits cannot be used, or a file may not be
-        written.
-    """
+    """Which test to make next; the table, its JSON and a picture are written."""
     if wish.tests > 1 and wish.draft is None:
         raise CampaignError("--tests says how many tests --write drafts: give --write too")
     table = out / ADVICE[0] if wish.table is None else wish.table

@@ -11,23 +11,7 @@ from mfd_bayes.store.files import check_place
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool) -> None:
-    """Refuse outputs that exist, but for `force`, and what must never be replaced.
-
-    Parameters
-    ----------
-    outputs : iterable of Path
-        Files that the command is to write.
-    inputs : iterable of Path
-        Files that the command reads.
-    force : bool
-        Whether files that exist may be replaced.
-
-    Raises
-    ------
-    StoreError
-        When an output names no file, is an input, a file of a run, a device, a pipe or a link out
-        of its folder; or exists, and `force` is not given.
-    """
+    """Refuse outputs that exist, but for `force`, and what must never be replaced."""
     inputs = list(inputs)
     for path in outputs:
         if path.name in ("", ".."):
@@ -51,13 +35,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
 
 
 def check_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder of outputs that holds something, but for `force`, and run folders.
-
-    Raises
-    ------
-    StoreError
-        When it is a file or a run folder, or is not empty and `force` is not given.
-    """
+    """Refuse a folder of outputs that holds something, but for `force`, and run folders."""
     if folder.exists() and not folder.is_dir():
         raise StoreError(f"cannot write {folder}: it is a file, and a folder is expected")
     if (folder / MANIFEST).exists():

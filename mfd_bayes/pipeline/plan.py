@@ -23,8 +23,7 @@ from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, gap_of, tested_of
 from mfd_bayes.population.design import Design, design_of
-from mfd_bayes.population.settings import setting_of
-from mfd_bayes.records.measured import measured_cycles
+from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
@@ -48,24 +47,7 @@ _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray
 
 @dataclass(frozen=True, kw_only=True)
 class Options(Workplace):
-    """How a campaign is calibrated, and where.
-
-    Attributes
-    ----------
-    effort : {"quick", "standard", "thorough"}
-    resume, force : bool
-        Whether to finish or replace a run folder that exists.
-    command : str
-        The command line, stored in the manifest.
-    model : str, optional
-        Instead of the campaign's own.
-    noise : {"ou", "iid", "student_t", "staged"}, optional
-        Instead of the campaign's own.
-    by : {"", "test", "level", "session"}
-        What `crossvalidate` and `compare` leave out of the campaign at a time.
-    noises : tuple of str
-        The noises that `compare` compares.
-    """
+    """How a campaign is calibrated, and where."""
 
     effort: str = "standard"
     seed: int = 1
@@ -93,17 +75,7 @@ def effort_of(out: Path, effort: str | None, *, resume: bool) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A campaign, read and checked, before anything is written.
-
-    Attributes
-    ----------
-    tasks : tuple of Task
-        One for each test to calibrate.
-    held_out : mapping of str to Trace
-        Tests that are predicted, by id.
-    manifest : Manifest
-        What is known before the first draw, with the warnings about the records.
-    """
+    """A campaign, read and checked, before anything is written."""
 
     campaign: Campaign
     options: Options
@@ -119,13 +91,7 @@ class Plan:
 
 
 def plan_campaign(path: Path, options: Options) -> Plan:
-    """Plan of a campaign, after all checks; nothing is written.
-
-    Raises
-    ------
-    MfdError
-        When the campaign, its priors or one of its records cannot be used.
-    """
+    """Plan of a campaign, after all checks; nothing is written."""
     campaign = load_campaign(path, options.model, options.noise)
     if campaign.force_model.source:
         check_symbols(campaign.force_model)
@@ -182,13 +148,7 @@ def _inside(campaign: Campaign, test: Test) -> str:
 
 
 def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
-    """Design of the population of the tests to calibrate.
-
-    Raises
-    ------
-    MfdError
-        When laws, priors or actuations do not allow any.
-    """
+    """Design of the population of the tests to calibrate."""
     some = tasks[0]
     posterior = some.posterior()
     names = posterior.names
@@ -197,7 +157,8 @@ def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
             f"noise_sd is fixed in {some.priors.path.name}: the population of tests needs a prior "
             "of it, such as a narrow lognormal"
         )
-    under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
+    inference = settings.inference("quick", ())
+    under = [inference.setting(task.id, task.trace) for task in tasks]
     laws, dependence = settings.laws, settings.dependence
     return design_of(some.priors, names, under, laws, dependence, posterior.model)
 

@@ -11,10 +11,10 @@ import numpy as np
 from mfd_bayes.axes import Axes
 from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.design import DesignRow, design_rows, design_warnings, n_draws
+from mfd_bayes.evaluation.design import design_rows, design_warnings, n_draws
 from mfd_bayes.evaluation.properties import predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
-from mfd_bayes.evaluation.views import DerivedRow, Fan, Interval
+from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES
@@ -24,7 +24,7 @@ from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.sine import parse_sine
 from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import convert_fan, convert_row, convert_trace
+from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.model_average import ModelAverage
@@ -40,46 +40,7 @@ MOST = 40_000
 
 @dataclass(frozen=True)
 class Question:
-    """A requested prediction.
-
-    Attributes
-    ----------
-    bands : Path
-        CSV to write; two PNGs and the derived quantities are written beside it.
-    actuation : str
-        Such as "1000 psi".
-    motion : Path or None
-        A file with time and displacement; None for a harmonic motion.
-    kind : {"device", "new_test", "observation", "this_test"}
-    probability : float
-        Of the equal-tailed band.
-    compare : bool
-        Whether the force in the motion's file is compared with the prediction.
-    test : str
-        Id of the calibrated test, for the kind `this_test`.
-    whole, explain : bool
-        As in `Run.predict`.
-    extrapolate : bool
-        Whether to predict far outside of what was tested too.
-    sine : str
-        Harmonic motion instead of a file: "1 in, 0.5 Hz, 3 cycles".
-    rate : str
-        Rate to which the motion is thinned, "64 Hz"; every sample is kept by default.
-    units : {"", "us", "si"}
-        Units of all that is written; by default those of the campaign.
-    design : bool
-        Whether mean and bounding properties are computed too.
-    given : str
-        Part of the record in which the force in the motion's file is known: "0 s to 3 s".
-    after : str
-        Id of the test of the run that the motion follows without a reset.
-    figures : bool
-        Whether the PNGs are drawn.
-    force : bool
-        Whether files that exist are replaced.
-    others : tuple of Path
-        Runs of the same tests with other models, which predict together with the first.
-    """
+    """A requested prediction."""
 
     bands: Path
     actuation: str
@@ -100,6 +61,7 @@ class Question:
     given: str = ""
     after: str = ""
     others: tuple[Path, ...] = ()
+    device: str = ""
 
     @property
     def window(self) -> tuple[float, float] | None:
@@ -128,10 +90,10 @@ class Answer:
     """
 
     band: Band
-    derived: tuple[DerivedRow, ...]
+    derived: Rows
     system: System
     compared: Compared | None = None
-    design: tuple[DesignRow, ...] = ()
+    design: Rows = ()
     judged: str = ""
     disagrees: bool = False
 
@@ -142,14 +104,7 @@ class Answer:
 
 
 def predict(out: Path, question: Question) -> Answer:
-    """Force band for a motion and an actuation, and derived quantities; both are written.
-
-    Raises
-    ------
-    MfdError
-        When the run, the motion, the actuation, the kind or the probability cannot be used, or
-        the motion lies far outside of what was tested.
-    """
+    """Force band for a motion and an actuation, and derived quantities; both are written."""
     check_question(question)
     run, *others = (open_run(folder) for folder in (out, *question.others))
     if not run.system.axes.actuated:
@@ -175,7 +130,7 @@ def predict(out: Path, question: Question) -> Answer:
     if far and not question.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
     drawn = measured if question.compare else trace
-    design: tuple[DesignRow, ...] = ()
+    design: Rows = ()
     with unchanged(run.folder, run.manifest):
         asked = measured if question.given else trace, question.kind, question.probability
         how: dict[str, Any] = {
@@ -184,12 +139,13 @@ def predict(out: Path, question: Question) -> Answer:
             "after": question.after,
         }
         if not others:
-            how |= {"test": question.test, "explain": question.explain}
+            how |= {"test": question.test, "explain": question.explain, "device": question.device}
             # without sessions the tables of --design are then of the same draws
             how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
         band = source.predict(*asked, **how)
         compared_with = record if question.compare else None
-        rows = predicted_rows(source, trace, band, compared_with, question.after, measured)
+        about = question.after, measured, question.device
+        rows = predicted_rows(source, trace, band, compared_with, *about)
         if question.design:
             remarks += design_warnings(run)
             design = design_rows(run, trace, question.probability)
@@ -200,10 +156,10 @@ def predict(out: Path, question: Question) -> Answer:
         judged, disagrees = compared.judged(rows), compared.disagrees(rows)
     answer = Answer(
         band,
-        tuple(convert_row(row, run.system) for row in rows),
+        convert_rows(rows, run.system),
         run.system,
         compared,
-        tuple(convert_row(row, run.system) for row in design),
+        convert_rows(design, run.system),
         judged,
         disagrees,
     )
@@ -212,13 +168,7 @@ def predict(out: Path, question: Question) -> Answer:
 
 
 def check_question(question: Question) -> None:
-    """Refuse options that exclude each other, and to write over what exists, but for `force`.
-
-    Raises
-    ------
-    MfdError
-        When options cannot be combined, or one of the files may not be written.
-    """
+    """Refuse options that exclude each other, and to write over what exists, but for `force`."""
     if question.bands.suffix.lower() == ".png":
         raise StoreError(
             f"{question.bands} must not end in .png: the picture goes beside the table"
@@ -232,7 +182,7 @@ def check_question(question: Question) -> None:
                 f"--design cannot be combined with {option}: its properties are those of any test, "
                 f"not of {which}"
             )
-    for option in ("test", "explain", "design"):
+    for option in ("test", "explain", "design", "device"):
         if question.others and getattr(question, option):
             raise CampaignError(
                 f"--{option} cannot be combined with --with: it is of one model alone"
@@ -315,7 +265,8 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
     derived = predicted_csv(answer.derived, level, question.probability, system.axes.response.name)
     write_text(question.beside("derived.csv"), derived)
     if answer.design:
-        write_text(question.beside("design.csv"), design_csv(answer.design, level))
+        design = design_csv(answer.design, level, question.probability)
+        write_text(question.beside("design.csv"), design)
     else:
         remove_file(question.beside("design.csv"))  # it is of an earlier question
     if not question.figures:

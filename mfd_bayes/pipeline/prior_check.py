@@ -18,19 +18,7 @@ from mfd_bayes.store.files import write_bytes
 
 @dataclass(frozen=True)
 class PriorCheck:
-    """What the priors of a campaign allow.
-
-    Attributes
-    ----------
-    tests : tuple of (test's id, share of the measured force inside the 95 % prior band, picture)
-    unloaded : tuple of str
-        Tests without actuation of whose force most lies outside, where others have one: the priors
-        are of a device under actuation, and need not fit them.
-    outside : tuple of str
-        The other tests of whose force most lies outside.
-    wrong : str
-        Which prior is most wrong and what would mend it, by the tests outside; empty without any.
-    """
+    """What the priors of a campaign allow."""
 
     tests: tuple[tuple[str, float, Path], ...]
     unloaded: tuple[str, ...]
@@ -42,11 +30,6 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
     """Prior predictive loops compared with the data of every test, with a PNG each in `folder`.
 
     With `force`, a PNG that exists is replaced.
-
-    Raises
-    ------
-    MfdError
-        When the campaign, its priors or a record cannot be used.
     """
     from mfd_bayes.reporting.figures import draw_loops, to_png
 

@@ -13,7 +13,7 @@ from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.conversion import convert_scores, system_of
+from mfd_bayes.reporting.conversion import convert_scores
 from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
@@ -36,29 +36,7 @@ def report(
     forms: Forms = PLAIN,
     units: str = "",
 ) -> CampaignView:
-    """Write the tables, figures and report of a finished run, from its stored results.
-
-    Parameters
-    ----------
-    out : Path
-        Run folder.
-    observe : callable, optional
-        Called with every step.
-    jobs : int
-        Processes that draw figures; 0 for as many as there are processors.
-    forms : Forms
-        What is written besides.
-    units : {"", "us", "si"}
-        System of units of tables and figures, and the one that the page shows first; by default
-        that of the campaign.
-
-    Raises
-    ------
-    StoreError
-        When the folder is no finished run.
-    ReportError
-        When a form or a test is asked for that cannot be made; nothing is written then.
-    """
+    """Write the tables, figures and report of a finished run, from its stored results."""
     forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
     if Workplace(jobs).processes > 1:
         get_ready("mfd_bayes.pipeline.preload")
@@ -91,14 +69,14 @@ def write_report(
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
-    publish(view, run.folder, processes, observe, forms, sheet, run.model)
+    publish(view, run.folder, processes, observe, forms, sheet)
     return view
 
 
 def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
     """Scores of what was left out in the units of the campaign, and its unit of force."""
-    system, found = system_of(view), view.left_out
-    return found and convert_scores(found, system.factor("kip")), system.force
+    scores, system = view.left_out, view.system
+    return scores and convert_scores(scores, system.factor("kip")), system.force
 
 
 def check(out: Path, units: str = "") -> CampaignView:
@@ -115,23 +93,7 @@ def check(out: Path, units: str = "") -> CampaignView:
 
 
 def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:
-    """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows.
-
-    Parameters
-    ----------
-    out : Path
-        Run folder.
-    to : {"csv", "parquet"}
-    units : {"", "us", "si"}
-        By default those of the campaign.
-    most : int
-        Most draws of a test, evenly taken out of all of them; 0 for all.
-
-    Raises
-    ------
-    MfdError
-        When the folder is no finished run, or pyarrow is missing; nothing is written then.
-    """
+    """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows."""
     if to == "parquet":
         check_parquet()
     read_manifest(out)  # a folder that is no finished run is refused before it is locked

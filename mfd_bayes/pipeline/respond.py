@@ -36,6 +36,7 @@ from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, US, System
 from mfd_bayes.runs.verdict import Use
+from mfd_bayes.store.cards import counted
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 
 Array = NDArray[np.float64]
@@ -43,28 +44,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Query:
-    """What is asked of a building.
-
-    Attributes
-    ----------
-    building : Path
-    grounds : tuple of str
-        Files, each perhaps with ":0.01s" for its step and ":g" for its unit.
-    folder : Path
-        Of the page and the tables.
-    kind, draws, seed
-        As in `Run.respond`.
-    unit : str
-        Of the accelerations of files that do not say it.
-    scale : float, optional
-        Factor of every ground motion.
-    peak : str
-        Peak to which every ground motion is scaled instead, such as "0.3 g".
-    sweep : str
-        Such as 'actuation="500 psi to 1500 psi"'.
-    quantity, goal : str
-        What the sweep makes small: drift or acceleration; mean, q90 or passing.
-    """
+    """What is asked of a building; the options of the command."""
 
     building: Path
     grounds: tuple[str, ...]
@@ -95,25 +75,8 @@ class Prepared:
     levels: tuple[Array, str] | None
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """The response, the sweep if one was asked for, and the page."""
-
-    response: Response
-    sweep: Sweep | None
-    view: ResponseView
-    page: Path
-
-
 def prepare(out: Path, query: Query) -> Prepared:
-    """Run, building and ground motions of a query.
-
-    Raises
-    ------
-    MfdError
-        When the run, the building or a ground motion cannot be used, or the folder is not this
-        command's.
-    """
+    """Run, building and ground motions of a query."""
     check_folder(query.folder, force=query.force)
     if not query.sweep and (query.quantity, query.goal) != (Query.quantity, Query.goal):
         raise BuildingError("--minimise and --by say what a sweep makes small: give --sweep too")
@@ -149,14 +112,8 @@ def _grounds(query: Query) -> list[Ground]:
     return [ground.with_peak(peak) for ground in grounds]
 
 
-def respond(prepared: Prepared, observe: Callable[[Step], None]) -> Answer:
-    """Response of a building with the device of a run; page and tables are written.
-
-    Raises
-    ------
-    MfdError
-        When every draw diverged, or something cannot be written.
-    """
+def respond(prepared: Prepared, observe: Callable[[Step], None]) -> ResponseView:
+    """Response of a building with the device of a run; page and tables are written."""
     query, run = prepared.query, prepared.run
     system = SYSTEMS[run.system.name == "si"]
 
@@ -189,18 +146,18 @@ def respond(prepared: Prepared, observe: Callable[[Step], None]) -> Answer:
     response = replace(response, remarks=(*response.remarks, *remarks))
     view = view_of(run, response, sweep, query, system)
     write_response(query.folder, response, sweep, view, system)
-    return Answer(response, sweep, view, query.folder / "report.html")
+    return view
 
 
 def view_of(
     run: Run, response: Response, sweep: Sweep | None, query: Query, system: System
 ) -> ResponseView:
     """What the page shows of a response."""
-    count, grounds = len(response.building.devices), response.grounds
+    dampers, grounds = len(response.building.devices), response.grounds
     about = (
         f"{response.draws} draws of kind {query.kind} of the device in "
-        f"{run.folder.resolve().name}, {count} damper{'' if count == 1 else 's'}, "
-        f"{len(grounds)} ground motion{'' if len(grounds) == 1 else 's'}, fundamental period "
+        f"{run.folder.resolve().name}, {counted(dampers, 'damper')}, "
+        f"{counted(len(grounds), 'ground motion')}, fundamental period "
         f"{response.building.modes.periods[0]:.3g} s."
     )
     shares = (
@@ -208,32 +165,33 @@ def view_of(
         for name in ("drift", "acceleration")
         for g, ground in enumerate(grounds)
     )
-    beyond, use, word = beyond_tests(run, response), run.caution, run.use
-    stated = {*chain.from_iterable(beyond), use}
-    mark, headline = _mark(response, beyond=any(beyond), use=word)
+    beyond, caution = beyond_tests(run, response), run.caution
+    stated = {*chain.from_iterable(beyond), caution}
+    mark, headline = _mark(response, beyond=any(beyond), use=run.use)
     imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
+    facts = {
+        "run": str(run.folder),
+        "building": str(query.building),
+        "ground motions": "; ".join(ground.words for ground in grounds),
+        "kind, draws, seed": f"{query.kind}, {query.draws}, {query.seed}",
+        "tolerance of peaks": f"{query.tolerance:g}",
+        "largest energy not accounted for": f"{imbalance:.1e} of the input",
+        "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
+    }
     return ResponseView(
         f"{response.building.title}: response with dampers",
         about,
         mark,
-        tuple(_verdict(response, system, beyond, use)),
+        tuple(_verdict(response, system, beyond, caution)),
         tuple(remark for remark in response.remarks if remark not in stated),
         tuple(response.rows()),
         tuple(response.limits()),
         tuple(share for share in shares if share.shares),
         "" if sweep is None else sweep_sentence(sweep, run.tested, system),
         tuple(ground.name for ground in grounds),
-        count,
+        dampers,
         system is SI,
-        {
-            "run": str(run.folder),
-            "building": str(query.building),
-            "ground motions": "; ".join(ground.words for ground in grounds),
-            "kind, draws, seed": f"{query.kind}, {query.draws}, {query.seed}",
-            "tolerance of peaks": f"{query.tolerance:g}",
-            "largest energy not accounted for": f"{imbalance:.1e} of the input",
-            "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
-        },
+        facts,
         headline,
     )
 
@@ -259,21 +217,34 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
     """The answer in sentences, verdict first; beside each, where it lies beyond the tests."""
     sentences = []
     ratios = bool(np.all(np.isfinite(response.building.heights)))
+    by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
+    scale = by / response.building.heights if ratios else by
     for g, ground in enumerate(response.grounds):
-        usable = response.usable(g)
-        values = (response.drift_ratio if ratios else response.drift)[usable, g]
+        values = (response.drift_ratio if ratios else response.drift)[response.usable(g), g]
         if not len(values):
             sentences.append(f"{ground.name}: every draw diverged.")
             continue
-        by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
-        scale = by / response.building.heights if ratios else by
         low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
         without = float(np.max(response.bare.drift[0, g] * scale))
         sentences.append(
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
             f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
         )
-        sentences += _bounds(response, g, scale, unit) + _matters(response, g)
+        bounds = {name: response.references.get(name) for name in ("lower", "upper")}
+        at = [
+            f"{name} {float(np.max(bound.drift[0, g] * scale)):.3g} {unit}"
+            for name, bound in bounds.items()
+            if bound is not None and not bound.unstable[0, g]
+        ]
+        if at:
+            where = f"{ground.name}: with all dampers at their bound"
+            sentences.append(f"{where}, {', '.join(at)}.")
+        if shares := variance_shares(response, "drift", g):
+            source = max(shares, key=lambda name: shares[name])
+            sentences.append(
+                f"{ground.name}: {100 * shares[source]:.0f} % of the variance of the largest "
+                f"drift is {source}."
+            )
         sentences += [f"{sentence}." for sentence in beyond[g]] if response.dampers.count else []
     sentences += [f"{sentence}." for sentence in beyond[-1]]
     sentences += [use] if use else []
@@ -286,40 +257,10 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
     return sentences
 
 
-def _bounds(response: Response, ground: int, scale: Array | float, unit: str) -> list[str]:
-    """The largest drift with all dampers at one of their design values, in a sentence."""
-    at = {name: response.references.get(name) for name in ("lower", "upper")}
-    parts = [
-        f"{name} {float(np.max(bound.drift[0, ground] * scale)):.3g} {unit}"
-        for name, bound in at.items()
-        if bound is not None and not bound.unstable[0, ground]
-    ]
-    name = response.grounds[ground].name
-    return [f"{name}: with all dampers at their bound, {', '.join(parts)}."] if parts else []
-
-
-def _matters(response: Response, ground: int) -> list[str]:
-    """What makes the band of the largest drift wide, in a sentence."""
-    shares = variance_shares(response, "drift", ground)
-    if not shares:
-        return []
-    source = max(shares, key=lambda name: shares[name])
-    return [
-        f"{response.grounds[ground].name}: {100 * shares[source]:.0f} % of the variance of the "
-        f"largest drift is {source}."
-    ]
-
-
 def write_response(
     folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: System
 ) -> None:
-    """Write page, tables and pictures; what an earlier response left beside them is removed.
-
-    Raises
-    ------
-    StoreError
-        When something cannot be written or removed.
-    """
+    """Write page, tables and pictures; what an earlier response left beside them is removed."""
     from mfd_bayes.reporting.figures import to_png
     from mfd_bayes.reporting.figures.response import figures_of
 

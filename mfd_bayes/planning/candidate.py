@@ -24,24 +24,15 @@ from mfd_bayes.units import (
     parse_quantity,
 )
 
-# time on the frame beside the motion itself, h: setting the actuation, a check of the record
-SETUP = 0.25
-
+SETUP = 0.25  # time on the frame besides the motion itself, h
 WAVEFORMS = ("sine", "triangle")
-
 MOST = 1000  # most candidates of one question
 FORM = "a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
-
 BEYOND = 1.25  # how far candidates go beyond the largest tested actuation, amplitude and frequency
 LEVELS = 9  # most actuations of candidates
 RANGE = 5  # actuations over which the campaign's range is averaged
-
-# A candidate within this share of a test's amplitude and frequency, at its level, repeats it
-ALIKE = 0.1
-
-# shares of its value by which a figure of a test that was made, or of a new one, is rounded
-NEAR, NEW = 0.005, 0.02
-
+ALIKE = 0.1  # share of amplitude and frequency within which a test at the same level is a repeat
+NEAR, NEW = 0.005, 0.02  # shares by which figures of tests, and of new ones, are rounded
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.ASCII)
 _ALTERNATIVES = re.compile(r"([^a-zA-Zµμ%°]*\|[^a-zA-Zµμ%°]*)(.*)", re.ASCII)
 _LONGEST = 20_000

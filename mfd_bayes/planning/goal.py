@@ -24,11 +24,8 @@ AT_MOTIONS = {
 }
 
 OF_LAWS = {"slope": "slope of a law", "exponent": "exponent of a law"}
-
 GAP = "gap"
-
 KINDS = ("device", "new_test")
-
 _FORM = re.compile(
     r"\s*(?P<name>[A-Za-z_]+(?: force)?)(?:\s+of\s+(?P<of>\w+))?(?:\s+at\s+(?P<at>.+))?\s*",
     re.DOTALL,

@@ -12,19 +12,15 @@ from scipy import linalg, special
 
 Array = NDArray[np.float64]
 
-FLAT = 1e-9  # A summary whose sd is below this share of its size does not vary
-
-# A direction of the summaries with less than this share of their variance repeats others
+FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
+# a direction of the summaries with less than this share of their variance repeats others
 SAME = 1e-6
-
 BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
 PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
 RESAMPLES = 200  # number of bootstrap resamples of the draws
-
 # information is about the principal directions of the goals with this share of their variance, at
 # most so many
 EXPLAINED, MOST = 0.99, 5
-
 SMALL = 1e-3  # penalty of the regression by which sets of tests are chosen
 
 

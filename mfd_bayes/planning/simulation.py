@@ -12,25 +12,19 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.population.bands import Drawn, Predictor
-from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-# samples of a stroke after a turn, up to `REACH` times the gap, and in the rest of the stroke
-DENSE, LOOSE = 14, 8
-
+DENSE, LOOSE = 14, 8  # samples of a stroke up to `REACH` times the gap, and in the rest
 REACH = 2.5
-
 LEAD = 4  # every so many samples of a stroke are enough before the loop
-
 FAST = (0.4, 0.8)
 SLOW = (0.92, 1.0)  # shares of a stroke: slip near the peak speed, and slip just before the turn
 IN_GAP = 0.4  # share of the typical gap at which the force in the gap is read
-
-# shares of the slip force that the force reaches after a turn, as in reading a loop by eye
-RISES = (0.3, 0.5, 0.8)
+RISES = (0.3, 0.5, 0.8)  # shares of the slip force that the force reaches after a turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,10 +125,8 @@ class Devices:
     predictor: Predictor
     index: NDArray[np.intp]  # (n,) int: draws of the population
     grid: Array  # (G,): actuations that will be asked for, ksi or kip
-    # mapping of str to (n, G): level effects of quantities on the grid, by session
-    effects: Mapping[str, Mapping[str, Array]]
-    # (n, d): standard normal numbers of each session, for one that no test was made in, and, under
-    # "", of motions outside those of the tests
+    effects: Mapping[str, Mapping[str, Array]]  # (n, G), by session and quantity
+    # (n, d), standard normal: of sessions without a test, and, under "", of motions outside those
     unknown: Mapping[str, Array]
     knots: Array  # (n, K), kip: discrepancy
 
@@ -171,7 +163,7 @@ class Devices:
         chance = population.draw_numbers(self.index.size, 0, rng)
         flat = chance.flat.copy()
         flat[:, d : 2 * d], flat[:, 2 * d : 3 * d] = self.unknown[""], self.unknown[setting.session]
-        numbers = Numbers(flat, chance.quantities, chance.leveled, 0)
+        numbers = replace(chance, flat=flat)
         at = int(np.argmin(np.abs(self.grid - setting.actuation)))
         effects = {name: v[:, at] for name, v in self.effects[setting.session].items()}
         parts = population.parts(setting, self.index, numbers, effects, scatter=scattered)

@@ -33,22 +33,17 @@ Array = NDArray[np.float64]
 
 TOGETHER = 3  # largest of the best sets that are listed
 CURVE = 6  # number of further tests up to which the expected width is given
-
-# candidates, the best first, that are simulated again, so that a second copy can be chosen
-SHORTLIST = 12
-
+SHORTLIST = 12  # best candidates that are simulated again, so that a second copy can be chosen
 COPIES = 2  # further copies of each of them
 AFRESH = 3  # times that each of the best sets is simulated again, to judge it
-TOO_STRONG = 0.025  # A candidate may pass the limit of the force with this probability
+TOO_STRONG = 0.025  # a candidate may pass the limit of the force with this probability
 FEWEST = 200  # fewest draws
 NO_GAP = 0.1  # length that stands for the gap of a model without one, in
 EVERY = 2  # of the samples of a loop, every so many have a band whose width counts
 NEXT = "(the session of the next test)"  # session of candidates, where tests were made in several
-
 # marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
 # shorter one for one with zeros at its end
 DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
-
 COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
 
 

@@ -36,15 +36,16 @@ SHARE_DRAWS = 300  # most draws by which the shares of a band's variance are com
 class Forecast:
     """Settings of a prediction."""
 
-    kind: str = "new_test"  # {"device", "new_test", "observation", "this_test"}
+    kind: str = "new_test"  # one of KINDS
     probability: float = 0.95
     draws: int = DRAWS
     seed: int = 0
     session: str = ""  # of the predicted test, where the campaign declares sessions
     whole: bool = False  # whether a band of the whole history is computed too
     explained: bool = False  # whether the shares of the band's variance are computed too
-    # Ending, optional: of the test that the motion follows without a reset
-    before: Ending | None = field(default=None, repr=False, compare=False)
+    before: Ending | None = field(default=None, repr=False, compare=False)  # without a reset
+    device: str = ""  # likewise, where it declares devices
+    conditions: Mapping[str, float] = field(default_factory=dict)  # of `settings.CONDITIONS`
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -52,9 +53,14 @@ class Forecast:
         real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
         whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, FitError)
-        if not isinstance(self.session, str):
-            raise FitError(f"session must be text, got {self.session!r}")
+        for name in ("session", "device"):
+            if not isinstance(getattr(self, name), str):
+                raise FitError(f"{name} must be text, got {getattr(self, name)!r}")
         check_flag("whole", self.whole)
+
+    def setting(self, trace: Trace) -> Setting:
+        """Setting of the predicted test under a motion."""
+        return setting_of(trace, self.session, self.device, self.conditions)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -223,15 +229,10 @@ class Drawn:
     """Ingredients of the n draws of a prediction."""
 
     parts: Parts  # of the quantities that tests share
-    # (n,): quantities that tests do not share, such as the start in the gap
-    unshared: Mapping[str, Array]
-    # (n, T): factors of the quantities with a law along a history of actuation; empty for a
-    # constant
-    scales: Mapping[str, Array]
+    unshared: Mapping[str, Array]  # (n,), what tests do not share, such as the start in the gap
+    scales: Mapping[str, Array]  # (n, T), factors of what has a law along a history of actuation
     knots: Array  # (n, K), kip: discrepancy
-    # (n, T), kip, or None: none where only the damper's force is predicted: then the offset is left
-    # out too
-    noise: Array | None = None
+    noise: Array | None = None  # (n, T), kip; without it the offset is left out too
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +268,7 @@ class Predictor:
 
         They begin where the test before ended, if there is one.
         """
-        population, setting = self.population, setting_of(trace, forecast.session)
+        population, setting = self.population, forecast.setting(trace)
         grid, n = population.grid_of(trace), forecast.draws
         p = population.draw_tests(n, setting.actuation, grid, rng)
         drawn = self.drawn(trace, setting, p, grid, scatter=forecast.kind != "device", x=x)

@@ -28,10 +28,9 @@ class Coordinates:
     """Coordinates x (n, D) of quantities, in prior units."""
 
     names: tuple[str, ...]  # quantities, D of them, in the order of the coordinates
-    priors: Mapping[str, Prior]  # Prior
-    speed: float  # in/s: at which slip forces are compared
-    # (D,): mean and standard deviation of the coordinates under the priors
-    centre: Array = field(init=False)
+    priors: Mapping[str, Prior]
+    speed: float  # in/s, at which slip forces are compared
+    centre: Array = field(init=False)  # (D,), mean and sd of the coordinates under the priors
     spread: Array = field(init=False)
 
     def __post_init__(self) -> None:

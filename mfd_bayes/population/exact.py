@@ -31,8 +31,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
-# most numbers of the tests' coordinates that are held; of more, only some sweeps are kept
-STORED = 2**26
+STORED = 2**26  # most numbers of the tests' coordinates that are held
 # sweeps in which steps are tuned, in two halves, and sweeps between looks at the convergence
 WARM_UP, BLOCK = 80, 40
 # weight of the covariance that is learned, against that of the approximation, and its factor: a
@@ -71,24 +70,14 @@ class State(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """Kept draws, (chain, draw, …), ordered by walker, and their convergence.
+    """Kept draws, ordered by walker, and their convergence."""
 
-    Attributes
-    ----------
-    h, z, x : (chain, draw, dim), (chain, draw, Z), (chain, draw, J, D)
-    convergence : Convergence
-        Of h and of the levels in z.
-    sweeps : int
-    accepted : (float, float)
-        Shares of accepted moves of tests and of the population.
-    """
-
-    h: Array
-    z: Array
-    x: Array
-    convergence: Convergence
+    h: Array  # (chain, draw, dim)
+    z: Array  # (chain, draw, Z)
+    x: Array  # (chain, draw, J, D)
+    convergence: Convergence  # of h and of the levels in z
     sweeps: int
-    accepted: tuple[float, float]
+    accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
 
 
 class ExactSampler:

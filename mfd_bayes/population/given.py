@@ -24,7 +24,7 @@ from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_f
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
-from mfd_bayes.population.settings import ZERO, Setting, setting_of
+from mfd_bayes.population.settings import ZERO, Setting
 from mfd_bayes.population.stopping import Estimate, Stopping, properties, quantiles
 from mfd_bayes.records.motion import HYSTERESIS
 from mfd_bayes.records.numbers import real_numbers
@@ -42,20 +42,18 @@ FEWEST = 100  # effective draws below which a band is said not to be reliable
 QUIET = 0.25  # share of the slip force below which a device is taken to be in its gap
 SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
 ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
-# samples at rest before the first of a test that is followed, so that any record has three
-AHEAD = 2
-# actuations over the planned one between which deviations from the laws are drawn
-EITHER_WAY = (0.25, 4.0)
+AHEAD = 2  # samples at rest before the first of a test that is followed: a record has three
+EITHER_WAY = (0.25, 4.0)  # actuations over the planned one, for deviations from the laws
 
 
 @dataclass(frozen=True)
 class Conditioned:
     """The given part of a record, and how the population's draws took it in."""
 
-    window: tuple[float, float]  # (float, float), s
+    window: tuple[float, float]  # s
     samples: int  # at the rate of the calibrated tests
     pareto_k: float  # of the last importance weights
-    method: str  # {"weights", "sampling"}: importance weights alone, or resampled and moved too
+    method: str  # "weights" alone, or "sampling": resampled and moved too
     effective: float  # effective number of draws behind the band
     stages: int = 0  # how often the draws were resampled and moved
     accepted: float = 1.0  # share of the last moves that were accepted; 1 for weights alone
@@ -169,10 +167,8 @@ class PartialTest:
     def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
         """Log likelihood of the counted samples so far, at the end of each block, (n, blocks)."""
         drawn, rows = self.drawn(p, part), np.flatnonzero(counted)
-        values, share = (
-            self.predictor.values(drawn),
-            self.predictor.population.residual.stroke_share,
-        )
+        values = self.predictor.values(drawn)
+        share = self.predictor.population.residual.stroke_share
         force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
         so_far = accumulate(self.sums(part, force, values, counted, rows), Sums.plus)
         return np.stack([s.log_likelihood(values["noise_sd"], share) for s in so_far], axis=1)
@@ -274,7 +270,7 @@ def predict_given(
 ) -> Band:
     """Band of a record of which a part is known; all of it, with the given part."""
     check_kind(forecast)
-    setting, population = setting_of(trace, forecast.session), predictor.population
+    setting, population = forecast.setting(trace), predictor.population
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)

@@ -36,8 +36,7 @@ Array = NDArray[np.float64]
 STEP = 1e-3  # step of the central differences, in prior units
 EVEN = 30.0  # samples near a knot that an even shape of the noise is worth
 FARTHEST = 8.0  # largest coordinate of a fit, in prior units
-# relative change of the objective below which a step counts as settled; three in a row end
-SETTLED = 1e-3
+SETTLED = 1e-3  # relative change of the objective; three smaller ones in a row end the fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +45,11 @@ class TestLikelihood:
 
     posterior: Posterior  # of the test, with independent noise
     coordinates: Coordinates  # of the D quantities
-    # (T,), or None: actuation along the record over its mean, where it changes
-    relative: Array | None = None
-    # (str, float, float): what follows it then: the quantity whose law that is, and the law's share
-    # and exponent where the test has none to itself
+    relative: Array | None = None  # (T,), actuation over its mean, where it changes
+    # what follows it then: whose law, and its share and exponent where the test has none to itself
     laws: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
-    discrepancy: Array | float = 0.0  # (T,): δ along the record, kip, and g
-    shape: Array | float = 1.0
+    discrepancy: Array | float = 0.0  # (T,), δ along the record, kip
+    shape: Array | float = 1.0  # (T,), g
     information: float = 1.0  # share of independent samples
 
     __test__ = False  # pytest is not to collect it
@@ -107,8 +104,8 @@ class JointFit:
     """All tests near the mode of their joint posterior."""
 
     tests: tuple[TestLikelihood, ...]  # with discrepancy and noise
-    mean: Array  # (J, D), (J, D, D): Gaussian of each test's likelihood, in prior units
-    precision: Array
+    mean: Array  # (J, D), of each test's likelihood, in prior units
+    precision: Array  # (J, D, D)
     residual: Residual
 
 

@@ -36,9 +36,7 @@ class LawScore:
 
     quantity: str
     law: str
-    # sum over levels of the log predictive density of the level's tests given the other levels, in
-    # prior units
-    elpd: Figure
+    elpd: Figure  # sum of log predictive densities of levels given the others, in prior units
     se: Figure  # standard error of the sum, from the spread of its terms
     weight: Figure  # stacking weight among the laws; 0 where its score cannot be trusted
     levels: tuple[Figure, ...]  # the terms of the sum

@@ -23,10 +23,8 @@ from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
-# equally probable shapes a of the Beta densities: from anywhere (1) to one place
-SHAPES = np.geomspace(1.0, 100.0, 41)
-# probability that a repeat begins without load or anywhere, and not as the tests did
-ELSEWHERE = 0.2
+SHAPES = np.geomspace(1.0, 100.0, 41)  # of the Beta densities: from anywhere (1) to one place
+ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere
 # probability, before the tests of a run, that tests begin without load and not anywhere. All
 # records of the three sessions in shared/data/brfd begin with less than a tenth of the slip
 # force. With k sessions of k, Laplace's rule gives (k + 1)/(k + 2) to the next one; k is 2 here,
@@ -42,9 +40,8 @@ class Starts:
 
     # (2, A): posterior of the modes (middle of the gap, where the motion ends) and of the shapes
     weights: Array | None = None
-    # probability of a start without load; 0 where the model does not tell load from none
-    unloaded: float = 0.0
-    fixed: float | None = None  # or None: the start that the prior file fixes
+    unloaded: float = 0.0  # probability of a start without load; 0 where the model tells of none
+    fixed: float | None = None  # the start that the prior file fixes
 
     @classmethod
     def of(cls, prior: Prior | None) -> Starts:

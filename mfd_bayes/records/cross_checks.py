@@ -39,48 +39,23 @@ UNLIKE, SPEED = 1.6, 3.0
 
 @dataclass(frozen=True, eq=False)
 class Tested:
-    """A test as it is compared with others.
-
-    Attributes
-    ----------
-    signature : Signature
-    features : LoopFeatures or None
-        None where the record has too few loops at full stroke.
-    asymmetry : (P,), kip
-        Difference of the two directions along a stroke.
-    direction : int
-        First direction of the motion, +1 or -1.
-    work : float, kip*in
-        Energy of the loops; negative where one sign is swapped.
-    level : float, kip or ksi
-        Actuation, NaN where it is not known.
-    actuation : str
-        As the campaign gives it, "" for a column.
-    units : mapping of str to str
-        Unit of displacement and of force that the record was read in.
-    step, cycle : float, s
-        Median step of time, and median time of a full loop; 0 where there is none.
-    speed : float, in/s
-        Exceeded in a tenth of the samples.
-    swapped : bool
-        Whether displacement and force seem to be each other.
-    """
+    """A test as it is compared with others."""
 
     __test__: ClassVar[bool] = False  # pytest must not take it for a test class
 
     id: str
     signature: Signature
-    features: LoopFeatures | None
-    asymmetry: Array
-    direction: int
-    work: float
-    level: float
-    actuation: str
-    units: dict[str, str]
-    step: float
-    cycle: float
-    speed: float
-    swapped: bool
+    features: LoopFeatures | None  # None where the record has too few loops at full stroke
+    asymmetry: Array  # (P,), kip; difference of the two directions along a stroke
+    direction: int  # first direction of the motion, +1 or -1
+    work: float  # kip*in, of the loops; negative where one sign is swapped
+    level: float  # actuation, kip or ksi; NaN where it is not known
+    actuation: str  # as the campaign gives it, "" for a column
+    units: dict[str, str]  # of displacement and of force, in which the record was read
+    step: float  # s; median step of time
+    cycle: float  # s; median time of a full loop, 0 where there is none
+    speed: float  # in/s; exceeded in a tenth of the samples
+    swapped: bool  # whether displacement and force seem to be each other
 
     @classmethod
     def of(cls, name: str, record: Record, trace: Trace, actuation: str = "") -> Tested:

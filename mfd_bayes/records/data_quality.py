@@ -26,10 +26,7 @@ AT_REST = 10  # in a longer run of equal samples the actuator is at rest
 SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
 CLIPPED = 5  # fewest equal samples at the extreme of the force that show a load cell's limit
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075  # s, samples, cycles: a lag is above all three
-CORRELATION, SCALE = (
-    0.9,
-    1.25,
-)  # least, and most, between a displacement and its velocity's integral
+CORRELATION, SCALE = 0.9, 1.25  # least, and most, of the integral of a velocity
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
 NOISE = 0.05  # most noise of a displacement, as a share of the travel of the build-up
 DRIFT = 0.25  # drift of the force, as a share of its half range, that shows a lost zero

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from mfd_bayes.axes import Axes
-from mfd_bayes.evaluation.views import (
-    CampaignView,
-    Fan,
-    LawView,
-    LeftOutRow,
-    LeftOutView,
-    TestView,
-)
+from mfd_bayes.evaluation.views import Fan, LawView, LeftOutView, Row, Rows, TestView
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import US, System
 
@@ -24,30 +17,24 @@ _OF_UNIT = frozenset(
     {
         *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
         *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "loop_estimate"),
-        *("smallest", "largest", "prior", "posterior", "measured_low", "measured_high"),
-        *("observed", "expected", "joint_q2.5", "joint_q50", "joint_q97.5"),
+        *("other_lower", "other_median", "other_upper", "smallest", "largest"),
+        *("measured_low", "measured_high", "observed", "expected"),
+        *("joint_q2.5", "joint_q50", "joint_q97.5"),
     }
 )
-"""Fields of a row, and columns of a table, that are in the unit that the row names."""
+"""Keys of a row, and columns of a table, that are in the unit that the row names."""
 
 _SCORES = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
 
 _ENDINGS = {"_kip": "kip", "_in": "in", "_in_per_s": "in/s"}
 """Internal units at the ends of columns' names."""
 
-AnyRow = TypeVar("AnyRow")
-
-
-def system_of(view: CampaignView) -> System:
-    """System of units of the figures and tables of a report: by default the campaign's own."""
-    return view.systems[view.metric]
-
 
 def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     """A table in the units of a system.
 
     A column `unit` is the unit of the numbers in its row; other columns have theirs at the end of
-    their name, "width_95_kip", or in brackets, "Fc_fwd [kip]".
+    their name: "width_95_kip".
     """
     if system == US:
         return frame
@@ -64,14 +51,8 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     for name in frame.columns:
         ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
         if ending:
-            unit = _ENDINGS[ending]
-            names[name] = system.column(str(name).removesuffix(ending), unit)
-        elif str(name).endswith("]"):
-            what, _, unit = name[:-1].rpartition(" [")
-            names[name] = f"{what} [{system.unit(unit)}]"
-        else:
-            continue
-        shown[name] = frame[name] * system.factor(unit)
+            names[name] = system.column(str(name).removesuffix(ending), _ENDINGS[ending])
+            shown[name] = frame[name] * system.factor(_ENDINGS[ending])
     shown = shown.rename(columns=names)
     if axes.timed:
         return shown
@@ -88,15 +69,16 @@ def _renamed(words: Any, axes: Axes) -> Any:
     return axes.text(words) if is_ours else words
 
 
-def convert_row(row: AnyRow, system: System) -> AnyRow:
-    """A dataclass with a field `unit`, in the units of a system."""
-    made: Any = row
-    by = system.factor(made.unit)
-    values: dict[str, Any] = {
-        f.name: getattr(made, f.name) * by for f in fields(made) if f.name in _OF_UNIT
-    }
-    converted: AnyRow = replace(made, unit=system.unit(made.unit), **values)
-    return converted
+def convert_rows(rows: Rows, system: System) -> Rows:
+    """Rows with a key `unit`, in the units of a system."""
+    return tuple(
+        {
+            name: value * system.factor(row["unit"]) if name in _OF_UNIT else value
+            for name, value in row.items()
+        }
+        | {"unit": system.unit(row["unit"])}
+        for row in rows
+    )
 
 
 def convert_trace(trace: Trace, system: System) -> Trace:
@@ -135,6 +117,7 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
     if system == US:
         return test
     force = system.factor("kip")
+    marginals = ((m, system.factor(m.unit)) for m in test.marginals)
     return replace(
         test,
         actuation=system.actuation(test.trace, actuation_unit),
@@ -142,15 +125,17 @@ def convert_test(test: TestView, system: System, actuation_unit: str) -> TestVie
         travel=None if test.travel is None else test.travel * system.factor("in"),
         device=None if test.device is None else convert_fan(test.device, force),
         observation=convert_fan(test.observation, force),
-        marginals=tuple(convert_row(marginal, system) for marginal in test.marginals),
+        marginals=tuple(
+            replace(m, unit=system.unit(m.unit), prior=m.prior * by, posterior=m.posterior * by)
+            for m, by in marginals
+        ),
     )
 
 
 def convert_scores(scores: LeftOutView, by: float) -> LeftOutView:
     """Scores of what was left out times a factor: those that are forces."""
 
-    def converted(row: LeftOutRow) -> LeftOutRow:
-        return replace(row, **{name: by * getattr(row, name) for name in _SCORES})
+    def converted(row: Row) -> Row:
+        return row | {name: by * row[name] for name in _SCORES}
 
-    rows = tuple(converted(row) for row in scores.rows)
-    return replace(scores, rows=rows, mean=converted(scores.mean))
+    return replace(scores, rows=tuple(map(converted, scores.rows)), mean=converted(scores.mean))

@@ -83,7 +83,7 @@ def _packed(test: TestView, view: CampaignView, most: int) -> dict[str, Any]:
     at = np.linspace(0, trace.samples - 1, min(trace.samples, most)).astype(np.intp)
     if trace.turning_points.size < most // 4:
         at = np.union1d(at, trace.turning_points)
-    widest = max(fan.intervals, key=lambda interval: interval.probability)
+    widest = fan.widest
     none = np.full(trace.samples, np.nan)
     arrays = {
         "time": trace.time,

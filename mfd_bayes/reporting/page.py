@@ -25,11 +25,10 @@ from markupsafe import Markup, escape
 from mfd_bayes.axes import DAMPER
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
+from mfd_bayes.evaluation.scores import width_sentence
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
-from mfd_bayes.evaluation.width import width_sentence
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.explorer import explore, script_json
 from mfd_bayes.reporting.tables import (
     ACTUATION,
@@ -39,7 +38,7 @@ from mfd_bayes.reporting.tables import (
     score_sheet,
     table_of,
 )
-from mfd_bayes.runs.unit_system import US, System
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import in_digits
 
@@ -124,6 +123,8 @@ class Units:
         Whether the page begins with the second of them.
     convert : callable
         Factor and name of an internal unit in a system.
+    words : Symbols
+        How quantities are written.
     used : dict
         Factor and name in each system, of every internal unit on the page so far.
     """
@@ -131,6 +132,7 @@ class Units:
     systems: Pair
     metric: bool = False
     convert: Callable[[str, System], tuple[float, str]] = _factor_and_name
+    words: symbols.Symbols = field(default_factory=symbols.Symbols)
     used: dict[str, dict[str, tuple[float, str]]] = field(default_factory=dict)
 
     def _own(self, unit: str) -> tuple[float, str]:
@@ -178,11 +180,11 @@ class Units:
     def sentence(self, sentence: Message | str) -> Markup:
         """A sentence with its quantities."""
         if isinstance(sentence, str):
-            return symbols.sentence_in_html(sentence)
+            return self.words.sentence(sentence)
         shown = {
             name: self.values(value.values, value.unit, value.digits)
             if isinstance(value, Quantity)
-            else symbols.sentence_in_html(value)
+            else self.words.sentence(value)
             for name, value in sentence.values.items()
         }
         template = self.systems[0].text(sentence.template)
@@ -210,48 +212,58 @@ def render(
         bytes are enough. A picture that is not given is left out.
     sheet : Datasheet, optional
     """
-    pages = {"report.html": _summary(view, images, sheet)}
+    words = symbols.Symbols(view.model)
+
+    def units() -> Units:
+        return Units(view.systems, view.metric, words=words)
+
+    pages = {"report.html": _summary(view, images, sheet, units())}
     if sheet is not None:
-        units = Units(view.systems, view.metric)
-        pages["datasheet.html"] = render_page(
-            "datasheet.html.j2", units, view=view, **_datasheet(sheet, view)
-        )
-    held = {judged.subject: judged for judged in view.judgements}
+        values = _datasheet(sheet, view, words)
+        pages["datasheet.html"] = render_page("datasheet.html.j2", units(), view=view, **values)
+    judged = {judgement.subject: judgement for judgement in view.judgements}
     for test in view.tests:
         own = {key: png for key, png in images.items() if key.startswith(f"tests/{test.id}/")}
         pages[f"tests/{test.id}/page.html"] = render_page(
             "test.html.j2",
-            Units(view.systems, view.metric),
+            units(),
             view=view,
             test=test,
-            judged=held.get(test.id),
+            judged=judged.get(test.id),
             pictures={key: Picture.linked(key, png) for key, png in own.items()},
         )
     return pages
 
 
-def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None) -> str:
-    calibrated = [test for test in view.tests if test.role != "validate"]
+def _summary(
+    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None, units: Units
+) -> str:
     held_out = [test for test in view.tests if test.role == "validate"]
-    names = {test.id for test in held_out}
     explained = [test.shares for test in held_out if test.shares]
     sources = dict.fromkeys(name for shares in explained for name in shares)
     shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
     explorer = explore(view) if view.tests else None
-    parameters, laws = paper_sheets(view, US)
-    shown = tuple(row for row in parameters.rows if row.name not in ELSEWHERE)
-    columns, units = [test for test in view.tests if test.rows], Units(view.systems, view.metric)
-    missed = [judged for judged in view.judgements if judged.use != Use.USABLE]
+    parameters, laws = paper_sheets(view, units.words)
+    columns = [test for test in view.tests if test.rows]
+    left_out = None
+    if view.left_out:
+        left_out = score_sheet(
+            [*view.left_out.rows, view.left_out.mean], "Scores, held out in turn"
+        )
+    advice = None
+    if view.next_test is not None:
+        how = view.next_test, view.system, view.actuation_unit
+        sentences = [advice_sentence(*how), *together_words(*how)]
+        advice = {"sentences": sentences, "rows": shown_rows(*how, NEXT)}
     terms = (term for subject in read_glossary().values() for term in subject.items())
-    system, unit, advice = system_of(view), view.actuation_unit, view.next_test
     return render_page(
         "report.html.j2",
         units,
         *([explorer.library] if explorer else []),
         view=view,
-        calibrated=calibrated,
+        calibrated=[test for test in view.tests if test.role != "validate"],
         held_out=held_out,
-        missed=missed,
+        missed=[judged for judged in view.judgements if judged.use != Use.USABLE],
         links={test.id: f"tests/{quote(test.id)}/page.html" for test in view.tests},
         pictures={
             key: Picture.embedded(key, png)
@@ -259,45 +271,34 @@ def _summary(view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet |
             if not key.startswith("tests/")
         },
         explorer=explorer,
-        parameters=replace(parameters, heads=tuple(test.id for test in columns), rows=shown),
+        parameters=replace(
+            parameters,
+            heads=tuple(test.id for test in columns),
+            rows=tuple(row for row in parameters.rows if row.name not in ELSEWHERE),
+        ),
         levels={test.id: units.level(test, view.actuation_unit) for test in columns},
         laws=laws,
-        scores=score_sheet([row for row in view.scores if row.subject in names]),
-        left_out=replace(
-            score_sheet([*view.left_out.rows, view.left_out.mean]), title="Scores, held out in turn"
-        )
-        if view.left_out
-        else None,
+        scores=score_sheet([test.score for test in held_out]),
+        left_out=left_out,
         width=width_sentence(shares),
         exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
-        advice=None
-        if advice is None
-        else {
-            "sentences": [
-                advice_sentence(advice, system, unit),
-                *together_words(advice, system, unit),
-            ],
-            "rows": shown_rows(advice, system, unit, NEXT),
-        },
+        advice=advice,
         words={name: text for name, text in terms if name in WORDS},
-        **_datasheet(sheet, view),
+        **_datasheet(sheet, view, units.words),
     )
 
 
-def _datasheet(sheet: Datasheet | None, view: CampaignView) -> dict[str, Any]:
+def _datasheet(
+    sheet: Datasheet | None, view: CampaignView, words: symbols.Symbols
+) -> dict[str, Any]:
     if sheet is None:
         return {"datasheet": None}
-    properties = datasheet_sheet(sheet.rows, US, view.title, view.systems[0].axes)
-    heads = dict(zip(sheet.rows["condition"].unique(), properties.heads, strict=True))
-    with_note = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
-    notes = [
-        f"{heads[condition]}: {note}"
-        for condition, note in zip(with_note["condition"], with_note["note"], strict=True)
-    ]
+    properties = datasheet_sheet(sheet.rows, view.title, words, view.system.axes)
+    noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
     return {
         "datasheet": sheet,
         "properties": properties.blocks(CONDITIONS),
-        "property_notes": notes,
+        "property_notes": [f"{row.condition}: {row.note}" for row in noted.itertuples()],
     }
 
 
@@ -343,8 +344,6 @@ def environment() -> Environment:
         "digits": symbols.number,
         "count": symbols.count,
         "percent": symbols.percent,
-        "symbol": symbols.in_html,
-        "meaning": symbols.meaning,
     }
     made.tests["finite"] = math.isfinite
     return made

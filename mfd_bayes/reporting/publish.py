@@ -6,24 +6,21 @@ import os
 import shutil
 import subprocess
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.friction.model import Model
-from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.local import run_in_processes
-from mfd_bayes.jobs.parallel import meanwhile
-from mfd_bayes.reporting.conversion import system_of
+from mfd_bayes.jobs.job import State, Step
+from mfd_bayes.jobs.parallel import in_turn, meanwhile, several_processes
 from mfd_bayes.reporting.page import render
-from mfd_bayes.reporting.symbols import of_model
+from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import (
     datasheet_frame,
     datasheet_sheet,
@@ -44,9 +41,6 @@ if TYPE_CHECKING:
 
 ALL_DRAWN = 12
 """In a run of more tests, the pictures of single tests are drawn only where asked for."""
-
-ALONE = 3
-"""Drawings that one process has done before another has started."""
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 """Programs that can print a page, in order of preference."""
@@ -121,43 +115,32 @@ def publish(
     observe: Callable[[Step], None],
     forms: Forms = PLAIN,
     sheet: Datasheet | None = None,
-    model: Model | None = None,
 ) -> None:
-    """Write tables, figures and pages of a report into the run folder, with a model's symbols.
+    """Write tables, figures and pages of a report into the run folder.
 
     Raises
     ------
     MfdError
         When something cannot be written, or no browser prints the PDF.
     """
-    with of_model(model):
-        _publish(view, out, processes, observe, forms, sheet, model)
-
-
-def _publish(
-    view: CampaignView,
-    out: Path,
-    processes: int,
-    observe: Callable[[Step], None],
-    forms: Forms,
-    sheet: Datasheet | None,
-    model: Model | None,
-) -> None:
-    system = system_of(view)
-    texts, sheets = report_tables(view), {}
+    system, symbols, texts = view.system, Symbols(view.model), report_tables(view)
+    table_1, table_2 = (table.to_units(system) for table in paper_sheets(view, symbols))
+    texts["parameters.tex"] = to_latex("parameters", table_1, symbols)
+    texts["laws.tex"] = to_latex("laws", table_2, symbols)
+    sheets = {"Table I": table_1, "Table II": table_2}
     if sheet is not None:
-        sheets["Data sheet"] = datasheet_sheet(sheet.rows, system, view.title)
+        properties = datasheet_sheet(sheet.rows, view.title, symbols, system.axes).to_units(system)
+        sheets = {"Data sheet": properties} | sheets
         texts["datasheet.csv"] = to_csv(datasheet_frame(sheet.rows, system))
-        texts["datasheet.tex"] = to_latex("datasheet", sheets["Data sheet"])
+        texts["datasheet.tex"] = to_latex("datasheet", properties, symbols)
     for name, text in texts.items():
         write_text(out / name, text)
-    sheets |= dict(zip(("Table I", "Table II"), paper_sheets(view, system), strict=True))
     if forms.word:
-        write_bytes(out / "tables.docx", to_word(view.title, sheets.values()))
+        write_bytes(out / "tables.docx", to_word(view.title, sheets.values(), symbols))
     if forms.excel:
-        write_bytes(out / "tables.xlsx", to_excel(sheets))
+        write_bytes(out / "tables.xlsx", to_excel(sheets, symbols))
     observe(Step("report", "figures"))
-    images = _draw(view, out, processes, forms, model)
+    images = _draw(view, out, processes, forms)
     for name, text in shared_tables(view):
         write_text(out / name, text)
     observe(Step("report", "pages"))
@@ -170,108 +153,62 @@ def _publish(
     observe(Step("report", State.DONE))
 
 
-@dataclass(frozen=True, eq=False)
-class Drawing:
-    """A job that draws the figures of one test and writes the tables behind them."""
+def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[str, bytes]:
+    """Draw all figures; the bytes that the pages need, by the figures' keys.
 
-    test: TestView
-    system: System
-    actuation_unit: str
-    model: Model | None = None
-
-    @property
-    def id(self) -> str:
-        """Id of the test."""
-        return self.test.id
-
-    @property
-    def pictures(self) -> tuple[str, ...]:
-        """Keys of all figures that a test can have."""
-        from mfd_bayes.reporting.figures import OF_TEST
-
-        return tuple(f"tests/{self.id}/{name}" for name in OF_TEST)
-
-    @property
-    def makes(self) -> tuple[str, ...]:
-        """Files of these figures."""
-        return tuple(f"{key}.png" for key in self.pictures)
-
-    def needs(self, out: Path) -> tuple[str, ...]:
-        """Nothing: the test is in memory."""
-        return ()
-
-    def remove(self, out: Path) -> None:
-        """Remove the figures, and the tables behind them, that an earlier report has made."""
-        for key in self.pictures:
-            (out / f"{key}.png").unlink(missing_ok=True)
-        (out / f"tests/{self.id}/record.csv").unlink(missing_ok=True)
-
-    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Write figures and tables; remove a picture that now has nothing to show."""
-        from mfd_bayes.reporting import figures
-
-        began = time.perf_counter()
-        with of_model(self.model):
-            drawn = dict(figures.draw_test(self.test, self.system, self.actuation_unit))
-        for key in self.pictures:
-            if key in drawn:
-                write_bytes(out / f"{key}.png", drawn[key])
-            else:
-                (out / f"{key}.png").unlink(missing_ok=True)
-        write_text(out / f"tests/{self.id}/record.csv", record_table(self.test, self.system))
-        return Outcome(self.id, State.DONE, time.perf_counter() - began)
-
-
-def _draw(
-    view: CampaignView, out: Path, processes: int, forms: Forms, model: Model | None
-) -> dict[str, bytes]:
-    """Draw all figures; the bytes that the pages need, by the figures' keys."""
-    names = forms.drawn([test.id for test in view.tests])
-    system, unit = system_of(view), view.actuation_unit
-    every = [Drawing(test, system, unit, model) for test in view.tests]
-    drawings = [drawing for drawing in every if drawing.id in names]
-    for drawing in every:
-        if drawing.id not in names:
-            drawing.remove(out)
-    if len(drawings) > ALONE and processes > 1:
-        with meanwhile(processes) as submit:  # the processes draw, this one meanwhile too
-            drawn = submit(partial(_draw_in_processes, drawings, out, processes))
-            images = _draw_shared(view, out)
-            drawn()
-    else:
-        images = _draw_shared(view, out)
-        for drawing in drawings:
-            drawing.run(out, lambda _: None)
-    for key in (key for drawing in drawings for key in drawing.pictures):
-        if (out / f"{key}.png").is_file():
-            with (out / f"{key}.png").open("rb") as file:
-                images[key] = file.read(24)  # up to the picture's size: it stands beside its page
-    return images
-
-
-def _draw_in_processes(drawings: Sequence[Drawing], out: Path, processes: int) -> None:
-    for _ in run_in_processes(drawings, out, processes, lambda _: None):
-        pass
-
-
-def _draw_shared(view: CampaignView, out: Path) -> dict[str, bytes]:
-    """Draw the figures that show all tests; their bytes by their keys."""
+    Those of a test stand beside its page, which needs only the size at the begin of each.
+    """
     from mfd_bayes.reporting import figures
 
-    images = dict(figures.draw_shared(view))
-    for key, png in images.items():
-        write_bytes(out / "figures" / f"{key}.png", png)
-    return images
+    drawn = forms.drawn([test.id for test in view.tests])
+    tests = [test for test in view.tests if test.id in drawn]
+    for test in view.tests:
+        for path in _pictures(test, out).values() if test.id not in drawn else ():
+            path.unlink(missing_ok=True)
+    draw = partial(draw_test, out, view.system, view.actuation_unit, view.model)
+    functions = [draw] * len(tests)
+    with several_processes(functions, processes) as in_processes, meanwhile(2) as background:
+        drawings = (in_processes or in_turn(functions))(enumerate(tests))
+        of_tests: Callable[[], list[Mapping[str, bytes]]] = partial(list, drawings)
+        if in_processes:  # they draw while this one does
+            of_tests = background(of_tests)
+        images = dict(figures.draw_shared(view))
+        for key, png in images.items():
+            write_bytes(out / "figures" / f"{key}.png", png)
+        return images | {key: png for some in of_tests() for key, png in some.items()}
+
+
+def _pictures(test: TestView, out: Path) -> dict[str, Path]:
+    """Files of a test's report: its figures by their keys, and its table by "record"."""
+    from mfd_bayes.reporting.figures import OF_TEST
+
+    folder = out / "tests" / test.id
+    paths = {f"tests/{test.id}/{name}": folder / f"{name}.png" for name in OF_TEST}
+    return paths | {"record": folder / "record.csv"}
+
+
+def draw_test(
+    out: Path, system: System, actuation_unit: str, model: Model | None, test: TestView
+) -> Mapping[str, bytes]:
+    """Write figures and table of a test; the first bytes of each figure, by its key.
+
+    A picture that an earlier report has made, and that now has nothing to show, is removed.
+    """
+    from mfd_bayes.reporting import figures
+
+    drawn = dict(figures.draw_test(test, system, actuation_unit, model))
+    for key, path in _pictures(test, out).items():
+        if key == "record":
+            write_text(path, record_table(test, system))
+        elif key in drawn:
+            write_bytes(path, drawn[key])
+        else:
+            path.unlink(missing_ok=True)
+    return {key: png[:24] for key, png in drawn.items()}
 
 
 def find_browser() -> str:
-    """Path of a browser that can print.
-
-    Raises
-    ------
-    ReportError
-        When none is installed.
-    """
+    """Path of a browser that can print."""
     for name in BROWSERS:
         path = shutil.which(name)
         if path:
@@ -283,13 +220,7 @@ def find_browser() -> str:
 
 
 def print_page(page: Path) -> bytes:
-    """PDF of a page, A4, printed by an installed Chromium.
-
-    Raises
-    ------
-    ReportError
-        When no browser is installed, or it does not print.
-    """
+    """PDF of a page, A4, printed by an installed Chromium."""
     browser = find_browser()
     with tempfile.TemporaryDirectory(prefix="mfd_bayes_pdf_") as folder:
         made = Path(folder) / "page.pdf"

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from html import unescape
 
 from markupsafe import Markup, escape
@@ -16,6 +13,7 @@ from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import html_of
+from mfd_bayes.runs.unit_system import System
 
 # Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {
@@ -61,33 +59,100 @@ _PREFIXES = {
         "deviation by session,",
         "deviation from the law that all tests of a session have in common, standard deviation",
     ),
+    "deviation_device": (
+        "deviation by device,",
+        "deviation from the law that all tests of a device have in common, standard deviation",
+    ),
     "exponent": ("exponent of", "exponent of the power law"),
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
     "dependence": (
         "dependence of",
-        "change of the logarithm when speed or stroke grows by a factor e",
+        "change of the logarithm when speed or stroke grows by a factor e, or over the span of the "
+        "tests' dates, cycles or temperatures",
     ),
 }
-# Scatter of these is not that of the quantity itself, but of another one that is pooled for it.
+# Scatter of these is not that of the quantity itself, but of another one that is pooled for it:
+# its short name, and what it is.
 _POOLED = {
-    "Fc_fwd": "slip force at a common speed, forward",
-    "Fc_bwd": "slip force at a common speed, backward",
-    "d2": "width of the gap, d2 + d3",
-    "d3": "ratio d3/d2",
+    "Fc_fwd": ("slip force fwd", "slip force at a common speed, forward"),
+    "Fc_bwd": ("slip force bwd", "slip force at a common speed, backward"),
+    "d2": ("gap", "width of the gap, d2 + d3"),
+    "d3": ("d3/d2", "ratio d3/d2"),
 }
+_CODE_NAME = re.compile(r"(?<![\w.\-/])[A-Za-z]+(?:\d\w*|_\w+)(?![\w\-/=]|\.\w| =)")
+_PART = re.compile(r"<sub>(.*?)</sub>|<[^>]+>|([^<]+)")
 
 
-_model: ContextVar[Model | None] = ContextVar("model", default=None)
+class Symbols:
+    """Symbols and meanings of quantities; those of a `model` stand before others of their name."""
 
+    def __init__(self, model: Model | None = None) -> None:
+        self.written = dict(_SYMBOLS)
+        for name, quantity in known_quantities(model).items():
+            html = quantity.html or html_of(quantity.maths)
+            self.written[name] = quantity.maths, html, quantity.meaning
 
-@contextmanager
-def of_model(model: Model | None) -> Iterator[None]:
-    """Write a model's symbols in place of those of other models' quantities of the same name."""
-    token = _model.set(model)
-    try:
-        yield
-    finally:
-        _model.reset(token)
+    def maths(self, name: str) -> str:
+        """Symbol in the maths that LaTeX and matplotlib share, "" if there is none."""
+        return self.written.get(name, ("", "", ""))[0]
+
+    def in_figure(self, name: str) -> str:
+        """Symbol as matplotlib writes it; an unknown name as plain text."""
+        if symbol := self.maths(name):
+            return f"${symbol}$"
+        word, of, more = split_population(name)
+        return f"{word} {self.in_figure(of)}{more}" if word else plain(name.replace("_", " "))
+
+    def label(self, name: str, unit: str) -> str:
+        """Axis label of a quantity with its unit."""
+        shown = plain(unit_text(unit))
+        return f"{self.in_figure(name)}, {shown}" if shown else self.in_figure(name)
+
+    def motion(self, system: System) -> str:
+        """Axis label of the motion with its unit."""
+        return system.label("displacement", "in")
+
+    def response(self, system: System, of: str = "force") -> str:
+        """Axis label of the force, or of what is left of it, with its unit."""
+        return system.label(of, "kip")
+
+    def in_html(self, name: str) -> Markup:
+        """Symbol as HTML; an unknown name escaped."""
+        if name in self.written:
+            return Markup(self.written[name][1])
+        shown = printable(name)
+        word, of, more = split_population(shown)
+        text = shown.replace("_", " ")
+        return escape(word + " ") + self.in_html(of) + more if word else escape(text)
+
+    def sentence(self, text: str) -> Markup:
+        """A sentence as HTML, with symbols for the code names of quantities in it."""
+        parts, end = [], 0
+        for match in _CODE_NAME.finditer(text := printable(text)):
+            if match[0] in self.written:
+                parts += [escape(text[end : match.start()]), Markup(self.written[match[0]][1])]
+                end = match.end()
+        return Markup("").join([*parts, escape(text[end:])])
+
+    def parts(self, name: str) -> list[tuple[str, bool]]:
+        """Symbol as parts of text, each with whether it is a subscript."""
+        matches = _PART.finditer(self.in_html(name))
+        parts = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in matches)
+        return [part for part in parts if part[0]]
+
+    def meaning(self, name: str) -> str:
+        """What a quantity is, "" where that is not known."""
+        if name in self.written:
+            return self.written[name][2]
+        prefix, of, more = _split(name)
+        if not prefix:
+            return ""
+        text = _PREFIXES[prefix][1]
+        if name in ("scatter_offset", "scatter_start"):
+            text = "scatter from test to test"
+        pooled = _POOLED.get(of) if prefix == "scatter" else None
+        what = pooled[1] if pooled else self.meaning(of) or of.replace("_", " ")
+        return f"{text}: {what}{more}"
 
 
 def check_symbols(model: Model) -> None:
@@ -110,96 +175,22 @@ def check_symbols(model: Model) -> None:
             ) from None
 
 
-def _written(name: str) -> tuple[str, str, str]:
-    """Symbol of a quantity in mathtext and HTML, and what it is; "" each of an unknown name."""
-    quantity = known_quantities(_model.get()).get(name)
-    if quantity is not None:
-        html = quantity.html or html_of(quantity.maths)
-        return quantity.maths, html, quantity.meaning
-    return _SYMBOLS.get(name, ("", "", ""))
-
-
-def maths(name: str) -> str:
-    """Symbol of a quantity in the maths that LaTeX and matplotlib share, "" if there is none."""
-    return _written(name)[0]
-
-
-def in_figure(name: str) -> str:
-    """Symbol of a quantity as matplotlib writes it; an unknown name as plain text."""
-    if symbol := maths(name):
-        return f"${symbol}$"
-    word, of, more = split_population(name)
-    return f"{word} {in_figure(of)}{more}" if word else plain(name.replace("_", " "))
-
-
-def in_html(name: str) -> Markup:
-    """Symbol of a quantity as HTML; an unknown name escaped."""
-    if symbol := _written(name)[1]:
-        return Markup(symbol)
-    shown = printable(name)
-    word, of, more = split_population(shown)
-    return escape(word + " ") + in_html(of) + more if word else escape(shown.replace("_", " "))
-
-
-_CODE_NAME = re.compile(r"(?<![\w.\-/])[A-Za-z]+(?:\d\w*|_\w+)(?![\w\-/=]|\.\w| =)")
-
-
-def sentence_in_html(text: str) -> Markup:
-    """A sentence as HTML, with symbols for the code names of quantities in it."""
-    parts, end = [], 0
-    for match in _CODE_NAME.finditer(text := printable(text)):
-        if symbol := _written(match[0])[1]:
-            parts += [escape(text[end : match.start()]), Markup(symbol)]
-            end = match.end()
-    return Markup("").join([*parts, escape(text[end:])])
-
-
-_PART = re.compile(r"<sub>(.*?)</sub>|<[^>]+>|([^<]+)")
-
-
-def parts_of(name: str) -> list[tuple[str, bool]]:
-    """Symbol of a quantity as parts of text, each with whether it is a subscript."""
-    matches = _PART.finditer(in_html(name))
-    parts = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in matches)
-    return [part for part in parts if part[0]]
-
-
-def meaning(name: str) -> str:
-    """What a quantity is, "" where that is not known."""
-    if words := _written(name)[2]:
-        return words
-    prefix, of, more = _parts(name)
-    if not prefix:
-        return ""
-    text = _PREFIXES[prefix][1]
-    if name in ("scatter_offset", "scatter_start"):
-        text = "scatter from test to test"
-    what = _POOLED.get(of) if prefix == "scatter" else None
-    return f"{text}: {what or meaning(of) or of.replace('_', ' ')}{more}"
-
-
 def split_population(name: str) -> tuple[str, str, str]:
     """Prefix in words, quantity and covariate of a population's quantity; else empty."""
-    prefix, of, more = _parts(name)
-    if not prefix:
-        return "", "", ""
+    prefix, of, more = _split(name)
     if prefix == "scatter" and of in _POOLED:
-        short = {"d2": "gap", "d3": "d3/d2"}
-        of = short.get(of, f"slip force {of.removeprefix('Fc_')}")
-    return _PREFIXES[prefix][0], of, more
+        of = _POOLED[of][0]
+    return (_PREFIXES[prefix][0], of, more) if prefix else ("", "", "")
 
 
-def _parts(name: str) -> tuple[str, str, str]:
+def _split(name: str) -> tuple[str, str, str]:
     """Prefix, quantity and covariate of a population's quantity; else empty."""
-    for prefix in _PREFIXES:
-        of = name.removeprefix(f"{prefix}_")
-        if of == name:
-            continue
-        if prefix == "dependence":
-            of, _, covariate = of.rpartition("_")
-            return prefix, of, f" on {covariate}"
+    prefix = next((prefix for prefix in _PREFIXES if name.startswith(f"{prefix}_")), "")
+    of = name.removeprefix(f"{prefix}_") if prefix else ""
+    if prefix != "dependence":
         return prefix, of, ""
-    return "", "", ""
+    of, _, covariate = of.rpartition("_")
+    return prefix, of, f" on {covariate}"
 
 
 def printable(text: str) -> str:
@@ -223,12 +214,6 @@ def unit_text(unit: str) -> str:
         return ""
     powers = unit.replace("**", "^").replace("^2", "²").replace("^3", "³")
     return powers.replace("*", "·")
-
-
-def label(name: str, unit: str) -> str:
-    """Axis label of a quantity with its unit."""
-    written = plain(unit_text(unit))
-    return f"{in_figure(name)}, {written}" if written else in_figure(name)
 
 
 def number(value: float, digits: int = 4) -> str:

@@ -1,8 +1,8 @@
-"""Tables of a report: each is a DataFrame, which becomes CSV, JSON, LaTeX, Excel and Word.
+"""Tables of a report as CSV, JSON, LaTeX, Excel and Word.
 
-A frame has a row for each value, in internal units; `conversion.to_units` gives it in others. A
-`Sheet` is made from a frame for reading: quantities are rows, tests are columns. pandas is imported
-late, for many commands need no table.
+A frame has a row for each value, for other programs. A `Sheet` is for reading: quantities are rows,
+tests are columns. Both are made in internal units, and converted once. pandas is imported late, for
+many commands need no table.
 """
 
 from __future__ import annotations
@@ -21,23 +21,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfd_bayes.axes import Axes
-from mfd_bayes.evaluation.design import BASES, DesignRow
 from mfd_bayes.evaluation.next_test import advice_rows
-from mfd_bayes.evaluation.views import CampaignView, DerivedRow, Fan, LeftOutRow, ScoreRow, TestView
+from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import system_of, to_units
-from mfd_bayes.reporting.symbols import (
-    maths,
-    meaning,
-    number,
-    parts_of,
-    printable,
-    split_population,
-    unit_text,
-)
+from mfd_bayes.reporting.conversion import convert_rows, to_units
+from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
 from mfd_bayes.runs.scores import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
@@ -53,20 +44,18 @@ ACTUATION = "actuation in "
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 _INTERVAL = "lower:q2.5 median:q50 upper:q97.5"
 _POSTERIOR = f"unit mean sd {_INTERVAL} ess_bulk ess_tail r_hat contraction note"
-_JOINT = "joint_lower:joint_q2.5 joint_median:joint_q50 joint_upper:joint_q97.5 disagrees"
 _SCORES = (
     "coverage_50 coverage_90 coverage_95 width_95:width_95_kip "
     "interval_score:interval_score_95_kip crps:crps_kip rrse"
 )
 _COLUMNS = {
-    "parameters": f"subject:test name:parameter {_POSTERIOR} {_JOINT}",
-    "laws": f"subject:group name:constant {_POSTERIOR}",
-    "derived": f"subject:test role name:quantity unit mean sd {_INTERVAL} measured note",
-    "loop_estimates": (
-        f"subject:test name:quantity unit value:loop_estimate {_INTERVAL} tolerance missed"
-    ),
+    "parameters": f"test name:parameter {_POSTERIOR} joint_lower:joint_q2.5 "
+    "joint_median:joint_q50 joint_upper:joint_q97.5 disagrees",
+    "laws": f"test:group name:constant {_POSTERIOR}",
+    "derived": f"test role name:quantity unit mean sd {_INTERVAL} measured note",
+    "loop_estimates": f"test name:quantity unit value:loop_estimate {_INTERVAL} tolerance missed",
     "noises": (
-        f"subject:test name:quantity unit noise {_INTERVAL} other:other_noise "
+        f"test name:quantity unit noise {_INTERVAL} other:other_noise "
         "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 decides"
     ),
     "law_scores": (
@@ -76,71 +65,89 @@ _COLUMNS = {
     "checks": (
         "test check feature observed expected unit difference tolerance p_value status note"
     ),
-    "scores": f"subject:test role {_SCORES}",
+    "scores": f"test role {_SCORES}",
     "crossvalidation": (
-        f"part subject:test {_SCORES} fitted_width:fitted_width_95_kip "
+        f"part test {_SCORES} fitted_width:fitted_width_95_kip "
         "fitted_crps:fitted_crps_kip width_ratio crps_ratio whole_95"
     ),
     "tested_range": "name:condition unit lowest:smallest highest:largest",
+    "drift": (
+        "quantity condition per change:change_percent lower:lower_percent upper:upper_percent "
+        "probability limit:limit_percent left:left_at_last_test leaves:leaves_ahead when "
+        "when_lower:when_q5 when_upper:when_q95"
+    ),
     "comparison": (
         "subject:test model cycles elpd elpd_se p_loo worst_k:worst_pareto_k bad:share_bad_k "
         "unsettled:share_unsettled difference:elpd_difference difference_se:elpd_difference_se "
         "rrse:rrse_in_sample log_evidence log_evidence_se evidence_k:evidence_pareto_k "
         "evidence_trusted"
     ),
-    "truth": f"subject:test name:quantity unit truth {_INTERVAL} inside informed",
+    "truth": f"test name:quantity unit truth {_INTERVAL} inside informed",
     "prediction": "name:quantity unit mean sd lower median upper measured note",
+    "design": ("name:property unit basis of:name nominal lower upper lambda_min lambda_max note"),
 }
-"""Columns of each table, as "column", or "field:column" where the rows call it otherwise."""
+"""Columns of each table, as "column", or "key:column" where the rows call it otherwise."""
 
 
-def frame_of(table: str, rows: Iterable[Any]) -> pd.DataFrame:
-    """A table of `_COLUMNS` with a line for each of its rows."""
+def _columns(table: str) -> dict[str, str]:
+    """Column of each key of a table's rows."""
+    pairs = (word.partition(":") for word in _COLUMNS[table].split())
+    return {key: column or key for key, _, column in pairs}
+
+
+def frame_of(table: str, rows: Iterable[Any], system: System = US) -> pd.DataFrame:
+    """A table of `_COLUMNS` with a line for each of its rows, dicts or dataclasses."""
     import pandas as pd
 
-    pairs = [word.partition(":") for word in _COLUMNS[table].split()]
-    lines = [[getattr(row, name) for name, _, _ in pairs] for row in rows]
-    return pd.DataFrame(lines, columns=[column or name for name, _, column in pairs])
+    columns = _columns(table)
+    records = [row if isinstance(row, dict) else vars(row) for row in rows]
+    frame = pd.DataFrame(records, columns=list(columns)).rename(columns=columns)
+    return to_units(frame, system)
 
 
-def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
-    """Tables of a report by their names, in internal units."""
-    tests = view.tests
+def report_tables(view: CampaignView) -> dict[str, str]:
+    """CSV and JSON tables in the units of a report, by the name of the file."""
+    tests, system = view.tests, view.system
     rows: dict[str, Iterable[Any]] = {
         "parameters": (row for test in tests for row in test.rows),
         "derived": (row for test in tests for row in test.derived),
         "loop_estimates": (row for test in tests for row in test.loop_estimates),
         "noises": (row for test in tests for row in test.noises),
         "laws": view.law_rows,
-        "law_scores": (row for choice in view.law_choices for row in choice.rows),
+        "law_scores": view.law_scores,
         "checks": view.checks,
-        "scores": view.scores,
+        "scores": (test.score for test in tests),
         "tested_range": view.tested,
     }
+    if view.drifts:
+        rows["drift"] = view.drifts
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
-    return {name: frame_of(name, lines) for name, lines in rows.items()}
-
-
-def report_tables(view: CampaignView) -> dict[str, str]:
-    """CSV, JSON and LaTeX tables in the units of a report, by the name of the file."""
-    system = system_of(view)
-    frames = {name: to_units(frame, system) for name, frame in report_frames(view).items()}
+    frames = {name: frame_of(name, lines, system) for name, lines in rows.items()}
     texts = {f"{name}.csv": to_csv(frame) for name, frame in frames.items()}
-    noises = _deciding(frames["noises"])
-    parameters = frames["parameters"].copy()
-    keys = zip(parameters["test"], parameters["parameter"], parameters["note"], strict=True)
-    parameters["note"] = [
-        "; ".join(filter(None, (note, _other_text(noises.get((test, name), ())))))
-        for test, name, note in keys
+    others = [
+        convert_rows(_deciding(test, row["name"]), system) for test in tests for row in test.rows
     ]
-    texts["parameters.csv"] = to_csv(parameters)
-    for name in ("parameters", "laws"):
-        texts[f"{name}.json"] = _to_json(view.title, name, frames[name], noises)
-    parameters_sheet, laws_sheet = paper_sheets(view, system)
-    texts["parameters.tex"] = to_latex("parameters", parameters_sheet)
-    texts["laws.tex"] = to_latex("laws", laws_sheet)
+    parameters, notes = frames["parameters"], []
+    for note, noises in zip(parameters["note"], others, strict=True):
+        values = "; ".join(_other_line(row).text for row in noises)
+        decides = f"the noise model decides: {values}" if values else ""
+        notes.append("; ".join(filter(None, (note, decides))))
+    texts["parameters.csv"] = to_csv(parameters.assign(note=notes))
+    texts["parameters.json"] = _to_json(view.title, "parameters", parameters, others)
+    texts["laws.json"] = _to_json(view.title, "laws", frames["laws"], [()] * len(frames["laws"]))
     return texts
+
+
+def _deciding(test: TestView, name: str) -> Rows:
+    """A quantity of a test under other noises, where the choice of the noise decides it."""
+    return tuple(row for row in test.noises if row["decides"] and row["name"] == name)
+
+
+def _other_line(row: Row) -> Line:
+    name = row["other"].replace("{", "{{").replace("}", "}}")
+    figures = row["other_median"], row["other_lower"], row["other_upper"]
+    return Line(f"{name}: {{}} [{{}}, {{}}]", figures)
 
 
 def to_csv(frame: pd.DataFrame, about: Sequence[str] = ()) -> str:
@@ -155,64 +162,52 @@ def to_csv(frame: pd.DataFrame, about: Sequence[str] = ()) -> str:
     return lines + shown.to_csv(index=False, float_format="%.6g", lineterminator="\n")
 
 
+def _csv_text(
+    about: Iterable[str], names: Iterable[str], rows: Iterable[Iterable[object]], digits: int = 6
+) -> str:
+    """CSV below lines of comments, without pandas, which takes long to import."""
+    text = io.StringIO()
+    text.writelines(f"# {' '.join(line.split())}\n" for line in about)
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(names)
+    for row in rows:
+        cells = ("" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row)
+        table.writerow(f"{c:.{digits}g}" if isinstance(c, float) else c for c in cells)
+    return text.getvalue()
+
+
+def _records_csv(table: str, rows: Iterable[Row], about: Iterable[str] = ()) -> str:
+    """Rows of a table of `_COLUMNS` as CSV."""
+    columns = _columns(table)
+    cells = ([_safe(row[key]) for key in columns] for row in rows)
+    return _csv_text(about, columns.values(), cells)
+
+
 def _safe(value: object) -> object:
-    """A text that no spreadsheet takes for a formula; numbers stay."""
+    """A text that no spreadsheet takes for a formula; "yes" or "no" of a truth; numbers stay."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
     if not isinstance(value, str):
         return value
     text = printable(str(value))
     return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
 
 
-Noises = Mapping[tuple[str, str], list[dict[str, Any]]]
-"""Rows of other noises that decide a quantity, by test and quantity."""
-
-
-def _deciding(noises: pd.DataFrame) -> Noises:
-    by: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for row in _records(noises):
-        if row["decides"]:
-            by.setdefault((row["test"], row["quantity"]), []).append(row)
-    return by
-
-
-def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Lines of a frame by column."""
-    return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
-
-
-def _other_line(row: Mapping[str, Any]) -> Line:
-    figures = row["other_q50"], row["other_q2.5"], row["other_q97.5"]
-    name = row["other_noise"].replace("{", "{{").replace("}", "}}")
-    return Line(f"{name}: {{}} [{{}}, {{}}]", figures)
-
-
-def _other_text(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Values under other noises: "the noise model decides: staged: 42.2 [39.0, 45.6]"."""
-    text = "; ".join(_other_line(row).text for row in rows)
-    return f"the noise model decides: {text}" if text else ""
-
-
-def _to_json(title: str, name: str, frame: pd.DataFrame, noises: Noises) -> str:
+def _to_json(title: str, name: str, frame: pd.DataFrame, others: Iterable[Sequence[Row]]) -> str:
     """JSON with the meaning of its figures; null where one is not finite."""
     figures = {"q2.5": "lower", "q50": "median", "q97.5": "upper"}
     rows = []
-    for row in _records(frame):
-        line = {figures.get(str(k), str(k)): _finite(v) for k, v in row.items()}
-        others = noises.get((row.get("test", ""), row.get("parameter", "")), ())
-        line["other_noises"] = [
-            {"noise": o["other_noise"]}
-            | {figures[q]: _finite(o[f"other_{q}"]) for q in ("q2.5", "q50", "q97.5")}
-            for o in others
+    for row, noises in zip(frame.rename(columns=figures).to_dict("records"), others, strict=True):
+        rows.append({str(key): _finite(value) for key, value in row.items()})
+        rows[-1]["other_noises"] = [
+            {"noise": o["other"]}
+            | {key: _finite(o[f"other_{key}"]) for key in ("lower", "median", "upper")}
+            for o in noises
         ]
-        rows.append(line)
     content = {
         "title": title,
         "table": name,
-        "interval": {
-            "kind": "equal-tailed",
-            "probability": 0.95,
-            "bounds": ["lower", "upper"],
-        },
+        "interval": {"kind": "equal-tailed", "probability": 0.95, "bounds": ["lower", "upper"]},
         "null": "not defined, or not finite",
         "rows": rows,
     }
@@ -224,6 +219,9 @@ def _finite(value: Any) -> Any:
     if isinstance(value, str):
         return value
     return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+# --- tables for reading
 
 
 @dataclass(frozen=True)
@@ -257,7 +255,7 @@ NONE = Line("–", ())
 class Cell:
     """What a cell of a sheet shows: a line each, with the unit of its row."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[Line, ...] = ()
     note: str = ""
 
     @property
@@ -265,35 +263,28 @@ class Cell:
         """Lines that have a number; a dash where none has."""
         return [line for line in self.lines if line.finite] or [NONE]
 
+    @property
+    def marked(self) -> bool:
+        """Whether one of its lines is."""
+        return any(line.marked for line in self.lines)
+
 
 @dataclass(frozen=True)
 class SheetRow:
-    """A quantity with its cells; None where a test has none.
-
-    Attributes
-    ----------
-    name : str
-        Of `symbols`, or words.
-    detail : str
-        Which of several values it is: "forward, cycle 1".
-    """
+    """A quantity, by its name in `Symbols` or in words, with its cells; `meaning` is what it is."""
 
     name: str
     unit: str
-    cells: tuple[Cell | None, ...]
+    cells: tuple[Cell, ...]
+    meaning: str = ""
     detail: str = ""
 
     @property
     def used(self) -> list[int]:
         """Numbers of the lines that a cell has."""
-        cells = [cell for cell in self.cells if cell]
-        size = max((len(cell.lines) for cell in cells), default=0)
+        size = max((len(cell.lines) for cell in self.cells), default=0)
+        cells = [cell for cell in self.cells if cell.lines]
         return [at for at in range(size) if any(cell.lines[at].finite for cell in cells)]
-
-    @property
-    def meaning(self) -> str:
-        """What the quantity is, with its detail."""
-        return ", ".join(filter(None, (meaning(self.name), self.detail)))
 
 
 @dataclass(frozen=True)
@@ -304,10 +295,8 @@ class Sheet:
     ----------
     heads : tuple of str
         Of the columns.
-    numbers : tuple of str
-        What each number of a cell is, in their order; columns of a workbook.
-    lines : tuple of str
-        What each line of a cell is.
+    numbers, lines : tuple of str
+        What each number of a cell is, in their order, and what each of its lines is.
     conditions : tuple of tuple of (float, str)
         Of the columns of a data sheet: values with their internal units.
     """
@@ -319,10 +308,25 @@ class Sheet:
     lines: tuple[str, ...] = ("median", "95 % interval")
     conditions: tuple[tuple[tuple[float, str], ...], ...] = ()
 
+    def to_units(self, system: System) -> Sheet:
+        """The sheet in the units of a system, from internal ones."""
+
+        def line(line: Line, by: float) -> Line:
+            return (
+                line if line.ratio else replace(line, numbers=tuple(by * v for v in line.numbers))
+            )
+
+        def row(row: SheetRow) -> SheetRow:
+            by = system.factor(row.unit)
+            cells = (replace(c, lines=tuple(line(one, by) for one in c.lines)) for c in row.cells)
+            return replace(row, unit=system.unit(row.unit), cells=tuple(cells))
+
+        return replace(self, rows=tuple(map(row, self.rows)))
+
     def blocks(self, most: int) -> list[Sheet]:
         """Parts of the sheet with at most so many columns, numbered if there are several."""
         parts = -(-len(self.heads) // most)
-        most = -(-len(self.heads) // max(parts, 1))
+        most = max(-(-len(self.heads) // max(parts, 1)), 1)
         return [
             replace(
                 self,
@@ -331,56 +335,57 @@ class Sheet:
                 conditions=self.conditions[at : at + most],
                 rows=tuple(replace(row, cells=row.cells[at : at + most]) for row in self.rows),
             )
-            for at in range(0, len(self.heads), max(most, 1))
+            for at in range(0, len(self.heads), most)
         ]
 
     def marks(self) -> dict[str, str]:
         """A letter for each note of the cells: a to z, then aa, ab, and so on."""
         cells = (cell for row in self.rows for cell in row.cells)
-        notes = dict.fromkeys(printable(cell.note) for cell in cells if cell and cell.note)
+        notes = dict.fromkeys(printable(cell.note) for cell in cells if cell.note)
         words = (product(string.ascii_lowercase, repeat=length) for length in count(1))
         return dict(zip(notes, ("".join(word) for group in words for word in group), strict=False))
 
 
-def paper_sheets(view: CampaignView, system: System) -> tuple[Sheet, Sheet]:
-    """The paper's Tables I and II, with uncertainty."""
-    frames = report_frames(view)
-    noises = _deciding(to_units(frames["noises"], system))
-    tests = [test for test in view.tests if test.rows]
+def paper_sheets(view: CampaignView, symbols: Symbols) -> tuple[Sheet, Sheet]:
+    """The paper's Tables I and II, with uncertainty, in internal units."""
+    tests = {test.id: test for test in view.tests if test.rows}
     heads = {
-        test.id: ", ".join(
-            filter(None, (printable(test.id), system.actuation(test.trace, view.actuation_unit)))
+        name: ", ".join(
+            filter(None, (printable(name), view.system.actuation(test.trace, view.actuation_unit)))
         )
-        for test in tests
+        for name, test in tests.items()
     }
-    parameters = to_units(frames["parameters"], system)
-    parameters_sheet = _sheet("Table I: parameters of the tests", parameters, heads, noises)
-    laws = to_units(frames["laws"], system).assign(test="all tests")
-    laws_sheet = _sheet(
-        "Table II: constants of the laws",
-        laws.rename(columns={"constant": "parameter"}),
-        {"all tests": "all tests"},
-        {},
+    rows = [(row, _deciding(test, row["name"])) for test in tests.values() for row in test.rows]
+    laws = [(row | {"test": "all tests"}, ()) for row in view.law_rows]
+    return (
+        _sheet("Table I: parameters of the tests", rows, heads, symbols),
+        _sheet("Table II: constants of the laws", laws, {"all tests": "all tests"}, symbols),
     )
-    return parameters_sheet, laws_sheet
 
 
-def _sheet(title: str, frame: pd.DataFrame, heads: Mapping[str, str], noises: Noises) -> Sheet:
+def _sheet(
+    title: str,
+    rows: Iterable[tuple[Row, Rows]],
+    heads: Mapping[str, str],
+    symbols: Symbols,
+) -> Sheet:
     """Sheet of posteriors: the median, below it the interval and the values under other noises."""
-    rows = []
-    for key, group in frame.groupby(["parameter", "unit"], sort=False):
-        name, unit = map(str, key)
-        cells = {}
-        for row in _records(group):
-            lines = [Line("{}", (row["q50"],)), Line("[{}, {}]", (row["q2.5"], row["q97.5"]))]
-            if row.get("disagrees", False):
-                joint = (row["joint_q50"], row["joint_q2.5"], row["joint_q97.5"])
-                lines.append(Line("with the others: {} [{}, {}]", joint, marked=True))
-            lines += [_other_line(other) for other in noises.get((row["test"], name), ())]
-            cells[row["test"]] = Cell(tuple(lines), row["note"])
-        rows.append(SheetRow(name, unit, tuple(cells.get(test) for test in heads)))
+    cells: dict[tuple[str, str], dict[str, Cell]] = {}
+    for row, noises in rows:
+        interval = row["lower"], row["upper"]
+        lines = [Line("{}", (row["median"],)), Line("[{}, {}]", interval)]
+        if row.get("disagrees", False):
+            joint = tuple(row[f"joint_{key}"] for key in ("median", "lower", "upper"))
+            lines.append(Line("with the others: {} [{}, {}]", joint, marked=True))
+        lines += map(_other_line, noises)
+        of_quantity = cells.setdefault((row["name"], row["unit"]), {})
+        of_quantity[row["test"]] = Cell(tuple(lines), row["note"])
+    made = tuple(
+        SheetRow(name, unit, tuple(own.get(test, Cell()) for test in heads), symbols.meaning(name))
+        for (name, unit), own in cells.items()
+    )
     title = f"{title}, posterior median and equal-tailed 95 % interval"
-    return Sheet(title, tuple(heads.values()), tuple(rows))
+    return Sheet(title, tuple(heads.values()), made)
 
 
 _PROPERTY_LINES = ("measured", "cycles", "nominal", "bounds", "λ")
@@ -401,57 +406,49 @@ def datasheet_frame(rows: pd.DataFrame, system: System) -> pd.DataFrame:
     return to_units(frame, system)
 
 
-def datasheet_sheet(
-    rows: pd.DataFrame, system: System, title: str, axes: Axes | None = None
-) -> Sheet:
-    """The properties of a data sheet for reading: conditions are columns."""
-    axes = axes or system.axes
-    heads: dict[str, str] = {}
-    conditions = []
+def _records(frame: pd.DataFrame) -> list[Row]:
+    return [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
+
+
+def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes) -> Sheet:
+    """The properties of a data sheet for reading, in internal units: conditions are columns."""
+    conditions: dict[str, tuple[tuple[float, str], ...]] = {}
     for row in _records(rows.drop_duplicates("condition")):
-        unit = row["actuation_unit"]
-        level = system.words([row["actuation"]], unit, actuation=True)
-        motion = [(row["stroke"], "in")]
+        parts = [(row["stroke"], "in")]
+        if axes.actuated:
+            parts.insert(0, (row["actuation"], ACTUATION + row["actuation_unit"]))
         if axes.timed:
-            motion.append((row["frequency"], "Hz"))
-        parts = [(row["actuation"], f"{ACTUATION}{unit}"), *motion][not axes.actuated :]
-        conditions.append(tuple(part for part in parts if math.isfinite(part[0])))
-        words = [system.words([value], of, 3) for value, of in motion if math.isfinite(value)]
-        heads[row["condition"]] = ", ".join([level][not axes.actuated :] + words)
+            parts.append((row["frequency"], "Hz"))
+        conditions[row["condition"]] = tuple(part for part in parts if math.isfinite(part[0]))
     made = []
     order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
-    keys = ["quantity", "direction", "cycle", "unit"]
     ordered = rows.sort_values("quantity", key=lambda names: names.map(order), kind="stable")
-    for key, group in ordered.groupby(keys, sort=False):
-        name, direction, cycle, unit = map(str, key)
-        by, cells = system.factor(unit), {}
+    for key, group in ordered.groupby(["quantity", "direction", "cycle", "unit"], sort=False):
+        quantity, direction, cycle, unit = map(str, key)
+        cells = {}
         for row in _records(group):
             several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
-            ends = by * row["measured_low"], by * row["measured_high"]
+            ends = (row["measured_low"], row["measured_high"]) if several else (math.nan, math.nan)
             lines = (
-                Line("{}", (by * row["measured"],), marked=outside and not several),
-                Line("{}–{}", ends if several else (math.nan, math.nan), marked=outside),
-                Line("{}", (by * row["nominal"],)),
-                Line("{}–{}", (by * row["lower"], by * row["upper"])),
+                Line("{}", (row["measured"],), marked=outside and not several),
+                Line("{}–{}", ends, marked=outside),
+                Line("{}", (row["nominal"],)),
+                Line("{}–{}", (row["lower"], row["upper"])),
                 Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
             )
             cells[row["condition"]] = Cell(lines, row["note"])
+        name = axes.text(quantity.replace("_", " ").replace("gap", "gap width"))
         detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle != "0" else "")))
-        made.append(
-            SheetRow(
-                axes.text(name.replace("_", " ").replace("gap", "gap width")),
-                system.unit(unit),
-                tuple(cells.get(key) for key in heads),
-                detail,
-            )
-        )
+        of = tuple(cells.get(condition, Cell()) for condition in conditions)
+        meaning = ", ".join(filter(None, (symbols.meaning(name), detail)))
+        made.append(SheetRow(name, unit, of, meaning, detail))
     return Sheet(
         f"{title}: data sheet",
-        tuple(heads.values()),
+        tuple(conditions),
         tuple(made),
         _PROPERTY_NUMBERS,
         _PROPERTY_LINES,
-        tuple(conditions),
+        tuple(conditions.values()),
     )
 
 
@@ -469,17 +466,18 @@ _SCORE_ROWS = (
 )
 
 
-def score_sheet(rows: Sequence[ScoreRow | LeftOutRow]) -> Sheet:
+def score_sheet(rows: Sequence[Row], title: str = "Scores") -> Sheet:
     """Scores of predicted tests, in internal units: tests are columns."""
     made = []
     for words, name, unit in _SCORE_ROWS:
-        by = 100.0 if unit == "%" else 1.0
-        values = [by * getattr(row, name, math.nan) for row in rows]
+        values = [(100.0 if unit == "%" else 1.0) * row.get(name, math.nan) for row in rows]
         if any(map(math.isfinite, values)):
             cells = tuple(Cell((Line("{}", (value,)),)) for value in values)
             made.append(SheetRow(words, unit, cells))
-    return Sheet("Scores", tuple(row.subject for row in rows), tuple(made))
+    return Sheet(title, tuple(row["test"] for row in rows), tuple(made))
 
+
+# --- LaTeX
 
 _ESCAPED = {
     **{character: f"\\{character}" for character in "_%&#${}"},
@@ -513,7 +511,7 @@ LONG = 14
 
 
 def escape_tex(text: str) -> str:
-    """Text escaped for LaTeX; a letter that fonts may not have becomes ``?``."""
+    """Text escaped for LaTeX; a letter that its fonts may not have becomes ``?``."""
 
     def letter(character: str) -> str:
         if not character.isprintable():
@@ -524,13 +522,13 @@ def escape_tex(text: str) -> str:
     return "".join(_ESCAPED.get(c) or letter(c) for c in text)
 
 
-def symbol_tex(name: str) -> str:
+def symbol_tex(name: str, symbols: Symbols) -> str:
     """Symbol of a quantity as maths; an unknown name as text."""
-    if symbol := maths(name):
+    if symbol := symbols.maths(name):
         return f"${symbol}$"
     word, of, more = split_population(name)
     if word:
-        return f"{escape_tex(word)} {symbol_tex(of)}{escape_tex(more)}"
+        return f"{escape_tex(word)} {symbol_tex(of, symbols)}{escape_tex(more)}"
     return escape_tex(name.replace("_", " "))
 
 
@@ -541,7 +539,7 @@ def number_tex(value: float) -> str:
     return rf"${mantissa}\times 10^{{{power}}}$" if power else f"${mantissa}$"
 
 
-def to_latex(name: str, sheet: Sheet) -> str:
+def to_latex(name: str, sheet: Sheet, symbols: Symbols) -> str:
     """A file of tables in the manner of booktabs, numbered if there are several."""
     parts = [
         replace(part, rows=part.rows[at : at + LONG])
@@ -552,14 +550,15 @@ def to_latex(name: str, sheet: Sheet) -> str:
         f"% {printable(sheet.title)}.",
         r"% \usepackage{booktabs,array} in the preamble, then " + f"\\input{{{name}.tex}} here.",
     ]
+    text = r">{\raggedright\arraybackslash}p"
     for at, part in enumerate(parts, start=1):
         label = f"{name}-{at}" if len(parts) > 1 else name
-        text = r">{\raggedright\arraybackslash}p"
         columns = (
             rf"@{{}}{text}{{0.28\linewidth}}{text}{{0.08\linewidth}}{'l' * len(part.heads)}@{{}}"
         )
         marks = part.marks()
         notes = [rf"  $^{{{mark}}}$ {escape_tex(note)}." for note, mark in marks.items()]
+        rows = (line for row in part.rows for line in _tex_lines(row, marks, symbols))
         lines += [
             r"\begin{table}[htbp]",
             r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
@@ -569,7 +568,7 @@ def to_latex(name: str, sheet: Sheet) -> str:
             r"    \toprule",
             f"    {' & '.join(['Quantity', 'Unit', *map(escape_tex, part.heads)])} \\\\",
             r"    \midrule",
-            *(f"    {line} \\\\" for row in part.rows for line in _tex_lines(row, marks)),
+            *(f"    {line} \\\\" for line in rows),
             r"    \bottomrule",
             r"  \end{tabular}",
             *([r"  \par\smallskip"] if notes else []),
@@ -579,19 +578,20 @@ def to_latex(name: str, sheet: Sheet) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _tex_lines(row: SheetRow, marks: Mapping[str, str]) -> Iterator[str]:
+def _tex_lines(row: SheetRow, marks: Mapping[str, str], symbols: Symbols) -> Iterator[str]:
     """Lines of a quantity: the first line of each cell, below it the others and its meaning."""
-    cells = [cell.shown if cell else [NONE] for cell in row.cells]
+    cells = [cell.shown for cell in row.cells]
     for at in range(max(map(len, cells))):
-        first = [symbol_tex(row.name), escape_tex(unit_text(row.unit)) or "--"]
+        head = [symbol_tex(row.name, symbols), escape_tex(unit_text(row.unit)) or "--"]
         if at:
-            first = [rf"\scriptsize {escape_tex(row.meaning)}" if at == 1 else "", ""]
-        small = r"\scriptsize " if at else ""
-        shown = [small + _tex_line(lines[at]) if at < len(lines) else "" for lines in cells]
-        for column, cell in enumerate(row.cells if at == 0 else ()):
-            if cell and cell.note:
-                shown[column] += f"$^{{{marks[printable(cell.note)]}}}$"
-        yield " & ".join([*first, *shown])
+            head = [rf"\scriptsize {escape_tex(row.meaning)}" if at == 1 else "", ""]
+        shown = []
+        for cell, lines in zip(row.cells, cells, strict=True):
+            text = _tex_line(lines[at]) if at < len(lines) else ""
+            if at == 0 and cell.note:
+                text += f"$^{{{marks[printable(cell.note)]}}}$"
+            shown.append(rf"\scriptsize {text}" if at and text else text)
+        yield " & ".join([*head, *shown])
 
 
 def _tex_line(line: Line) -> str:
@@ -600,7 +600,10 @@ def _tex_line(line: Line) -> str:
     return "".join(text + value for text, value in zip(texts, values, strict=True))
 
 
-def to_excel(sheets: Mapping[str, Sheet]) -> bytes:
+# --- Excel and Word
+
+
+def to_excel(sheets: Mapping[str, Sheet], symbols: Symbols) -> bytes:
     """A workbook (.xlsx) with a sheet of each name; every number of a cell has a column."""
     import pandas as pd
     from openpyxl.styles import Alignment, Font
@@ -610,21 +613,20 @@ def to_excel(sheets: Mapping[str, Sheet]) -> bytes:
     with pd.ExcelWriter(stream, engine="openpyxl") as writer:
         writer.book.properties.creator = "mfd_bayes"
         for name, sheet in sheets.items():
-            frame = _flat(sheet)
+            frame = _flat(sheet, symbols)
             frame.map(_safe).to_excel(writer, sheet_name=name, index=False, freeze_panes=(1, 3))
             page = writer.sheets[name]
-            for number, column in enumerate(frame.columns, start=1):
-                letter, texts = get_column_letter(number), frame[column].dtype.kind != "f"
+            for at, column in enumerate(frame.columns, start=1):
+                letter, texts = get_column_letter(at), frame[column].dtype.kind != "f"
                 longest = max((len(str(value)) for value in frame[column]), default=0)
-                width = min(longest + 2, 60) if texts else 11
-                page.column_dimensions[letter].width = max(width, 11)
+                page.column_dimensions[letter].width = max(min(longest + 2, 60) * texts, 11)
                 head, *cells = page[letter]
                 head.alignment = Alignment(vertical="top", wrap_text=True)
                 for cell in cells if not texts else ():
                     cell.number_format = _format(abs(cell.value or 0.0))
             for at, row in enumerate(sheet.rows, start=2):
                 for head, cell in enumerate(row.cells):
-                    if cell and any(line.marked for line in cell.lines):
+                    if cell.marked:
                         first = page.cell(at, 4 + head * len(sheet.numbers))
                         first.font = Font(bold=True, color="C00000")
             page.row_dimensions[1].height = 48
@@ -633,22 +635,22 @@ def to_excel(sheets: Mapping[str, Sheet]) -> bytes:
     return stream.getvalue()
 
 
-def _flat(sheet: Sheet) -> pd.DataFrame:
+def _flat(sheet: Sheet, symbols: Symbols) -> pd.DataFrame:
     """A line for each quantity, a column for each number of each test, and the notes."""
     import pandas as pd
 
     heads = [f"{head}: {what}" for head in sheet.heads for what in sheet.numbers]
     size, lines = len(sheet.numbers), []
     for row in sheet.rows:
-        symbol = "".join(f"_{text}" if low else text for text, low in parts_of(row.name))
+        symbol = "".join(f"_{text}" if low else text for text, low in symbols.parts(row.name))
         numbers: list[float] = []
         notes: dict[str, list[str]] = {}
         for head, cell in zip(sheet.heads, row.cells, strict=True):
-            values = [value for line in cell.lines for value in line.numbers] if cell else []
-            finite = [value if math.isfinite(value) else math.nan for value in values[:size]]
+            values = [value for line in cell.lines for value in line.numbers][:size]
+            finite = [value if math.isfinite(value) else math.nan for value in values]
             numbers += finite + [math.nan] * (size - len(finite))
-            more = [f"with {line.text}" for line in cell.lines[len(sheet.lines) :]] if cell else []
-            for note in filter(None, (cell.note if cell else "", *more)):
+            more = (f"with {line.text}" for line in cell.lines[len(sheet.lines) :])
+            for note in filter(None, (cell.note, *more)):
                 notes.setdefault(note, []).append(head)
         texts = (
             note if len(where) == len(sheet.heads) else f"{note} ({', '.join(where)})"
@@ -671,7 +673,7 @@ _MARGIN, _UNIT, _VALUE = 0.75, 0.8, 1.3
 """Margins of a page in Word, and widths of the columns of units and values, in."""
 
 
-def to_word(title: str, sheets: Iterable[Sheet]) -> bytes:
+def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols) -> bytes:
     """A Word document (.docx); each part of a sheet begins a page and is as wide as the page."""
     from docx import Document
     from docx.shared import Inches
@@ -687,7 +689,7 @@ def to_word(title: str, sheets: Iterable[Sheet]) -> bytes:
         caption.paragraph_format.page_break_before = at > 0
         caption.paragraph_format.keep_with_next = True
         marks = sheet.marks()
-        _add_table(document, sheet, marks)
+        _add_table(document, sheet, marks, symbols)
         for note, mark in marks.items():
             paragraph = document.add_paragraph()
             paragraph.paragraph_format.space_after = 0
@@ -698,7 +700,7 @@ def to_word(title: str, sheets: Iterable[Sheet]) -> bytes:
     return stream.getvalue()
 
 
-def _add_table(document: Any, sheet: Sheet, marks: Mapping[str, str]) -> None:
+def _add_table(document: Any, sheet: Sheet, marks: Mapping[str, str], symbols: Symbols) -> None:
     """Add a sheet, with a head that is repeated on each page."""
     from docx.oxml import OxmlElement
     from docx.shared import Inches, Pt, RGBColor
@@ -710,17 +712,17 @@ def _add_table(document: Any, sheet: Sheet, marks: Mapping[str, str]) -> None:
         cell.text = printable(head)
     for row in sheet.rows:
         name, unit, *others = grid.add_row().cells
-        for text, low in parts_of(row.name):
+        for text, low in symbols.parts(row.name):
             name.paragraphs[0].add_run(text).font.subscript = low
         if row.meaning:
             _small(name.add_paragraph(), row.meaning)
         unit.text = unit_text(row.unit) or "–"
         for place, value in zip(others, row.cells, strict=True):
-            first, *more = value.shown if value else [NONE]
+            first, *more = value.shown
             run = place.paragraphs[0].add_run(first.text)
-            if value and any(line.marked for line in value.lines):
+            if value.marked:
                 run.font.color.rgb = RGBColor(0xC0, 0, 0)
-            if value and value.note:
+            if value.note:
                 run = place.paragraphs[0].add_run(marks[printable(value.note)])
                 run.font.superscript = True
             for line in more:
@@ -745,50 +747,40 @@ def _small(paragraph: Any, text: str) -> None:
     run.font.size, run.bold = Pt(7.5), False
 
 
+# --- tables of other commands
+
+
 def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
     """Scores of each model on unseen cycles, per test and in all."""
-    return to_csv(frame_of("comparison", rows))
+    return _records_csv("comparison", map(vars, rows))
 
 
 def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
     """Candidates for the next test, the best first, and what each is expected to tell."""
-    import pandas as pd
+    rows = advice_rows(advice, system, actuation_unit)
+    return _csv_text((), rows[0], (map(_safe, row.values()) for row in rows))
 
-    return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
 
-
-def predicted_csv(
-    rows: Iterable[DerivedRow], actuation: str, probability: float, force: str = "force"
-) -> str:
+def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "force") -> str:
     """Derived quantities of a prediction, with intervals of this probability."""
-    shown = tuple(rows)
     about = (
-        f"derived quantities of the device, without offset and noise, of kind {shown[0].role}: "
+        f"derived quantities of the device, without offset and noise, of kind {rows[0]['role']}: "
         f"equal-tailed {percent(probability)} % intervals",
         f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
         "as it is",
     )
-    pairs = [word.partition(":") for word in _COLUMNS["prediction"].split()]
-    lines = [[_safe(getattr(row, name)) for name, _, _ in pairs] for row in shown]
-    return _csv_text(about, [column or name for name, _, column in pairs], lines, 6)
+    return _records_csv("prediction", rows, about)
 
 
-def design_csv(rows: Iterable[DesignRow], actuation: str) -> str:
+def design_csv(rows: Rows, actuation: str, probability: float) -> str:
     """Mean and bounding properties with their factors, by property, then by basis."""
-    import pandas as pd
-
-    shown = tuple(rows)
-    bounds = ("nominal", "lower", "upper", "lambda_min", "lambda_max")
-    names = ("name", "unit", "basis", *bounds, "note")
-    frame = pd.DataFrame([{name: getattr(row, name) for name in names} for row in shown])
-    frame.insert(3, "of", frame["basis"].map(BASES))
-    tail = 50.0 * (1.0 - shown[0].probability)
     about = (
-        f"mean and bounding properties; each bound is exceeded with a probability of {tail:g} %",
+        "mean and bounding properties; each bound is exceeded with a probability of "
+        f"{50.0 * (1.0 - probability):g} %",
         "lambda: bound over the nominal value, which is the mean of the mean property",
         *([f"actuation {actuation}"] if actuation else []),
     )
-    return to_csv(frame.rename(columns={"name": "property", "of": "name"}), about)
+    return _records_csv("design", rows, about)
 
 
 def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
@@ -821,20 +813,6 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     return _csv_text(head, list(columns), zip(*columns.values(), strict=True), 8)
 
 
-def _csv_text(
-    about: Iterable[str], names: Sequence[str], rows: Iterable[Iterable[object]], digits: int
-) -> str:
-    """CSV below lines of comments, without pandas, which takes long to import."""
-    text = io.StringIO()
-    text.writelines(f"# {' '.join(line.split())}\n" for line in about)
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(names)
-    for row in rows:
-        cells = ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
-        table.writerow(f"{cell:.{digits}g}" if isinstance(cell, float) else cell for cell in cells)
-    return text.getvalue()
-
-
 _LOOP = 400
 """Most samples of each loop in the overview's table; a test's own table holds all."""
 
@@ -851,7 +829,7 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     """Path and text of the tables behind the figures of all tests together."""
     import pandas as pd
 
-    system = system_of(view)
+    system = view.system
     if view.tests:
         loops = []
         for test in view.tests:
@@ -863,7 +841,7 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     if view.laws:
         yield table_of("laws"), to_csv(_laws(view, system))
     if view.truth:
-        yield table_of("truth"), to_csv(to_units(frame_of("truth", view.truth), system))
+        yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
     if view.next_test is not None:
         yield table_of("next"), next_csv(view.next_test, system, view.actuation_unit)
 
@@ -915,7 +893,7 @@ def _laws(view: CampaignView, system: System) -> pd.DataFrame:
         by = system.factor(law.unit)
         what = law.name, system.unit(law.unit), law.law
         for fan in (law.device, law.new_test):
-            widest = max(fan.intervals, key=lambda interval: interval.probability)
+            widest = fan.widest
             about = f"{KIND_NAMES[fan.kind]}, {percent(widest.probability)} %"
             curve = zip(law.actuation, widest.lower, fan.median, widest.upper, strict=True)
             lines += [(*what, about, at * along, a * by, b * by, c * by) for at, a, b, c in curve]

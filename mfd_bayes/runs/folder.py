@@ -53,19 +53,7 @@ class Existing(Enum):
 
 @dataclass(frozen=True)
 class Resumed:
-    """What a run begins with.
-
-    Attributes
-    ----------
-    manifest : Manifest
-        Of the run, with the results that are kept from an earlier session.
-    before : Manifest or None
-        The earlier session's manifest, if its population is kept too.
-    same_tests : bool
-        Whether the run has the calibrated tests that it had, none of them changed.
-    notes : tuple of str
-        What the user must know: what is not kept, and that this is another machine.
-    """
+    """What a run begins with."""
 
     manifest: Manifest
     before: Manifest | None = None
@@ -78,21 +66,6 @@ def prepare_folder(manifest: Manifest, home: Path, out: Path, existing: Existing
 
     Of a run that is resumed, everything is kept whose key is the same as before; what is stored
     under another key is removed.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        Of the run to be calibrated, with its keys.
-    home : Path
-        Folder of the campaign file, links resolved; it may lie in the run folder.
-    out : Path
-        Run folder.
-
-    Raises
-    ------
-    StoreError
-        When the folder may not be used, or holds something other than this run, or something in
-        it that must go cannot be removed.
     """
     check_links(out)
     check_places(out)

@@ -29,8 +29,6 @@ except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
 OWNER = ".owner.json"
-"""File in a run folder that names the owner of the lock."""
-
 _BOOT = Path("/proc/sys/kernel/random/boot_id")  # the same in each container of a machine
 
 
@@ -51,13 +49,10 @@ class Owner:
     @classmethod
     def here(cls) -> Owner:
         """The process that asks."""
-        return cls(
-            host=socket.gethostname(),
-            boot=_BOOT.read_text(encoding="ascii").strip() if _BOOT.is_file() else "",
-            pid=os.getpid(),
-            command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-            since=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
-        )
+        boot = _BOOT.read_text(encoding="ascii").strip() if _BOOT.is_file() else ""
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        return cls(socket.gethostname(), boot, os.getpid(), command, since)
 
     @property
     def on_this_machine(self) -> bool:
@@ -72,20 +67,14 @@ class Owner:
             os.kill(self.pid, 0)
         except ProcessLookupError:
             return False
-        except PermissionError:  # another user's process
-            return True
+        except PermissionError:  # another user's
+            pass
         return True
 
 
 @contextmanager
 def alone_in(out: Path) -> Iterator[None]:
-    """Make the folder and keep other processes from working in it until the end.
-
-    Raises
-    ------
-    StoreError
-        When the folder cannot be made, or another process works in it, or may do so.
-    """
+    """Make the folder and keep other processes from working in it until the end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -25,7 +25,7 @@ from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.records.measured import MeasuredCycles
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.lock import other_owner
 from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST, POPULATION, folder_of
 from mfd_bayes.runs.scores import CampaignCrossValidation, Comparison
@@ -235,6 +235,8 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
     keys[POPULATION] = _digest(
         [*fitted.items()],
         {name: settings.sessions[name] for name in fitted},
+        {name: settings.devices[name] for name in fitted if settings.devices[name]},
+        {name: settings.conditions[name] for name in fitted if settings.dependence},
         (settings.laws, settings.dependence, settings.actuation_unit),
         {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()},
     )

@@ -75,13 +75,7 @@ def respond(
 
 
 def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list[Ground]:
-    """Ground motions of what is given; `unit` and `meant` are as in `read_ground`.
-
-    Raises
-    ------
-    BuildingError
-        When there is none, or one is neither a ground motion nor a path of one.
-    """
+    """Ground motions of what is given; `unit` and `meant` are as in `read_ground`."""
     if isinstance(grounds, Ground | str | PathLike):
         grounds = [grounds]
     elif isinstance(grounds, bytes | Mapping) or not isinstance(grounds, Iterable):

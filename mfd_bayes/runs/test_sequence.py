@@ -28,18 +28,7 @@ NO_GAP = "after is without effect: the model of the run has no gap in which a mo
 
 @dataclass(frozen=True, eq=False)
 class TestSequence:
-    """The tests of a run in their order.
-
-    Attributes
-    ----------
-    tests : mapping of str to TestResult
-        Those whose posteriors may be used.
-    motions : mapping of str to Trace
-        Those that are predicted: held out, or left out.
-    pooled : callable
-        Quantities of a test with a posterior as pooled with the others, by its id; empty where
-        that is not known.
-    """
+    """The tests of a run in their order."""
 
     __test__ = False
 
@@ -83,15 +72,6 @@ class TestSequence:
 
         From the last displacement of the test to the first of the motion the device is moved
         slowly, by way of what the fit windows leave out.
-
-        Parameters
-        ----------
-        after : str
-            Id of the test; "" for none.
-        trace, forecast
-            The motion, and the kind, number of draws and seed of its forecast.
-        test : str
-            Id of the test whose motion it is; "" for a new one.
         """
         if not after or not self.predictor.model.has_gap:
             return None
@@ -133,8 +113,14 @@ class TestSequence:
         if name not in self.motions:
             return None  # it could not be calibrated
         kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
-        session = self.manifest.settings.sessions[name]
-        own, trace = replace(forecast, kind=kind, session=session), self.motions[name]
+        settings, trace = self.manifest.settings, self.motions[name]
+        own = replace(
+            forecast,
+            kind=kind,
+            session=settings.sessions[name],
+            device=settings.devices[name],
+            conditions=settings.conditions[name],
+        )
         drawn = self.predictor.draw(trace, own, np.random.default_rng((forecast.seed, 2)))
         values = self.predictor.values(drawn)
         return replace(Ending.of(model, name, trace, values, drawn.scales or None), predicted=True)

@@ -32,14 +32,7 @@ _MARGINS = {"stroke": MARGIN, "speed": MARGIN, "frequency": MARGIN, "actuation":
 
 @dataclass(frozen=True)
 class Span:
-    """Smallest and largest value of one condition, in its internal unit.
-
-    Attributes
-    ----------
-    name : {"stroke", "speed", "frequency", "actuation"}
-        Stroke: from one end of the motion to the other, in. Speed: its peak, in/s. Frequency: of
-        the largest loops, Hz. Actuation, ksi, kip or another: over a history, if it is one.
-    """
+    """Smallest and largest value of one condition, in its internal unit."""
 
     name: str
     unit: str
@@ -173,16 +166,7 @@ def far_sentences(outside: Iterable[Departure], system: System) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TestUnderWay:
-    """Completes the bands of a test that is followed; see `Forecaster.complete`.
-
-    Attributes
-    ----------
-    planned : Setting
-        The band is wider where this leaves the tested range; what the motion does is not known
-        before.
-    remarks : tuple of str
-        Remarks of every band.
-    """
+    """Completes the bands of a test that is followed; see `Forecaster.complete`."""
 
     __test__ = False
 

@@ -31,14 +31,7 @@ _CUSTOMARY = re.compile(
 
 @dataclass(frozen=True)
 class System:
-    """Units of a report.
-
-    Attributes
-    ----------
-    name : {"us", "si"}
-    level : (str, str)
-        Internal unit of actuations that are neither pressures nor forces, and the one shown.
-    """
+    """Units of a report."""
 
     name: str
     title: str
@@ -150,13 +143,7 @@ def both_systems(own: System) -> tuple[System, System]:
 
 
 def named_system(name: str, own: System) -> System:
-    """System of units of a name, "us" or "si"; `own` where the name is empty.
-
-    Raises
-    ------
-    UnitError
-        When the name is unknown.
-    """
+    """System of units of a name, "us" or "si"; `own` where the name is empty."""
     if not name:
         return own
     for system in both_systems(own):
@@ -174,15 +161,7 @@ def system_of(
 ) -> System:
     """System of units that records were measured in, fit for the size of their forces.
 
-    Parameters
-    ----------
-    lengths : iterable of str
-        Unit of displacement of each record: what most are in decides.
-    forces : iterable of array_like, kip, or None
-        Of each record, or its peak: where no force reaches `SMALL`, they are in lbf or N.
-    actuations : iterable of str
-        Unit of the actuation of each test, as given: metric pressures are in bar or kPa where
-        all are.
+    `axes` are the model's own quantities, and `responses` the units of their response.
     """
     of_motion = list(lengths)
     peaks = [float(np.max(np.abs(force))) for force in forces if force is not None]

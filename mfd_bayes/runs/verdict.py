@@ -63,19 +63,7 @@ SPOILING = re.compile(
 
 @dataclass(frozen=True)
 class Finding:
-    """A warning of a stage, which a reader of the results must know.
-
-    Attributes
-    ----------
-    subject : str
-        A test's id, or "laws".
-    name : str
-        Name of the fault, as `records.data_quality` and `records.cross_checks` have them.
-    message : Message
-        What is wrong, with figures and the likely cause.
-    stage : {"records", "results"}
-        Whether the records showed it before anything was fitted, or the results.
-    """
+    """A warning of a stage, which a reader of the results must know."""
 
     subject: str
     name: str

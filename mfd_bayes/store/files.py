@@ -23,13 +23,7 @@ _DEEPEST = 50
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
-    """Write a file under a temporary name in its folder, which is made, then rename it.
-
-    Raises
-    ------
-    StoreError
-        When the folder cannot be written to, or the place is no place for a file.
-    """
+    """Write a file under a temporary name in its folder, which is made, then rename it."""
     check_place(path)
     part = path.with_name(f".{path.name}.{secrets.token_hex(4)}{PART}")
     try:
@@ -74,13 +68,7 @@ def _to_json(content: object) -> object:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Object of a JSON file.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, too large, or holds no JSON object.
-    """
+    """Object of a JSON file."""
     try:
         if reason := why_no_file(path):
             raise StoreError(f"{path} {reason}")
@@ -111,13 +99,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def check_place(path: Path) -> None:
-    """Refuse a place in which a file would replace something that is no file of its folder.
-
-    Raises
-    ------
-    StoreError
-        When it is a device, a pipe, a socket, or a link out of its folder.
-    """
+    """Refuse a place in which a file would replace something that is no file of its folder."""
     try:
         if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
             raise StoreError(f"cannot write {path}: it is a link out of its folder")
@@ -135,13 +117,7 @@ def is_part(path: Path, name: str) -> bool:
 
 
 def remove_file(path: Path) -> None:
-    """Remove a file if it is there.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be removed.
-    """
+    """Remove a file if it is there."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

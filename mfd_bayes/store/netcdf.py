@@ -113,13 +113,7 @@ def save_test(path: Path, test: CalibratedTest) -> None:
 
 
 def load_test(path: Path) -> StoredTest:
-    """Calibrated test of a file written by `save_test`.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing, damaged or of another program.
-    """
+    """Calibrated test of a file written by `save_test`."""
     with _reading(path):
         groups = _read_groups(path, _GROUPS)
         facts = json.loads(groups["posterior"].attrs["facts"])

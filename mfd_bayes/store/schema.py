@@ -49,11 +49,6 @@ def check(kind: type[Kind], content: Any, where: object) -> Kind:
     """Content of a JSON file as a `Part`.
 
     `where` is the file, for the message.
-
-    Raises
-    ------
-    StoreError
-        When a key is missing or its value has the wrong type.
     """
     try:
         return kind.model_validate_json(json.dumps(content))  # strict, but lists become tuples

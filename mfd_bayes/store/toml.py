@@ -19,15 +19,7 @@ class TomlError(Exception):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be read.
-    TomlError
-        When it is too large, or not TOML.
-    """
+    """Content of a TOML file."""
     if reason := why_no_file(path):
         raise TomlError(reason)
     with path.open("rb") as file:

@@ -8,8 +8,6 @@ from mfd_bayes.calibration.identifiability import (
     CONFLICT,
     PRIOR_LED,
     SENSITIVE,
-    Directions,
-    Sensitivity,
     find_directions,
     find_pairs,
     identify,
@@ -69,23 +67,6 @@ def test_draws_that_follow_each_other_count_as_fewer():
     assert find_directions(names, np.ones(20), held, 100.0).informed == 0
     assert find_directions(names, np.ones(20), held).informed > 0  # the control
     assert find_directions(names, np.ones(20), held, 15.0).informed == 0  # fewer than dimensions
-
-
-def test_only_a_sum_is_known():
-    sharp = linear_posterior(np.array([[1.0, 2.0, 0.0]]) * 1e2)  # a + 2 b in prior units: a + b
-    found = find_directions(NAMES, PRIOR_SD, exact_draws(sharp))
-    assert found.informed == 1
-    assert set(found.carriers(0)) == {"a", "b"}
-    assert np.prod(found.axes[:2, 0]) > 0
-    np.testing.assert_allclose(found.curvature[1:], 0.0, atol=1e-6)
-
-
-def test_a_direction_names_three_carriers_at_most_strongest_first():
-    axis = np.sqrt([0.15, 0.4, 0.05, 0.2, 0.2])[:, None]
-    directions = Directions(tuple("abcde"), np.ones(1), axis)
-    assert directions.carriers(0) == ("b", "d", "e")
-    lone = Directions(("a", "b"), np.ones(1), np.array([[0.99], [0.14]]))
-    assert lone.carriers(0) == ("a",)
 
 
 # --- pairs
@@ -167,12 +148,6 @@ def test_sensitivity_of_a_normal_model_is_its_closed_form(case):
     diagnoses = {"prior-dominated": PRIOR_LED, "conflict": CONFLICT, "likelihood-dominated": ""}
     name = next(name for name in CASES if CASES[name] == case)
     assert found.diagnosis == diagnoses.get(name, found.diagnosis)
-
-
-def test_diagnosis_heeds_the_limit_that_chance_sets():
-    assert Sensitivity("x", 0.06, 0.2).diagnosis == CONFLICT
-    assert Sensitivity("x", 0.06, 0.2, prior_limit=0.08).diagnosis == ""
-    assert Sensitivity("x", 0.06, 0.2, likelihood_limit=0.3).diagnosis == PRIOR_LED
 
 
 def walks(seed, phi=0.98, steps=500, walkers=8):

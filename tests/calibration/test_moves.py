@@ -129,20 +129,3 @@ def test_harness_rejects_exact_draws_that_are_slightly_too_wide():
     assert judge(exact).right
     assert not judge(MEAN + 1.04 * (exact - MEAN)).right
     assert not judge(exact + 0.08 * SD).right
-
-
-def test_ensembles_are_independent(sampled):
-    chains, _ = sampled("those of the sampler")
-    means = chains[:, 500:].mean(axis=2)  # of each ensemble at each step
-    thinned = means[:, :: int(3 * np.max(autocorrelation_time(chains)))]
-    n = thinned.shape[1]
-    pairs = np.triu_indices(ENSEMBLES, 1)
-
-    def worst(series):
-        return max(np.max(np.abs(np.corrcoef(series[..., k])[pairs])) for k in range(DIM))
-
-    assert n > 30
-    assert worst(thinned) * np.sqrt(n) < 4
-    # the control: mixing in a part of a neighbour's mean is detected
-    mixed = thinned + 0.5 * np.roll(thinned, 1, axis=0)
-    assert worst(mixed) * np.sqrt(n) > 4

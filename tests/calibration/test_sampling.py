@@ -8,7 +8,7 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.modes import climb, least_squares
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Adaptive, Mixture, Proposal, around_modes, fit_mixture
-from mfd_bayes.calibration.sampling import generator_of, mode_shares, sample, sample_density
+from mfd_bayes.calibration.sampling import generator_of, sample, sample_density
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
 
@@ -89,19 +89,6 @@ def test_progress_names_the_targets_that_are_missing():
     assert told[-1].missing == ""
 
 
-def funnel(q):
-    """Neal's funnel, which no mixture fits."""
-    wide = q[:, :1]
-    return -0.5 * (wide[:, 0] / 2) ** 2 - 0.5 * np.sum(q[:, 1:] ** 2 * np.exp(-wide) + wide, axis=1)
-
-
-def test_the_second_half_of_the_limit_is_kept():
-    effort = Effort(ess=1e6, limit=600, ensembles=2, walkers=20)
-    chains = draws_of(funnel, np.full(DIM, 0.1), effort=effort)
-    assert chains.steps == effort.limit
-    assert chains.discarded <= effort.limit // 2 + 200
-
-
 # --- modes
 
 
@@ -116,13 +103,6 @@ def test_a_climb_ends_at_the_mode_with_its_covariance():
 def test_a_climb_that_meets_a_known_mode_ends_there():
     (known,) = modes_of(normal, MEAN + SD)
     assert climb(normal, MEAN - 2.0 * SD, np.diag(SD), SD, [known]) is known
-
-
-def test_draws_are_shared_out_to_the_nearest_mode():
-    near, far = modes_of(normal, MEAN)[0], MEAN + 20.0 * SD
-    other = type(near)(far, 0.0, near.covariance)
-    q = np.stack([np.stack([MEAN, far, far, far]), np.stack([MEAN, MEAN, MEAN, far])])
-    np.testing.assert_allclose(mode_shares([near, other], q), [[0.25, 0.75], [0.75, 0.25]])
 
 
 TIME = np.linspace(0.0, 3.0, 60)

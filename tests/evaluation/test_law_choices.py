@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.evaluation.laws import law_choices, law_label
+from mfd_bayes.evaluation.laws import law_choices, law_label, law_score_rows
 from mfd_bayes.population.law_scores import LawScore
 
 
@@ -14,34 +14,37 @@ def scores(**levels):
     ]
 
 
+def choice(scores, law):
+    """Rows of the laws of one quantity, and the sentence."""
+    rows = law_score_rows(scores, {"Fc_fwd": law})
+    return rows, law_choices(rows, {"Fc_fwd": law})["Fc_fwd"]
+
+
 def test_the_best_law_stands_first_and_others_are_measured_by_it():
-    (choice,) = law_choices(
-        scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5]), {"Fc_fwd": "proportional"}
-    )
-    best, other = choice.rows
-    assert (best.law, best.difference, best.difference_se) == ("power", 0.0, 0.0)
-    assert other.difference == pytest.approx(-3.5)
-    assert other.difference_se == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
-    assert (best.chosen, other.chosen) == (False, True)
-    assert "the campaign's own, proportional, is worse by 3.5 ± 0.5" in choice.sentence
-    assert "cannot separate" not in choice.sentence
+    found = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5])
+    (best, other), sentence = choice(found, "proportional")
+    assert (best["law"], best["difference"], best["difference_se"]) == ("power", 0.0, 0.0)
+    assert other["difference"] == pytest.approx(-3.5)
+    assert other["difference_se"] == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
+    assert (best["chosen"], other["chosen"]) == (False, True)
+    assert "the campaign's own, proportional, is worse by 3.5 ± 0.5" in sentence
+    assert "cannot separate" not in sentence
 
 
 def test_a_difference_within_its_standard_error_is_cautioned():
     found = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 1.0, 0.5], constant=[-9.0, -8.0, -9.0])
-    (choice,) = law_choices(found, {"Fc_fwd": "proportional"})
-    assert choice.sentence.startswith("the power law predicts levels that were left out best, but")
-    assert "the 3 levels cannot separate it from proportional:" in choice.sentence
-    assert "constant" not in choice.sentence
-    assert "is worse" not in choice.sentence
+    _, sentence = choice(found, "proportional")
+    assert sentence.startswith("the power law predicts levels that were left out best, but")
+    assert "the 3 levels cannot separate it from proportional:" in sentence
+    assert "constant" not in sentence
+    assert "is worse" not in sentence
 
 
 def test_compared_laws_are_named_with_their_weights():
-    (choice,) = law_choices(
-        scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5]), {"Fc_fwd": "compare"}
-    )
-    assert choice.sentence.endswith("mix them (compared: power 0.5, proportional 0.5).")
-    assert not any(row.chosen for row in choice.rows)
+    found = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5])
+    rows, sentence = choice(found, "compare")
+    assert sentence.endswith("mix them (compared: power 0.5, proportional 0.5).")
+    assert not any(row["chosen"] for row in rows)
     weights = {"proportional": 0.3, "affine": 0.0, "power": 0.7}
     assert law_label("compare", weights) == "compared: power 0.7, proportional 0.3"
     assert law_label("power", {"power": 1.0}) == "power"
@@ -50,15 +53,11 @@ def test_compared_laws_are_named_with_their_weights():
 def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
     found = [*scores(proportional=[1.0, 2.0, 0.0]), *scores(power=[9.0, 9.0, 9.0])]
     found[1] = replace(found[1], pareto_k=0.93, weight=0.0)
-    (choice,) = law_choices(found, {"Fc_fwd": "compare"})
-    assert [row.law for row in choice.rows] == ["proportional", "power"]
-    assert choice.sentence.startswith("the proportional law predicts")
-    assert "the score of power (Pareto k 0.93) cannot be trusted" in choice.sentence
-    (none,) = law_choices([replace(s, pareto_k=1.5) for s in found], {"Fc_fwd": "compare"})
-    assert none.sentence.startswith("the laws have no weights; the score of power (Pareto k 1.50)")
-    (all_,) = law_choices([replace(s, pareto_k=0.6) for s in found], {"Fc_fwd": "compare"})
-    assert "trusted" not in all_.sentence  # the control
-
-
-def test_without_scores_there_is_no_choice():
-    assert law_choices((), {"Fc_fwd": "power"}) == ()
+    rows, sentence = choice(found, "compare")
+    assert [row["law"] for row in rows] == ["proportional", "power"]
+    assert sentence.startswith("the proportional law predicts")
+    assert "the score of power (Pareto k 0.93) cannot be trusted" in sentence
+    _, none = choice([replace(s, pareto_k=1.5) for s in found], "compare")
+    assert none.startswith("the laws have no weights; the score of power (Pareto k 1.50)")
+    _, control = choice([replace(s, pareto_k=0.6) for s in found], "compare")
+    assert "trusted" not in control  # the control

@@ -48,12 +48,6 @@ def test_psis_finds_the_tail_of_pareto_weights(tail):
     assert (k > LARGEST_K) == (tail > LARGEST_K)
 
 
-def test_equal_weights_have_no_tail():
-    log_weights, k = psis(np.full(100, 3.0))
-    np.testing.assert_allclose(np.exp(log_weights), 0.01)
-    assert k < 0
-
-
 def normal_mean(blocks, n=4000, seed=0):
     """Draws of a mean with prior N(0, 10²), the blocks' log densities, and their exact elpd."""
     rng = np.random.default_rng(seed)
@@ -114,11 +108,10 @@ def test_differences_are_paired_over_cycles():
     other = CrossValidation(shared + rng.normal(0, 0.1, 50), shared, nothing, nothing)
     apart, error = difference(one, other)
     assert apart == pytest.approx(50.0, abs=3.0)
-    assert error < 2.0 < 300.0 < one.error
+    assert error < 2.0 < 300.0 < standard_error(one.elpd)
     assert standard_error(one.elpd) == pytest.approx(np.sqrt(50) * shared.std(ddof=1))
     both = join([one, other])
-    assert both.cycles == 100
-    assert both.total == pytest.approx(one.total + other.total)
+    np.testing.assert_array_equal(both.elpd, [*one.elpd, *other.elpd])
     assert np.isnan(standard_error(np.ones(1)))
 
 
@@ -150,11 +143,8 @@ def test_joined_tests_keep_their_cycles_together():
     parts = [CrossValidation(*([rng.normal(m, 1.0, 20)] * 4)) for m in (-3.0, 0.0, 3.0)]
     both = join(parts)
     np.testing.assert_array_equal(both.test, np.repeat([0, 1, 2], 20))
-    assert both.error == standard_error(both.elpd, both.test) > standard_error(both.elpd)
-    chosen = np.arange(60) % 2 == 0
-    np.testing.assert_array_equal(both.part(chosen).test, np.repeat([0, 1, 2], 10))
+    assert standard_error(both.elpd, both.test) > standard_error(both.elpd)
     assert difference(both, join(parts[::-1]))[1] > 50.0  # −6, 0 and 6 times 20
-    assert parts[0].part(chosen[:20]).test is None
 
 
 def record_of(model, seed=5):

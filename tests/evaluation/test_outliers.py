@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.outliers import _outlying, standing_out
+from mfd_bayes.evaluation.outliers import standing_out
 
 
 @pytest.mark.parametrize("count", [5, 8, 20])
@@ -23,14 +23,3 @@ def test_tests_stand_apart_by_chance_as_rarely_as_stated():
     campaigns = rng.normal(size=(2000, 8, 4))
     share = np.mean([any(True for _ in standing_out(one)) for one in campaigns])
     assert share < 0.02
-
-
-def test_a_test_that_tells_nothing_of_a_quantity_does_not_stand_apart_in_it():
-    deviations = np.random.default_rng(5).normal(scale=0.05, size=(12, 2))
-    deviations[0, 1] = -690.0  # a law without intercept at zero actuation
-    informs = np.ones((12, 2), dtype=bool)
-    assert [found[:2] for found in _outlying(deviations, [0, 1], informs)] == [(0, 1)]
-    informs[0, 1] = False
-    assert list(_outlying(deviations, [0, 1], informs)) == []
-    deviations[3, 1] += 5.0
-    assert [found[:2] for found in _outlying(deviations, [0, 1], informs)] == [(3, 1)]

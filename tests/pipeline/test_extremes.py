@@ -11,16 +11,14 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import MfdError, RecordError, UnitError
+from mfd_bayes.errors import MfdError
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
-from mfd_bayes.runs.manifest import check_readable, read_begun
+from mfd_bayes.runs.manifest import read_begun
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import save_trace
-from mfd_bayes.units import parse_actuation
 from tests.run_folders import write_run
 
 TEST = '[[test]]\nid = "{id}"\nfile = "a.csv"\nactuation = "{actuation}"\n'
@@ -51,15 +49,6 @@ def write_campaign(home, head="", actuation="500 psi"):
 
 
 # --- one schema for the campaign and the manifest
-
-
-@pytest.mark.parametrize("area", ["1e300", "1e-300", "1e11", "1e-11", '"1e300 in^2"'])
-def test_an_area_that_a_run_may_not_hold_is_refused_by_a_dry_run(home, area):
-    campaign = write_campaign(home, f"[campaign]\narea = {area}\n")
-    outcome = here("calibrate", campaign, "-o", home / "out", "--dry-run")
-    assert outcome.exit_code == 2, outcome.output
-    (sentence,) = outcome.stderr.splitlines()
-    assert "campaign.area" in sentence
 
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(
@@ -99,40 +88,7 @@ def test_what_a_dry_run_accepts_the_manifest_gives_back(
     assert again.settings.sessions == plan.manifest.settings.sessions
 
 
-def test_a_manifest_that_could_not_be_read_is_refused_before_it_is_written(home):
-    manifest = plan_campaign(write_campaign(home), Options(effort="quick")).manifest
-    check_readable(manifest)
-    entry = manifest.tests["a"].model_copy(update={"record_rate": 1e200})
-    with pytest.raises(MfdError, match="could not be opened once it is stored"):
-        check_readable(manifest.changed(tests={"a": entry}))
-
-
 # --- what is written is checked by what reads it
-
-
-@pytest.mark.parametrize("rate", [2e-308, 1e-9, 1.0])
-def test_a_rate_that_leaves_too_few_samples_is_refused(home, rate):
-    with pytest.raises(RecordError, match="fewer than 20 samples"):
-        read_record(home / "a.csv").trace(rate)
-
-
-@pytest.mark.parametrize("scale", [1e-300, 1e-22, 1e11, 1e300])
-def test_a_force_too_small_or_large_is_refused_where_the_record_is_read(tmp_path, scale):
-    write_record(tmp_path / "a.csv", scale)
-    with pytest.raises(RecordError, match=f"too {'small' if scale < 1 else 'large'} to use"):
-        read_record(tmp_path / "a.csv")
-
-
-def test_a_force_of_zero_and_a_small_one_are_read(tmp_path):
-    for scale in (0.0, 1e-12):
-        write_record(tmp_path / "a.csv", scale)
-        assert read_record(tmp_path / "a.csv").force.max() == pytest.approx(scale, rel=1e-3)
-
-
-@pytest.mark.parametrize("text", ["1e-300 psi", "1e-320 Pa", "1e14 psi", "1e300 ksi"])
-def test_an_actuation_that_no_run_may_hold_is_refused(text):
-    with pytest.raises(UnitError, match="expected an actuation of 0, or of 1e-20 to 1e\\+10"):
-        parse_actuation(text)
 
 
 # --- a test that cannot be shown
@@ -162,10 +118,9 @@ def odd(stored, tmp_path):
     return made
 
 
-@pytest.mark.parametrize("level", [1.45e-7, 1e-9], ids=["1 Pa", "1 µpsi"])
 @pytest.mark.usefixtures("no_figures_of_tests")
-def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(odd, level):
-    out = odd(level)
+def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(odd):
+    out = odd(1e-9)  # 1 µpsi
     outcome = here("report", out)
     assert outcome.exit_code == 1, outcome.output
     assert outcome.stderr == ""
@@ -178,12 +133,3 @@ def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(odd, 
     checked = here("check", out, "--quiet")
     assert checked.exit_code == 1
     assert "Test c is left out" in checked.stdout
-
-
-@pytest.mark.slow
-def test_a_test_far_beyond_what_was_tested_is_reported_or_named(odd):
-    out = odd(1e9)
-    outcome = here("report", out, "--quiet")
-    assert outcome.exit_code == ("Test c is left out" in outcome.stdout)
-    assert outcome.stderr == ""
-    assert (out / "report.html").is_file()

@@ -63,8 +63,7 @@ def test_the_part_is_marked_and_the_rest_narrower(ask, out, record, tmp_path):
     assert np.count_nonzero((picture == [0xFF, 0xF3, 0xD6]).all(axis=2)) > 1000
 
 
-@pytest.mark.parametrize("rate", [pytest.param((), marks=pytest.mark.slow), ("--rate", "12 Hz")])
-def test_the_force_outside_the_window_does_not_matter(ask, record, tmp_path, rate):
+def test_the_force_outside_the_window_does_not_matter(ask, record, tmp_path):
     """Also where the motion is thinned behind a low-pass filter."""
     whole, bands = pd.read_csv(record, comment="#"), []
     late = whole.time_s > 1.0
@@ -72,30 +71,18 @@ def test_the_force_outside_the_window_does_not_matter(ask, record, tmp_path, rat
         whole.assign(force_kip=whole.force_kip.where(~late, factor * whole.force_kip)).to_csv(
             tmp_path / "m.csv", index=False
         )
-        found = ask("--motion", tmp_path / "m.csv", "--given", "0 s to 1 s", *rate)
+        options = "--given", "0 s to 1 s", "--rate", "12 Hz", "--no-figures"
+        found = ask("--motion", tmp_path / "m.csv", *options)
         assert found.exit_code == 0, found.output
         bands.append(table(tmp_path / "bands.csv")[1])
-    assert len(bands[0]) < len(whole) or not rate
+    assert len(bands[0]) < len(whole)
     np.testing.assert_array_equal(bands[0].upper_kip, bands[1].upper_kip)
-
-
-@pytest.mark.slow
-def test_derived_quantities_know_the_part_too(ask, record, tmp_path):
-    sds = []
-    for options in ((), ("--given", "0 s to 2 s")):
-        found = ask("--motion", record, "--kind", "observation", *options)
-        assert found.exit_code == 0, found.output
-        derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#").set_index("quantity")
-        sds.append(derived.sd["peak_fwd"])
-    assert sds[1] < 0.7 * sds[0]
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         (("--given", "soon"), "--given must be two times such as '0 s to 60 s', got 'soon'"),
-        (("--given", "0 to 1"), "expected a number and a unit such as '10 s'; '0' has no unit"),
-        (("--given", "2 s to 1 s"), "--given must end after it starts"),
         (("--given", "0 s to 60 s"), "must lie within the record, which goes from 0 s to"),
         (("--given", "0 s to 1 s", "--kind", "device"), "for the kinds new_test and observation"),
         (("--given", "1 ms to 2 ms"), "holds 0 samples, too few"),
@@ -125,18 +112,3 @@ def test_a_motion_without_a_force_is_refused(ask, tmp_path):
     assert "--given '0 s to 1 s' needs a column of the force in" in found.stderr
     sine = ask("--sine", "1 in, 0.5 Hz, 3 cycles", "--given", "0 s to 1 s")
     assert "--compare, --given and --rate need a --motion file" in sine.stderr
-
-
-def test_a_run_is_followed(out, record):
-    run = mb.open_run(out)
-    trace = mb.read_record(record).trace()
-    forecaster = run.follow(1.2, amplitude=1.0, velocity=3.0, draws=100, refresh=False)
-    part = slice(0, 60)
-    forecaster.update(trace.time[part], trace.displacement[part], None, trace.force[part])
-    later = mb.Trace.from_arrays(trace.time[60:], trace.displacement[60:])
-    band = forecaster.band(later)
-    assert band.draws.shape == (100, later.samples)
-    with pytest.raises(mb.MfdError, match="the planned actuation must be a finite number"):
-        run.follow(-1.0)
-    with pytest.raises(mb.MfdError, match="the planned velocity"):
-        run.follow(1.0, velocity=0.0)

@@ -119,9 +119,12 @@ def finished(tmp_path_factory):
     """A run whose campaign is gone, in another place than where it was computed; what was said."""
     home = tmp_path_factory.mktemp("own")
     campaign, out = written(home / "campaign"), home / "out"
-    words = said(
-        *("calibrate", campaign / "all.toml", "-o", out, "--effort", "quick", "--jobs", "2")
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("draw_shared", "draw_test"):
+            patch.setattr(f"mfd_bayes.reporting.figures.{name}", lambda *_: iter(()))
+        words = said(
+            *("calibrate", campaign / "all.toml", "-o", out, "--effort", "quick", "--jobs", "2")
+        )
     shutil.rmtree(campaign)
     moved = tmp_path_factory.mktemp("moved") / "run"
     shutil.move(out, moved)
@@ -174,16 +177,6 @@ def test_every_command_takes_its_run(finished, tmp_path):
     assert "storey drift" in said("respond", out, *building, "--draws", 10, "-o", tmp_path / "r")
 
 
-def test_only_the_copy_that_the_run_has_written_is_run(finished, tmp_path):
-    out = shutil.copytree(finished[0], tmp_path / "run")
-    mb.open_run(out)  # the control
-    with (out / "model.py").open("a") as file:
-        file.write("\nraise SystemExit\n")
-    assert "model.py is not what this run wrote" in said("check", out, code=2)
-    (out / "model.py").unlink()
-    assert "model.py" in said("check", out, code=2)
-
-
 @pytest.mark.slow
 def test_it_is_compared_with_models_that_have_other_parameters(folder, tmp_path):
     text = "\n".join(
@@ -206,18 +199,13 @@ def test_it_is_compared_with_models_that_have_other_parameters(folder, tmp_path)
     ("file", "old", "new", "words"),
     [
         ("all.toml", ":Viscous", ":Nope", ("no class Nope in my_damper.py", "Viscous")),
-        ("all.toml", "my_damper.py", "none.py", ("there is no file", "none.py")),
         ("all.toml", "my_damper.py", "../other.py", ("other.py", "outside the campaign's folder")),
-        ("all.toml", '"my_damper.py:Viscous"', "5", ("campaign.model", "my_file.py:MyClass")),
         ("all.toml", 'c = "affine"', 'd = "affine"', ("'d' in [laws]", "my_damper.py", "c")),
-        ("all.toml", 'c = "affine"', 'alpha = "affine"', ("'alpha' in [laws]", "my_damper.py")),
         ("my_damper.py", '"kip"', '"kipp"', ("my_damper.py", "'c'", "kipp")),
         ("my_damper.py", r"\alpha", r"\alfa", ("my_damper.py", "'alpha'", "symbol")),
         ("my_damper.py", "** alpha + lean\n\n    def start", "** np.nan\n\n    def start", ("no",)),
         ("my_damper.py", "class", "raise ValueError('x')\nclass", ("line 6", "ValueError")),
-        ("own.toml", "alpha =", "alfa =", ("own.toml", "alfa")),
         ("own.toml", '"9 kN"', '"9 kN/m"', ("own.toml", "c", "kN/m")),
-        ("own.toml", 'sd = "10 lbf"', "sd = 10", ("own.toml", "lean", "unit")),
     ],
 )
 def test_what_cannot_be_used_is_one_sentence(folder, tmp_path, file, old, new, words):

@@ -4,7 +4,6 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,6 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.pipeline import predict as prediction
-from mfd_bayes.pipeline import report
 from tests.run_folders import write_run
 
 TIME = np.arange(401) / 100.0
@@ -40,9 +37,8 @@ def tested(run):
 
 
 @pytest.fixture
-def ask(out, run, tmp_path, monkeypatch):
-    """Outcome of a prediction into bands.csv, by its further options; the run is opened once."""
-    monkeypatch.setattr(prediction, "open_run", lambda _: run)
+def ask(out, tmp_path):
+    """Outcome of a prediction into bands.csv, by its further options."""
 
     def predict(*options):
         arguments = ("predict", out, "--actuation", "700 psi", "-o", tmp_path / "bands.csv")
@@ -78,22 +74,6 @@ def test_far_outside_what_was_tested_it_refuses_without_extrapolate(ask, tested,
     assert "# warning: the frequency, 2 Hz" in (tmp_path / "bands.csv").read_text()
 
 
-def test_fifty_kip_are_not_three_hundred_pounds(ask, tmp_path, tested):
-    motion = written(tmp_path / "slow.csv", 0.5 * tested["stroke"].highest, 0.5)
-    refused = ask("--motion", motion, "--actuation", "50 MPa")
-    assert refused.exit_code == 2
-    assert "the actuation, 7252 psi, lies far outside" in refused.stderr
-    metric = ask("--motion", motion, "--actuation", "7252 psi", "--units", "si")
-    assert "the actuation, 50 MPa, lies far outside the tested range, 3.4" in metric.stderr
-
-
-@pytest.mark.usefixtures("small_pictures")
-def test_inside_what_was_tested_nothing_is_said(ask, tested, tmp_path):
-    inside = ask("--motion", written(tmp_path / "slow.csv", 0.5 * tested["stroke"].highest, 0.5))
-    assert inside.exit_code == 0, inside.output
-    assert "tested range" not in inside.stderr + (tmp_path / "bands.csv").read_text()
-
-
 def test_the_tested_range_is_in_the_report(out):
     table = pd.read_csv(out / "tested_range.csv").set_index("condition")
     assert list(table.index) == ["stroke", "speed", "frequency", "actuation"]
@@ -117,7 +97,7 @@ def test_a_harmonic_motion_needs_no_file(ask, tmp_path, tested):
 
 
 @pytest.mark.usefixtures("small_pictures")
-@pytest.mark.parametrize("cycles", ["1", "1.5", "2.3", "3"])
+@pytest.mark.parametrize("cycles", ["1", "2.3"])
 def test_a_harmonic_motion_starts_without_a_jump(ask, tmp_path, cycles):
     """At full speed out of rest a viscous part would give a peak at time 0."""
     assert ask("--sine", f"1 in, 0.5 Hz, {cycles} cycles").exit_code == 0
@@ -136,9 +116,6 @@ def test_a_harmonic_motion_starts_without_a_jump(ask, tmp_path, cycles):
         ((), "give one motion"),
         (("--sine", "1 in, 0.5 Hz, 3 cycles", "--motion", "a.csv"), "give one motion"),
         (("--sine", "1 in, 0.5 Hz"), "reads '1 in, 0.5 Hz, 3 cycles'"),
-        (("--sine", "1 in, 0.5 Hz, many cycles"), "reads '1 in, 0.5 Hz, 3 cycles'"),
-        (("--sine", "1 kip, 0.5 Hz, 3 cycles"), "the amplitude"),
-        (("--sine", "1 in, 0 Hz, 3 cycles"), "above zero"),
         (("--sine", "1 in, 0.5 Hz, 1000 cycles"), "1 to 100 cycles"),
         (("--sine", "1 in, 0.5 Hz, 3 cycles", "--compare"), "need a --motion file"),
     ],
@@ -224,27 +201,6 @@ def test_a_measurement_outside_the_prediction_is_said_in_a_sentence(ask, tmp_pat
     assert "does not agree" not in right
 
 
-@pytest.mark.usefixtures("small_pictures")
-def test_a_band_without_noise_is_compared_with_a_warning(ask, tmp_path, tested):
-    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5, 0.0 * TIME)
-    assert "need --kind observation" in ask("--motion", motion, "--compare").stdout
-
-
-def test_compare_needs_a_force(ask, tmp_path, tested):
-    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
-    outcome = ask("--motion", motion, "--compare")
-    assert outcome.exit_code == 2
-    assert "column of the force" in outcome.stderr
-
-
-@pytest.mark.usefixtures("small_pictures")
-def test_a_motion_is_thinned_where_it_is_asked_for(ask, tmp_path, tested):
-    motion = written(tmp_path / "motion.csv", 0.5 * tested["stroke"].highest, 0.5)
-    assert ask("--motion", motion, "--rate", "50 Hz").exit_code == 0
-    table = pd.read_csv(tmp_path / "bands.csv", comment="#")
-    np.testing.assert_allclose(np.diff(table["time_s"]), 0.02, rtol=1e-6)
-
-
 def test_a_prediction_is_given_in_the_other_system_of_units(ask, tmp_path):
     tables = {}
     for units in ("us", "si"):
@@ -290,9 +246,9 @@ def laws_of(out, name, what):
 
 
 @pytest.mark.usefixtures("small_pictures")
-@pytest.mark.parametrize("level", [0.5, 1.0, 1.5])
-def test_figure_of_laws_and_design_call_one_thing_mean_property(ask, out, tmp_path, level):
+def test_figure_of_laws_and_design_call_one_thing_mean_property(ask, out, tmp_path):
     """The device at this actuation: its law and the effect of its level, without scatter."""
+    level = 1.0
     motion = "1 in, 0.5 Hz, 3 cycles"
     said = ask("--sine", motion, "--actuation", f"{level} ksi", "--design", "--quiet")
     assert said.exit_code == 0, said.output
@@ -308,7 +264,7 @@ def test_figure_of_laws_and_design_call_one_thing_mean_property(ask, out, tmp_pa
             assert drawn["upper"] / middle == pytest.approx(row["lambda_max"], **near)
 
 
-@pytest.mark.parametrize("name", ["Fc_fwd", "Fc_bwd", "sigma0"])
+@pytest.mark.parametrize("name", ["Fc_fwd", "sigma0"])
 def test_the_bands_of_a_law_are_nested_and_smooth(out, name):
     inner, outer = (
         laws_of(out, name, what) for what in ("mean property", "this device tested again")
@@ -321,79 +277,37 @@ def test_the_bands_of_a_law_are_nested_and_smooth(out, name):
     assert np.mean(np.abs(spikes) / width[1:-1]) < 0.02
 
 
-@pytest.mark.usefixtures("no_figures")
-@pytest.mark.parametrize(
-    ("interval", "words"),
-    [
-        ((0.07, 0.50, 1.03), "? cannot tell"),
-        ((0.85, 1.02, 1.2), "✓ not contradicted"),
-        ((0.2, 0.5, 0.8), "✗ not supported"),
-    ],
-)
-def test_a_wide_interval_of_an_exponent_says_nothing(out, tmp_path, interval, words):
-    copy = shutil.copytree(out, tmp_path / "out")
-    mb.open_run(copy).rewrite(free_exponents={"Fc_fwd": interval})
-    assert CliRunner().invoke(app, ["report", str(copy), "--quiet"]).exit_code == 0
-    text = (copy / "report.html").read_text(encoding="utf-8")
-    section = text[text.index("Is the proportional law supported?") :][:2000]
-    said = [
-        w for w in ("cannot tell", "not contradicted", "not supported") if f"{w}</span>" in section
-    ]
-    assert said == [words[2:]]
-
-
-def test_a_report_is_asked_for_in_other_units_and_forms(tmp_path, monkeypatch):
-    from mfd_bayes.reporting import publish
-    from mfd_bayes.reporting.publish import Forms
-
-    write_run(tmp_path / "out", small=True)
-    assessed = report.assess(mb.open_run(tmp_path / "out"))
-    monkeypatch.setattr(report, "assess", lambda *_: assessed)  # the same for both
-    seen = []
-
-    def published(view, *more):
-        seen.append((view, next(given for given in more if isinstance(given, Forms))))
-
-    monkeypatch.setattr(publish, "publish", published)
-    command = ("report", str(tmp_path / "out"), "--units", "si", "--excel")
-    assert CliRunner().invoke(app, command).exit_code == 0
-    assert CliRunner().invoke(app, command[:2]).exit_code == 0
-    (metric, forms), (own, plain) = seen
-    assert metric.metric
-    assert forms == Forms(excel=True)
-    assert not own.metric
-    assert plain == Forms()
-
-
 @pytest.mark.usefixtures("small_pictures")
-def test_with_another_run_both_give_half_of_the_draws(ask, run, tmp_path, monkeypatch):
-    """Here both are the same run under two names, so that the band is about the same."""
-    settings = run.manifest.settings
-    general = settings.campaign.model_copy(update={"model": "lugre"})
-    manifest = run.manifest.changed(settings=settings.model_copy(update={"campaign": general}))
-    other = replace(run, manifest=manifest)
-    other.__dict__["predictor"] = run.predictor
-    runs = {"other": other}
-    monkeypatch.setattr(prediction, "open_run", lambda path: runs.get(path.name, run))
+def test_with_another_run_both_give_half_of_the_draws(ask, out, tmp_path):
+    """Here both are the same run under two noises, so that the band is about the same."""
+    other = Path(shutil.copytree(out, tmp_path / "other"))
+    text = (other / "manifest.json").read_text()
+    assert '"noise": "ou"' in text
+    (other / "manifest.json").write_text(text.replace('"noise": "ou"', '"noise": "iid"'))
     motion = written(tmp_path / "slow.csv", 0.5, 0.5)
     alone = ask("--motion", motion)
     band = pd.read_csv(tmp_path / "bands.csv", comment="#")
-    together = ask("--motion", motion, "--with", "other")
+    together = ask("--motion", motion, "--with", other)
     assert (alone.exit_code, together.exit_code) == (0, 0), together.output
     both = pd.read_csv(tmp_path / "bands.csv", comment="#")
     width = (band["upper_kip"] - band["lower_kip"]).mean()
     assert (both["upper_kip"] - both["lower_kip"]).mean() == pytest.approx(width, rel=0.15)
-    assert "three_stage and lugre in equal parts" in together.stdout
+    assert "three_stage (ou) and three_stage (iid) in equal parts" in together.stdout
     derived = pd.read_csv(tmp_path / "bands_derived.csv", comment="#")
     assert "energy_per_cycle" in set(derived["quantity"])
     assert not {"gap_width", "C_fwd"} & set(derived["quantity"])  # each model has its own
 
 
-@pytest.mark.parametrize("option", ["--design", "--explain"])
-def test_what_is_of_one_model_is_not_asked_of_several(ask, out, option):
-    refused = ask("--sine", "1 in, 0.5 Hz, 2 cycles", "--with", out, option)
-    assert refused.exit_code == 2
-    assert f"{option} cannot be combined with --with" in refused.stderr
+@pytest.mark.usefixtures("no_figures")
+def test_a_report_is_asked_for_in_other_units_and_forms(tmp_path):
+    out = tmp_path / "out"
+    write_run(out, small=True)
+    CliRunner().invoke(app, ["report", str(out)])
+    assert "kip/in" in (out / "parameters.csv").read_text()
+    assert not (out / "tables.xlsx").exists()
+    CliRunner().invoke(app, ["report", str(out), "--units", "si", "--excel"])
+    assert "N/mm" in (out / "parameters.csv").read_text()
+    assert (out / "tables.xlsx").is_file()
 
 
 def test_a_sine_in_customary_units_needs_no_library_that_is_slow_to_load(out, tmp_path):

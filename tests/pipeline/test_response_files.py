@@ -1,47 +1,31 @@
 """The folder of a response: what an earlier one left in it goes, what is another's stays."""
 
-from types import SimpleNamespace
-
 import numpy as np
-import pytest
+from typer.testing import CliRunner
 
-from mfd_bayes.pipeline import respond
-from mfd_bayes.pipeline.respond import Query, view_of, write_response
-from mfd_bayes.response.analysis import Analysis
-from mfd_bayes.response.building import read_building
-from mfd_bayes.response.device_draws import no_dampers
-from mfd_bayes.response.ground import Ground
-from mfd_bayes.runs.run import open_run
-from mfd_bayes.runs.unit_system import US
+from mfd_bayes.cli.commands import app
 from tests.run_folders import write_run
 
 EARLIER = ("history_2.png", "loops_2.png", "sweep.png", "sweep.csv")
 THEIRS = ("sweep_mine.csv", "notes.txt", "history.png")
 
 
-def test_what_an_earlier_response_left_goes_and_what_is_anothers_stays(tmp_path, monkeypatch):
+def test_an_earlier_response_goes_and_what_is_anothers_stays(tmp_path, monkeypatch):
+    out, folder = tmp_path / "brake 7", tmp_path / "response"
+    write_run(out)
+    folder.mkdir()
     for name in (*EARLIER, *THEIRS):
-        (tmp_path / name).write_bytes(b"x")
-
-    def stop(*_):
-        raise InterruptedError
-
-    monkeypatch.setattr(respond, "response_json", stop)
-    view = SimpleNamespace(title="", verdict=(), remarks=(), rows=(), limits=())
-    with pytest.raises(InterruptedError):
-        write_response(tmp_path, None, None, view, US)
-    assert {path.name for path in tmp_path.iterdir()} == set(THEIRS)
-
-
-def test_the_page_names_the_run_also_where_it_is_the_current_folder(tmp_path, monkeypatch):
-    write_run(tmp_path / "brake 7")
+        (folder / name).write_bytes(b"x")
     (tmp_path / "building.toml").write_text(
         '[building]\n[[storey]]\nweight = "20 kip"\nstiffness = "8 kip/in"\n'
     )
-    monkeypatch.chdir(tmp_path / "brake 7")
-    building = read_building(tmp_path / "building.toml")
-    ground = Ground("g", 0.02, 100.0 * np.sin(np.arange(50) / 5.0))
-    response = Analysis(building, [ground], no_dampers(10)).respond()
-    query = Query(tmp_path / "building.toml", ("g.csv",), tmp_path / "response")
-    view = view_of(open_run("."), response, None, query, US)
-    assert "of the device in brake 7, 0 dampers" in view.about
+    rows = "".join(f"{0.02 * k:.2f},{100.0 * np.sin(k / 5.0):.4f}\n" for k in range(50))
+    (tmp_path / "g.csv").write_text("time_s,acceleration_in/s^2\n" + rows)
+    monkeypatch.chdir(out)  # whose name the page says all the same
+    words = ("respond", ".", "--building", "../building.toml", "--ground", "../g.csv", "--force")
+    ended = CliRunner().invoke(app, [*words, "-o", str(folder), "--draws", "10", "--jobs", "1"])
+    assert ended.exit_code == 0, ended.output
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {"report.html", "peaks.csv", "response.json", *THEIRS}
+    assert not names & set(EARLIER)
+    assert "of the device in brake 7, 0 dampers" in (folder / "report.html").read_text()

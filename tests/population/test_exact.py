@@ -147,17 +147,3 @@ def test_accepting_every_move_would_be_seen(skewed):
     expected, gaussians = skewed.truth(), skewed.gaussians()
     means, _ = moments_of(skewed.sampler(seed=1, evaluated=gaussians))
     assert np.abs(errors(means, expected[:, 0])).max() > 8.0
-
-
-def test_a_run_reports_and_keeps_what_it_is_told_to(priors):
-    reports = []
-    draws = (
-        Campaign(priors, Y, SD)
-        .sampler()
-        .run(1.5, 10.0, 80, 64, lambda n, c: reports.append((n, c.worst_r_hat)))
-    )
-    assert draws.h.shape == (4, 64, 1)
-    assert draws.x.shape == (4, 64, 3, 1)
-    assert draws.sweeps == reports[-1][0] <= 80
-    again = Campaign(priors, Y, SD).sampler().run(1.5, 10.0, 80, 64, lambda *_: None)
-    np.testing.assert_array_equal(draws.x, again.x)

@@ -174,20 +174,6 @@ def test_a_refreshed_forecaster_knows_what_is_given(priors):
     assert forecaster.time == record.time[79]
 
 
-def test_a_force_that_no_draw_explains_is_said_not_to_be_reliable(priors):
-    made = predictor(priors, "lugre", scatter=0.02)
-    record, _, _ = truth_of(made, 1)
-    wrong = replace(record, force=np.asarray(record.force) * 4.0)
-    forecaster = Forecaster(made, setting_of(record), Forecast(draws=200), refresh=False)
-    forecaster.update(wrong.time[:60], wrong.displacement[:60], None, wrong.force[:60])
-    band = forecaster.band(Trace.from_arrays(TIME[60:], record.displacement[60:]))
-    assert any("not reliable" in remark for remark in band.remarks)
-    few = Forecaster(made, setting_of(record), Forecast(draws=2000), refresh=False)
-    few.update(record.time[:4], record.displacement[:4], None, record.force[:4])
-    fine = few.band(Trace.from_arrays(TIME[60:], record.displacement[60:]))
-    assert fine.remarks == ()  # the control
-
-
 @pytest.mark.parametrize("actuation", [1.4, np.where(TIME < 2.5, 1.0, 2.0), 0.0])
 def test_any_actuation_can_be_given_and_followed(priors, actuation):
     laws = {"Fc_fwd": "affine", "Fc_bwd": "affine"}

@@ -109,28 +109,6 @@ def test_the_same_seed_gives_the_same_population_however_many_processes(priors):
 
 
 @pytest.mark.usefixtures("quickly")
-def test_a_calibrated_test_may_change_its_actuation(priors):
-    changing = np.where(TIME < 2.5, 0.6, 1.4)
-    tests, found = infer(priors, "lugre", (*LEVELS[1:5], changing), scatter=0.01)
-    j = 4
-    level = changing.mean()
-    drawn = found.values(j)["Fc_fwd"]
-    # its slip force is told at its mean actuation, by the law that all tests tell
-    assert np.median(drawn) == pytest.approx(slip(level), rel=0.15)
-    steady = np.median(found.population.median("Fc_fwd", level))
-    assert steady == pytest.approx(slip(level), rel=0.1)
-    assert found.population.design.settings[j].actuation == pytest.approx(level)
-    assert np.median(found.values(j)["noise_sd"]) == pytest.approx(NOISE, rel=0.5)
-    # the control: were it taken for a constant, much would be left over
-    trace = tests["t4"].trace
-    constant = Trace.from_arrays(trace.time, trace.displacement, level, trace.force)
-    own = Posterior(constant, priors, "iid", find_model("lugre"), start="sample")
-    tests["t4"] = SimpleNamespace(**vars(tests["t4"]) | {"trace": constant, "posterior": own})
-    wrong = infer_population(tests, priors, InferenceSettings(LAW, "ksi", "quick", (1, 2)))
-    assert np.median(wrong.values(j)["noise_sd"]) > 2.0 * NOISE
-
-
-@pytest.mark.usefixtures("quickly")
 def test_tests_without_actuation_inform_a_law_with_an_intercept_alone(priors):
     levels = (1e-6, 0.5, 1.0, 1.5)
     _, found = infer(priors, "lugre", levels)

@@ -224,17 +224,6 @@ def test_draws_find_the_scatter_that_a_grid_finds(priors):
         assert np.log(mixed.scale[i]) - mean > 0.4 * sd  # the control: it is not the prior
 
 
-def test_draws_given_tests_that_tell_next_to_nothing_are_of_the_prior(priors):
-    laid = design(priors)
-    mixed = MixedModel(laid, *random_likelihoods(np.random.default_rng(1), 6, 4, sd=100.0))
-    v = mixed.f + mixed.e
-    for seed in range(3):
-        h = mixed.sample(choice_of(mixed), np.random.default_rng(seed), n=4000)
-        uniform = special.erf(np.exp(h[:, :v]) / mixed.scale / np.sqrt(2.0))
-        np.testing.assert_allclose(uniform.mean(axis=0), 0.5, atol=0.04)
-        np.testing.assert_allclose(uniform.std(axis=0), np.sqrt(1.0 / 12.0), atol=0.03)
-
-
 def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
     rng = np.random.default_rng(2)
     laid = design(priors, names=("Fc_fwd", "offset"), laws={"Fc_fwd": "power"})
@@ -292,12 +281,6 @@ def test_a_law_that_predicts_the_levels_left_out_is_preferred(priors):
     assert compare_laws(two) == ()
 
 
-def test_laws_of_precise_tests_are_compared_too(priors):
-    scores = {score.law: score for score in compare_laws(power_tests(priors, 0.03, 0.05))}
-    assert scores["power"].elpd - scores["affine"].elpd > 5.0
-    assert scores["power"].weight > 0.5
-
-
 def test_a_law_without_an_intercept_learns_nothing_from_a_test_at_zero(priors):
     settings = [Setting(p) for p in (0.0, 0.5, 1.0)]
     names = ("Fc_fwd", "Fc_bwd", "offset")
@@ -323,16 +306,3 @@ def test_a_law_without_an_intercept_learns_nothing_from_a_test_at_zero(priors):
     np.testing.assert_allclose(levels(other), levels(y), atol=1e-9)
     other[1, 0] += 0.5
     assert np.abs(levels(other) - levels(y)).max() > 0.01  # the control
-
-
-def test_what_is_a_tests_own_is_integrated_over_its_prior():
-    rng = np.random.default_rng(7)
-    (y,), (precision,) = random_likelihoods(rng, 1, 3)
-    own = np.array([False, True, False])
-    mean, reduced = marginalised(y, precision, own)
-    # by the joint normal: covariance of the likelihood's mean, its own coordinate known by N(0, 1)
-    covariance = np.linalg.inv(precision + np.diag(own.astype(float)))
-    kept = np.ix_(~own, ~own)
-    np.testing.assert_allclose(np.linalg.inv(reduced[kept]), covariance[kept], rtol=1e-8)
-    np.testing.assert_allclose(mean[~own], (covariance @ precision @ y)[~own], rtol=1e-8)
-    assert not np.any(reduced[own])

@@ -13,7 +13,7 @@ from mfd_bayes.population.bands import (
     holds_whole,
     whole_band,
 )
-from mfd_bayes.population.settings import planned_setting, setting_of, with_zeros
+from mfd_bayes.population.settings import setting_of, with_zeros
 from mfd_bayes.records.trace import Trace
 from tests.population.made import THREE_STAGE, make_population, no_residual
 
@@ -112,13 +112,6 @@ def test_without_actuation_a_proportional_friction_is_none():
     assert np.median(left) == pytest.approx(1.3 * 0.3, rel=4.0 * 1.25 * 0.11 / np.sqrt(DRAWS))
     with pytest.raises(FitError, match="an actuation above zero in at least one"):
         with_zeros([setting_of(motion(0.0))])
-
-
-def test_a_history_that_never_changes_is_the_constant():
-    made = predictor({"Fc_fwd": "affine"}, effect={"level_friction": 0.1})
-    almost = 1.2 * (1.0 + 1e-12 * np.arange(TIME.size))
-    history, constant = (made.predict(motion(p), Forecast(draws=50)) for p in (almost, 1.2))
-    np.testing.assert_allclose(history.draws, constant.draws, rtol=1e-4, atol=1e-4)
 
 
 def test_along_a_history_friction_follows_its_law_and_levels_deviate():
@@ -282,13 +275,3 @@ def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
 def test_what_cannot_be_asked_of_a_prediction_is_one_sentence(options, words):
     with pytest.raises(FitError, match=words):
         Forecast(**options)
-
-
-def test_a_motion_without_an_actuation_and_a_plan_that_is_none_are_refused():
-    with pytest.raises(FitError, match="needs the trace's actuation"):
-        setting_of(Trace.from_arrays(TIME, np.sin(TIME)))
-    plan = planned_setting(settings(), 1.0, "", {"amplitude": None, "velocity": 2.0})
-    assert plan.covariates["amplitude"] == pytest.approx(1.0, rel=0.01)
-    assert plan.covariates["velocity"] == 2.0
-    with pytest.raises(FitError, match="the planned amplitude"):
-        planned_setting(settings(), 1.0, "", {"amplitude": -1.0})

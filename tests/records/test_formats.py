@@ -237,7 +237,11 @@ LAYOUTS = {
     "JSON: a list of rows": (json_of(ROWS.tolist()), NUMBERS, UNITS),
     "JSON: an object of lists": (json_of(COLUMNS | {"note": "x"}), {}, None),
     "JSON: objects": (json_of(pd.DataFrame(COLUMNS).to_dict("records")), {}, None),
-    "JSON: pandas' columns": (json_of(json.loads(pd.DataFrame(COLUMNS).to_json())), {}, None),
+    "JSON: pandas' columns beside an object": (
+        json_of(json.loads(pd.DataFrame(COLUMNS).to_json()) | {"rig": {"id": 3}}),
+        {},
+        None,
+    ),
     "JSON: pandas' split": (
         json_of(json.loads(pd.DataFrame(COLUMNS).to_json(orient="split"))),
         {},

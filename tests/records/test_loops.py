@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 from mfd_bayes import ThreeStage, Trace, read_record
 from mfd_bayes.calibration.cycles import cycle_energies
 from mfd_bayes.cli.commands import app
-from mfd_bayes.records.loops import find_loops, loop_estimate
-from mfd_bayes.records.measured import MeasuredCycles, measured_cycles
+from mfd_bayes.records.loops import MeasuredCycles, find_loops, loop_estimate, measured_cycles
 
 FORWARD, BACKWARD, SLOPE, GAP = 2.0, 2.5, 25.0, 0.3
 TIME = np.arange(0.0, 8.0, 1 / 500)

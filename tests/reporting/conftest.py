@@ -18,25 +18,17 @@ from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     CampaignView,
     Check,
-    DerivedRow,
     Fan,
     Interval,
     Judgement,
-    LawChoice,
-    LawScoreRow,
     LawView,
-    LeftOutRow,
     LeftOutView,
     Marginal,
-    Row,
-    ScoreRow,
     TestView,
-    TruthRow,
 )
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import system_of
 from mfd_bayes.reporting.figures import draw_shared, draw_test
 from mfd_bayes.runs.verdict import Use, Verdict
 
@@ -49,6 +41,20 @@ def make_fan(kind: str, draws: np.ndarray) -> Fan:
     return Fan(kind, median, (Interval(0.5, low, high), Interval(0.95, lower, upper)))
 
 
+SCORES = {"coverage_50": 0.5, "coverage_90": 0.9, "coverage_95": 0.95, "width_95": 0.2}
+SCORES |= {"interval_score": 0.25, "crps": 0.03, "rrse": 0.09}
+NAN = float("nan")
+
+
+def make_row(test: str, name: str, unit: str, lower=0.8, median=1.0, upper=1.2, **more) -> dict:
+    """A row of a table of posteriors."""
+    row = {"test": test, "name": name, "unit": unit, "mean": median, "sd": 0.1}
+    row |= {"lower": lower, "median": median, "upper": upper, "note": ""}
+    row |= {"r_hat": 1.002, "ess_bulk": 900.0, "ess_tail": 700.0, "contraction": 0.98}
+    row |= dict.fromkeys(("joint_lower", "joint_median", "joint_upper"), NAN)
+    return row | {"disagrees": False} | more
+
+
 def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> TestView:
     rng = np.random.default_rng(7)
     time = np.arange(samples) / 25.0
@@ -59,9 +65,9 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
     force = ThreeStage().force(theta, quiet)
     noisy = force + 0.05 * rng.normal(size=force.shape)
     trace = Trace.from_arrays(time, motion, 0.8, force=noisy[0])
-    score = ScoreRow(identity, role, 0.5, 0.9, 0.95, 0.2, 0.25, 0.03, 0.09)
+    score = {"test": identity, "role": role} | SCORES
     draws = {name: np.exp(0.1 * rng.normal(size=60)) for name in UNITS}
-    told = {"Fc_fwd": 0.99, "k3": 0.95, "gamma1": 0.0}
+    contraction = {"Fc_fwd": 0.99, "k3": 0.95, "gamma1": 0.0}
     view = TestView(
         id=identity,
         role=role,
@@ -70,15 +76,12 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
         first=5,
         device=make_fan("device", force),
         observation=make_fan("observation", noisy),
-        rows=tuple(
-            Row(identity, n, u, 1.0, 0.1, 0.8, 1.0, 1.2, 1.002, 900.0, 700.0, told[n])
-            for n, u in UNITS.items()
-        ),
+        rows=tuple(make_row(identity, n, u, contraction=contraction[n]) for n, u in UNITS.items()),
         marginals=tuple(
-            Marginal(n, u, np.exp(rng.normal(size=300)), draws[n], told[n])
+            Marginal(n, u, np.exp(rng.normal(size=300)), draws[n], contraction[n])
             for n, u in UNITS.items()
         ),
-        chains={name: rng.normal(size=(4, 40)) for name in ("Fc_fwd", "k3")},
+        chains=4,
         corner=("Fc_fwd", "k3"),
         checks=(
             Check(identity, "R-hat", "Fc_fwd", 1.002, 1.01, Verdict.PASS),
@@ -88,22 +91,20 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
         derived=make_derived(identity, role),
     )
     if role == "validate":
-        return replace(view, device=None, rows=(), marginals=(), chains={}, corner=(), checks=())
+        return replace(view, device=None, rows=(), marginals=(), chains=0, corner=(), checks=())
     return replace(view, identifiability=make_identifiability())
 
 
-def make_derived(identity: str, role: str) -> tuple[DerivedRow, ...]:
-    nan = float("nan")
-    energy = DerivedRow(
-        *(identity, role, "energy_per_cycle", "kip*in"),
-        *(3.2, 0.1, 3.0, 3.21, 3.4, 3.3, "over 2 full cycles"),
-    )
-    none = replace(energy, mean=nan, sd=nan, lower=nan, median=nan, upper=nan, measured=nan)
-    peak = DerivedRow(identity, role, "peak_fwd", "kip", 1.1, 0.01, 1.0, 1.123, 1.2, 1.4)
-    gap = DerivedRow(identity, role, "gap", "in", 0.2, 0.01, 0.18, 0.2, 0.22, nan)
+def make_derived(identity: str, role: str) -> tuple[dict, ...]:
+    more = {"role": role, "missed": False}
+    energy = {"measured": 3.3, "note": "over 2 full cycles"} | more
+    none = {"measured": NAN, "note": "the motion has no full cycle", "mean": NAN, "sd": NAN} | more
+    peak = make_row(identity, "peak_fwd", "kip", 1.0, 1.123, 1.2, measured=1.4, **more)
+    gap = make_row(identity, "gap", "in", 0.18, 0.2, 0.22, measured=NAN, **more)
+    of_cycle = identity, "energy_per_cycle", "kip*in"
     if role == "validate":
-        return (replace(none, note="the motion has no full cycle"), peak)
-    return (energy, peak, gap)
+        return (make_row(*of_cycle, NAN, NAN, NAN, **none), peak)
+    return (make_row(*of_cycle, 3.0, 3.21, 3.4, **energy), peak, gap)
 
 
 def make_identifiability() -> Identifiability:
@@ -127,20 +128,26 @@ def make_law() -> LawView:
     return LawView("Fc_fwd", "kip", "proportional", level, *fans, tested)
 
 
-def make_choice() -> LawChoice:
-    best = LawScoreRow("Fc_fwd", "power", False, 3.2, 0.9, 0.0, 0.0, 0.7, 0.25)
-    own = LawScoreRow("Fc_fwd", "proportional", True, 2.9, 1.1, -0.3, 0.8, 0.3)
-    return LawChoice("Fc_fwd", (best, own), "the power law predicts best, but only just.")
+def make_law_scores() -> tuple[dict, ...]:
+    best = {"quantity": "Fc_fwd", "law": "power", "chosen": False, "elpd": 3.2, "elpd_se": 0.9}
+    best |= {"difference": 0.0, "difference_se": 0.0, "weight": 0.7, "pareto_k": 0.25}
+    return best, best | {"law": "proportional", "chosen": True, "difference": -0.3}
 
 
 def make_left_out() -> LeftOutView:
-    row = LeftOutRow("800 psi", "p800_f0.25", 0.5, 0.9, 0.95, 0.4, 0.45, 0.06, 0.2, 0.2, 0.03, 2, 2)
-    mean = replace(row, part="", subject="mean")
+    row = {"part": "800 psi", "test": "p800_f0.25"} | SCORES
+    row |= {"fitted_width": 0.2, "fitted_crps": 0.03, "width_ratio": 2.0, "crps_ratio": 2.0}
+    row |= {"whole_95": NAN}
+    mean = row | {"part": "", "test": "mean"}
     return LeftOutView("level", (row,), mean, "Of 1 tests the bands hold 95 %.")
 
 
+def make_truth(name: str, unit: str, truth: float, *bounds: float, **is_it: bool) -> dict:
+    return make_row("a", name, unit, *bounds) | {"truth": truth} | is_it
+
+
 def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
-    row = Row("population", "K_c_fwd", "in**2", 1.2, 0.1, 1.0, 1.2, 1.4, 1.001, 900.0, 800.0, 0.98)
+    row = make_row("population", "K_c_fwd", "in**2", 1.0, 1.2, 1.4)
     return CampaignView(
         title="Drum brake",
         verdict=Use.USABLE,
@@ -151,15 +158,15 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         laws=(make_law(),),
         law_rows=(row,),
         checks=tuple(check for test in tests for check in test.checks),
-        scores=tuple(test.score for test in tests),
         truth=(
-            TruthRow("a", "k3", "kip/in", 1.0, 0.8, 1.0, 1.2, inside=True, informed=True),
-            TruthRow("a", "gamma1", "1", 1.0, 2.0, 3.0, 4.0, inside=False, informed=False),
-            TruthRow("a", "offset", "kip", 0.0, -1.0, 0.0, 1.0, inside=True, informed=True),
+            make_truth("k3", "kip/in", 1.0, 0.8, 1.0, 1.2, inside=True, informed=True),
+            make_truth("gamma1", "1", 1.0, 2.0, 3.0, 4.0, inside=False, informed=False),
+            make_truth("offset", "kip", 0.0, -1.0, 0.0, 1.0, inside=True, informed=True),
         ),
         provenance={"seed": "1"},
         remarks=(Message("The data are synthetic."),),
-        law_choices=(make_choice(),),
+        law_scores=make_law_scores(),
+        law_choices={"Fc_fwd": "the power law predicts best, but only just."},
         left_out=make_left_out(),
         judgements=tuple(Judgement(test.id, Use.USABLE, (), 0.5) for test in tests if test.rows),
     )
@@ -171,10 +178,9 @@ def test_view() -> Callable[..., TestView]:
 
 
 def draw_pngs(view: CampaignView) -> dict[str, bytes]:
-    system = system_of(view)
     pngs = dict(draw_shared(view))
     for test in view.tests:
-        pngs |= draw_test(test, system, view.actuation_unit)
+        pngs |= draw_test(test, view.system, view.actuation_unit)
     return pngs
 
 
@@ -197,7 +203,6 @@ def campaign() -> CampaignView:
 
 def make_datasheet() -> Datasheet:
     """Two conditions, the second of which was not tested; a measured slip force is too large."""
-    nan = float("nan")
     rows = []
     for at, level, tested in ((0, 0.8, True), (1, 1.0, False)):
         head = {"condition": f"c{at}", "actuation": level, "actuation_unit": "ksi"}
@@ -209,7 +214,7 @@ def make_datasheet() -> Datasheet:
         ):
             outside = tested and quantity == "slip_force"
             values = {"measured_low": 1.3, "measured": 1.35, "measured_high": 1.4}
-            values = values if tested else dict.fromkeys(values, nan)
+            values = values if tested else dict.fromkeys(values, NAN)
             rows.append(
                 head
                 | {"quantity": quantity, "direction": direction, "unit": unit, "cycle": cycle}
@@ -221,7 +226,6 @@ def make_datasheet() -> Datasheet:
     within = {"range": Quantity.of(0.8, unit="in")}
     return Datasheet(
         rows=pd.DataFrame(rows),
-        measured=pd.DataFrame(),
         tested={"stroke": Message("{range}", within)},
         verdict=(
             Message("usable"),

@@ -25,8 +25,6 @@ from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     Check,
     Judgement,
-    LoopEstimate,
-    NoiseRow,
 )
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
@@ -34,7 +32,7 @@ from mfd_bayes.reporting import figures, page, tables
 from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary, render
 from mfd_bayes.reporting.tables import report_tables
-from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.scores import Comparison, ComparisonRow
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
 from mfd_bayes.store.toml import commented, quoted
@@ -191,17 +189,15 @@ def test_only_what_misses_is_listed(campaign, text):
 def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign):
     test = campaign.tests[0]
     bad = Check(test.id, PREDICTIVE, "energy", 3.3, 4.1, Verdict.FAIL, "kip*in")
-    other = NoiseRow(
-        *(test.id, "k3", "kip/in", "ou", 0.8, 1.0, 1.2, "staged", 39.0, 42.2, 45.6), decides=True
-    )
-    rows = tuple(replace(r, other_noises=(other,)) if r.name == "k3" else r for r in test.rows)
+    k3 = {"test": test.id, "name": "k3", "unit": "kip/in"}
+    k3 |= {"lower": 0.8, "median": 1.0, "upper": 1.2}
+    other = k3 | {"noise": "ou", "other": "staged", "decides": True}
+    other |= {"other_lower": 39.0, "other_median": 42.2, "other_upper": 45.6}
     test = replace(
         test,
-        rows=rows,
+        noises=(other,),
         checks=(*test.checks, bad),
-        loop_estimates=(
-            LoopEstimate(test.id, "k3", "kip/in", 14.25, 0.8, 1.0, 1.2, 0.3, missed=True),
-        ),
+        loop_estimates=(k3 | {"value": 14.25, "tolerance": 0.3, "missed": True},),
         modes=({"k3": 20.5, "share": 0.6}, {"k3": 41.5, "share": 0.4}),
     )
     view = replace(campaign, tests=(test, campaign.tests[1]))
@@ -222,7 +218,7 @@ def test_sections_say_so_where_there_is_nothing(campaign, draw):
     assert "No test was calibrated" in shown
     assert "No laws were fitted" in shown
     assert 'id="truth"' not in shown
-    none = replace(alone, tests=(), scores=(), left_out=None, law_choices=())
+    none = replace(alone, tests=(), left_out=None, law_choices={})
     assert draw(none) == {}
     shown = first(none)
     Page(shown)
@@ -238,8 +234,8 @@ def test_laws_and_models_are_compared_in_words(campaign, text):
         *("all", "three_stage", 40, -10.0, 2.0, 9.0, 0.6, 0.1, 0.0, 0.0, 0.0, 0.05),
         *(-12.0, 0.02, 0.4, True),
     )
-    view = replace(campaign, checks=(exponent,), comparison=(row,))
-    shown = first(replace(view, comparison_sentence="Three stages win."))
+    view = replace(campaign, checks=(exponent,), comparison=Comparison((row,), "Three stages win."))
+    shown = first(view)
     assert "? cannot tell</span> F<sub>c,fwd</sub>: exponent 1.100 (0.9 to 1.4)" in shown
     assert "Three stages win." in shown
 
@@ -270,7 +266,7 @@ def hostile(tmp_path, campaign):
         *(replace(c, feature=name) for c in one.checks),
         Check(name, name, name, 0.0, 1.0, Verdict.NOTE, note=name),
     )
-    rows = tuple(replace(row, note=name) for row in one.rows)
+    rows = tuple(row | {"note": name} for row in one.rows)
     one = replace(one, rows=rows, identifiability=study, checks=checks, actuation=name)
     return replace(
         campaign,
@@ -280,8 +276,8 @@ def hostile(tmp_path, campaign):
         tests=(one, replace(campaign.tests[1], id=f"h{name.split('/')[0]}")),
         failures={"a": name},
         warnings=(Finding(name, name, Message("{text}", {"text": name})),),
-        law_rows=tuple(replace(row, note=name, name=name) for row in campaign.law_rows),
-        truth=tuple(replace(row, name=name, subject=name) for row in campaign.truth),
+        law_rows=tuple(row | {"note": name, "name": name} for row in campaign.law_rows),
+        truth=tuple(row | {"name": name, "test": name} for row in campaign.truth),
         checks=checks,
         remarks=(name,),
         provenance={"file " + name: name},

@@ -8,8 +8,7 @@ import pytest
 from mfd_bayes.errors import ReportError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.reporting import figures
-from mfd_bayes.reporting.publish import Drawing, Forms, publish
-from mfd_bayes.runs.unit_system import SI, US
+from mfd_bayes.reporting.publish import Forms, publish
 
 
 def files(folder):
@@ -57,22 +56,6 @@ def test_a_report_holds_every_figure_and_every_table(campaign, datasheet, tmp_pa
     assert all(isinstance(step, Step) for step in steps)
 
 
-@pytest.mark.slow
-def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(
-    campaign, tmp_path, monkeypatch
-):
-    monkeypatch.setattr("mfd_bayes.reporting.publish.ALONE", 2)
-    quick = replace(campaign.tests[0], marginals=(), chains={}, corner=(), identifiability=None)
-    tests = [replace(quick, id=name) for name in ("t0", "t1")]
-    view = replace(campaign, tests=(*tests, campaign.tests[1]))
-    publish(view, tmp_path / "one", 1, lambda _: None)
-    publish(view, tmp_path / "two", 2, lambda _: None)
-    one, two = files(tmp_path / "one"), files(tmp_path / "two")
-    assert one == two
-    sizes = re.findall(r'src="loops\.png" width="(\d+)"', one["tests/t0/page.html"].decode())
-    assert int(sizes[0]) > 300
-
-
 @pytest.mark.usefixtures("quickly_drawn")
 def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkeypatch):
     monkeypatch.setattr("mfd_bayes.reporting.publish.ALL_DRAWN", 1)
@@ -102,13 +85,23 @@ def test_what_cannot_be_made_is_refused_before_anything_is_written(monkeypatch):
         Forms(pdf=True).check(names)
 
 
+@pytest.mark.slow
+def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(campaign, tmp_path):
+    quick = replace(campaign.tests[0], marginals=(), corner=(), identifiability=None)
+    tests = [replace(quick, id=f"t{i}") for i in range(4)]
+    view = replace(campaign, tests=(*tests, campaign.tests[1]))
+    publish(view, tmp_path / "one", 1, lambda _: None)
+    publish(view, tmp_path / "two", 2, lambda _: None)
+    one, two = files(tmp_path / "one"), files(tmp_path / "two")
+    assert one == two
+    sizes = re.findall(r'src="loops\.png" width="(\d+)"', one["tests/t0/page.html"].decode())
+    assert int(sizes[0]) > 300
+
+
 @pytest.mark.usefixtures("quickly_drawn")
-@pytest.mark.parametrize("system", [US, SI])
-def test_a_picture_with_nothing_to_show_any_more_is_removed(campaign, tmp_path, system):
-    test = campaign.tests[0]
-    Drawing(test, system, "ksi").run(tmp_path, lambda _: None)
-    assert (tmp_path / "tests" / test.id / "corner.png").is_file()
-    without = Drawing(replace(test, corner=()), system, "ksi")
-    assert without.run(tmp_path, lambda _: None).status == "done"
-    assert not (tmp_path / "tests" / test.id / "corner.png").exists()
-    assert f"tests/{test.id}/corner.png" in without.makes
+def test_a_picture_with_nothing_to_show_any_more_is_removed(campaign, tmp_path):
+    picture = tmp_path / "tests" / campaign.tests[0].id / "corner.png"
+    for corner in (("Fc_fwd", "k3"), ()):
+        test = replace(campaign.tests[0], corner=corner)
+        publish(replace(campaign, tests=(test,)), tmp_path, 1, lambda _: None)
+        assert picture.is_file() == bool(corner)

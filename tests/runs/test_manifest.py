@@ -1,21 +1,17 @@
 """Run folders from others: hashes, links, ids that lead out of the folder, invalid manifests."""
 
 import json
-import math
-import os
 from dataclasses import replace
 
 import pytest
 
-from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.pipeline.plan import Options, effort_of, plan_campaign
-from mfd_bayes.runs.folder import check_stored
-from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import open_run
-from tests.run_folders import PRIORS, RECORD
+from tests.run_folders import RECORD
 
-STORED = ("tests/a/posterior.nc", "tests/c/record.nc", "priors.toml", "population.nc")
+STORED = ("tests/a/posterior.nc", "tests/c/record.nc", "population.nc")
 
 
 def read_all(folder):
@@ -29,13 +25,6 @@ def test_a_run_with_its_hashes_opens(out):
     assert (list(run.tests), list(run.held_out)) == (["a", "b"], ["c"])
     assert run.population.actuation_unit == run.actuation_unit == "ksi"
     assert read_all(out)
-
-
-def test_posteriors_are_read_when_they_are_asked_for(out, monkeypatch):
-    monkeypatch.setattr("mfd_bayes.runs.run.load_result", lambda *_: pytest.fail("it was read"))
-    run = open_run(out)
-    assert [span.name for span in run.tested] == ["stroke", "speed", "frequency", "actuation"]
-    assert run.predict(replace(run.held_out["c"], force=None), draws=20).draws.shape[0] == 20
 
 
 @pytest.mark.parametrize("name", STORED)
@@ -57,9 +46,7 @@ def test_a_file_that_is_missing_or_a_link_is_refused(out, tmp_path, name):
         read_all(out)
 
 
-@pytest.mark.parametrize(
-    "test_id", ["..", "../../x", "/etc", "a/b", ".hidden", "", "a\u202e", "x" * 200]
-)
+@pytest.mark.parametrize("test_id", ["..", "../../x", "/etc", "a\u202e"])
 def test_ids_lead_nowhere_else(out, change, test_id):
     def rename(manifest):
         manifest["tests"] = {test_id: manifest["tests"].pop("a"), **manifest["tests"]}
@@ -70,52 +57,26 @@ def test_ids_lead_nowhere_else(out, change, test_id):
         open_run(out)
 
 
-def test_a_listed_file_outside_the_folder_is_not_looked_at(out, change):
-    change(out, lambda manifest: manifest["files"].update({"../../etc/passwd": "00"}))
-    assert open_run(out).tests
-    with pytest.raises(StoreError, match="outside of the run folder"):
-        check_stored(out, "../manifest.json", {})
-
-
 @pytest.mark.parametrize(
     ("keys", "value"),
     [
-        (("tests",), []),
         (("tests",), {}),
-        (("tests", "a"), None),
         (("tests", "a", "role"), "both"),
-        (("tests", "a", "status"), 3),
         (("tests", "a", "conditions"), {"stroke": "long"}),
-        (("tests", "a", "measured"), {}),
         (("tests", "a", "measured", "energy"), [1.0] * 99),
-        (("settings",), {}),
         (("settings", "test", 0, "actuation"), "5 m"),
-        (("settings", "test", 0, "rol"), "validate"),
         (("settings", "test", 0, "after"), "x"),
-        (("settings", "laws"), ["power"]),
         (("settings", "laws", "Fc_fwd"), "cubic"),
         (("settings", "campaign", "area"), 1e300),
         (("effort", "r_hat"), "small"),
-        (("free_exponents",), {"Fc_fwd": [1.0]}),
         (("files",), {"population.nc": 3}),
-        (("keys",), []),
-        (("title",), None),
         (("seed",), -1),
-        (("seconds",), "long"),
-        (("finished",), 3),
-        (("verdicts",), {"campaign": ["fail"]}),
-        (("truth",), {"population": {}, "tests": {"a": {"Fc_fwd": "1"}}}),
         (("truth",), {"population": {}, "tests": {"elsewhere": {}}}),
-        (("crossvalidation",), {"by": "test"}),
         (("crossvalidation", "by"), "../x"),
         (("crossvalidation", "predictions", 0, "score", "coverage"), [0.5, 0.9]),
         (("comparison", "rows", 0, "cycles"), 1.5),
-        (("law_scores", 0, "levels"), [1.0]),
         (("law_scores", 0, "levels"), [1.0, 2.0, 3.0]),
-        (("law_scores", 0, "elpd"), 1e300),
-        (("dependence_scores", 0), "none"),
         (("warnings", 0, "message", "template"), "{nothing}"),
-        (("warnings", 0, "message"), "a sentence"),
     ],
 )
 def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value):
@@ -129,24 +90,11 @@ def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value
         open_run(out)
 
 
-@pytest.mark.parametrize(("number", "writer"), [(1, "0.1.0"), (99, "7.3"), ("two", None)])
+@pytest.mark.parametrize(("number", "writer"), [(1, "0.1.0"), ("two", None)])
 def test_a_folder_of_another_version_is_refused_in_one_sentence(out, change, number, writer):
     change(out, lambda manifest: manifest.update(format=number, versions={"mfd_bayes": writer}))
     with pytest.raises(StoreError, match=rf"format {number!r}.*reads format 2 only.*{writer}"):
         open_run(out)
-
-
-def test_figures_that_were_not_finite_are_read_as_such(out, change):
-    """They are null in JSON."""
-    change(out, lambda manifest: manifest["law_scores"][0].update(elpd=None))
-    assert math.isnan(read_manifest(out).law_scores[0].elpd)
-
-
-def test_a_sentence_does_not_repeat_what_a_stranger_wrote(out, change):
-    change(out, lambda manifest: manifest.update(title=["x" * 9000]))
-    with pytest.raises(StoreError) as caught:
-        open_run(out)
-    assert len(str(caught.value)) < 500
 
 
 def test_a_run_that_is_not_finished_says_how_to_finish_it(out, change):
@@ -158,14 +106,6 @@ def test_a_run_that_is_not_finished_says_how_to_finish_it(out, change):
         effort_of(out, None, resume=True)
 
 
-def test_the_manifest_holds_the_settings_as_the_campaign_file_has_them(plan, out):
-    settings = read_manifest(out).settings
-    assert settings == plan.campaign.settings
-    stored = json.loads((out / "manifest.json").read_text())["settings"]
-    assert stored["campaign"]["model"] == "three_stage"
-    assert [test["actuation"] for test in stored["test"]] == ["500 psi", "1000 psi", "700 psi"]
-
-
 def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(tmp_path):
     (tmp_path / "mfd.toml").write_text(
         '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n', encoding="utf-8"
@@ -173,23 +113,6 @@ def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(
     (tmp_path / "a.csv").write_text(RECORD)
     inputs = plan_campaign(tmp_path / "mfd.toml", Options(effort="quick")).manifest.inputs
     assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
-
-
-def test_a_folder_whose_name_is_no_text_holds_a_campaign_as_any_other(tmp_path):
-    home = tmp_path / os.fsdecode(b"cam\xe9p")
-    home.mkdir()
-    (home / "campaign.toml").write_text(
-        '[campaign]\npriors = "own.toml"\nmodel = "lugre"\nnoise = "iid"\n'
-        '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n'
-    )
-    (home / "own.toml").write_text(PRIORS, encoding="utf-8")
-    (home / "a.csv").write_text(RECORD)
-    command = f"mfd-bayes calibrate {home}/campaign.toml"
-    plan = plan_campaign(home / "campaign.toml", Options(effort="quick", command=command))
-    assert plan.manifest.command.endswith("cam\\udce9p/campaign.toml")
-    renamed = (home / "campaign.toml").rename(home / os.fsdecode(b"\xe9.toml"))
-    with pytest.raises(CampaignError, match=r"name of the file '\\udce9.toml' is not UTF-8"):
-        plan_campaign(renamed, Options(effort="quick"))
 
 
 # --- stored predictions of a part that was left out
@@ -200,10 +123,8 @@ FOLD = Fold("a", "test_1.json", ("a",), ("b",), "quick", 1)
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"key": {}}, "predictions"),
         ({"key": {}, "predictions": []}, "predictions"),
         ({"key": {}, "predictions": [{"part": "a", "test": "a", "score": {}}]}, "score"),
-        ({"key": [], "predictions": {}}, "key"),
     ],
 )
 def test_predictions_that_say_something_else_are_refused(out, content, words):

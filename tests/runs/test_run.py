@@ -10,9 +10,7 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.errors import NotThereError
-from mfd_bayes.planning.candidate import Candidate, Limits
-from mfd_bayes.population.given import given_part
-from mfd_bayes.runs.response import grounds_of
+from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.runs.run import open_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"
@@ -38,7 +36,7 @@ def test_a_run_opens_and_predicts(run):
     assert np.mean(inside) > 0.8
 
 
-@pytest.mark.parametrize("folder", [None, 5, b"out", ["out"], "a\0b"])
+@pytest.mark.parametrize("folder", [None, b"out", "a\0b"])
 def test_a_run_is_opened_by_a_path(folder):
     with pytest.raises(mb.MfdError, match="folder must be a path"):
         mb.open_run(folder)
@@ -74,18 +72,10 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
             run.tests[wrong]
 
 
-@pytest.mark.parametrize("wrong", [None, "p500_f0.5", np.zeros(3)])
-def test_motions_are_traces(run, wrong):
-    for ask in (run.predict, run.departures):
-        with pytest.raises(mb.MfdError, match="trace must be a Trace"):
-            ask(wrong)
-
-
 @pytest.mark.parametrize(
     ("options", "name"),
     [
         ({"whole": "no"}, "whole"),
-        ({"explain": "2"}, "explain"),
         ({"explain": None}, "explain"),
         ({"session": ["a"]}, "session"),
         ({"kind": "this_test", "test": ["a"]}, r"test must be text, got \['a'\]"),
@@ -134,34 +124,12 @@ def test_a_run_that_cannot_be_used_is_said(run, trace):
     assert run.caution == ""
 
 
-@pytest.mark.parametrize("given", ["02", {0.0, 2.0}, ("0", "2"), (True, 2), 5, None])
-def test_a_given_part_is_two_times(trace, given):
-    with pytest.raises(mb.MfdError, match="given must be two times in s"):
-        given_part(trace, given, 0.1)
-    part, counted = given_part(trace, np.array([0, 2.0]), 0.1)
-    assert part.time[counted][-1] == pytest.approx(2.0, abs=0.2)  # the control
-
-
-def test_true_of_any_kind_explains(run, trace):
-    own, numpys = (run.predict(trace, draws=20, explain=yes) for yes in (True, np.True_))
-    assert own.explained == numpys.explained != {}
-    assert run.predict(trace, draws=20, explain=np.False_).explained == {}
-
-
-@pytest.mark.parametrize("actuation", [None, "1 ksi", -1.0, float("nan")])
-def test_options_of_a_followed_test_are_checked(run, actuation):
-    with pytest.raises(mb.MfdError, match="the planned actuation must be a finite number"):
-        run.follow(actuation)
-    with pytest.raises(mb.MfdError, match="refresh must be True or False, got 'no'"):
-        run.follow(0.5, refresh="no")
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        *(({"goal": goal}, "goal must be text") for goal in (5, ["band"], True, b"band")),
-        *(({"candidates": c}, "candidates must be") for c in (5, [None], b"5", {}, Limits(1.0))),
-        *(({"limits": limits}, "limits must be text") for limits in (5, [], (10, 6, 20))),
+        *(({"goal": goal}, "goal must be text") for goal in (5, b"band")),
+        *(({"candidates": c}, "candidates must be") for c in ([None], Limits(1.0))),
+        *(({"limits": limits}, "limits must be text") for limits in ((10, 6, 20),)),
         *(({name: "zz zz"}, f"^{name}: ") for name in ("goal", "candidates", "limits")),
     ],
 )
@@ -170,24 +138,10 @@ def test_what_is_asked_about_the_next_test_is_checked(run, options, words):
         run.next_test(**options)
 
 
-def test_one_candidate_needs_no_list(run):
-    candidate = Candidate(0.8, 0.5, 1.0)
-    alone, listed = (run.next_test("slip", c, draws=200) for c in (candidate, [candidate]))
-    assert alone["reduction"] == listed["reduction"]
-    assert [row.candidate for row in alone] == [candidate]
-
-
-@pytest.mark.parametrize("grounds", [None, 5, b"g.txt", {"a": 1}, [None], [5], np.ones(3)])
-def test_ground_motions_are_some_or_paths(grounds):
-    with pytest.raises(mb.MfdError, match=r"grounds must be a Ground|a ground motion must be a"):
-        grounds_of(grounds)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ({"tolerance": "0.01"}, "tolerance must be a number between 0 and 1"),
-        ({"tolerance": np.array([0.02])}, "tolerance must be a number between 0 and 1"),
         ({"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
         ({"observe": 5}, "observe must be a function"),
     ],
@@ -197,13 +151,3 @@ def test_options_of_a_response_are_checked(run, options, words):
         run.respond("none.toml", "none.AT2", **options)
     with pytest.raises(TypeError, match=r"respond\(\) got an unexpected keyword .*'probability'"):
         run.respond("none.toml", "none.AT2", probability=0.9)
-
-
-@pytest.mark.parametrize("runs", [None, 5, "ab", {"a": 1}, ["out", "other"], [None, None]])
-def test_an_average_is_of_runs(run, runs):
-    words = "runs must be two or more runs, as open_run opens them"
-    for wrong in (runs, run):
-        with pytest.raises(mb.MfdError, match=words):
-            mb.ModelAverage(wrong)
-    with pytest.raises(mb.MfdError, match="needs at least two runs, got 1"):
-        mb.ModelAverage(one for one in [run])

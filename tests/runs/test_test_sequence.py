@@ -9,8 +9,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
-from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence
-from tests.run_folders import write_run
+from mfd_bayes.runs.test_sequence import TestSequence
 
 FORECAST = Forecast(draws=20)
 
@@ -45,21 +44,6 @@ def test_a_test_begins_where_the_posterior_of_the_one_before_ends(run):
     np.testing.assert_allclose(found.place, np.clip(moved, 0.0, 1.0))
     assert (found.test, found.predicted) == ("b", False)
     assert chained.sequence.before("b", trace, FORECAST) is None
-
-
-def test_the_test_before_is_known_as_pooled_with_the_others_where_that_is_stored(run):
-    own = run.sequence.values("b")
-    np.testing.assert_array_equal(own["start"], run.tests["b"].stored.values()["start"])
-    pooled = {name: np.full(7, 0.25) for name in ("start", "d2", "Fc_fwd")}
-    found = replace(run.sequence, pooled={"b": pooled}.get).values("b")
-    assert all(column.shape == (7,) for column in found.values())
-    assert set(found) == set(own)
-    np.testing.assert_array_equal(found["d2"], pooled["d2"])
-    np.testing.assert_array_equal(found["v_s"], np.median(own["v_s"]))
-    # a version that did not keep the starts of the tests
-    del pooled["start"]
-    older = replace(run.sequence, pooled={"b": pooled}.get).values("b")
-    np.testing.assert_array_equal(older["d2"], own["d2"])
 
 
 def test_what_the_windows_leave_out_moves_the_device_in_between(run):
@@ -127,16 +111,6 @@ def test_what_is_not_there_or_does_not_go_together_is_refused(run):
         run.predict(motion, draws=20, after="d")
     with pytest.raises(FitError, match=r"after \('b'\) cannot be combined with given"):
         run.predict(motion, draws=20, after="b", given=(0.0, 1.0))
-
-
-def test_without_a_gap_a_remark_says_that_it_is_without_effect(tmp_path):
-    write_run(tmp_path / "out", small=True)
-    run = open_run(tmp_path / "out")
-    motion = Trace.from_arrays(
-        *(getattr(run.held_out["c"], k) for k in ("time", "displacement")), 0.7
-    )
-    assert NO_GAP in run.predict(motion, draws=20, after="a").remarks
-    assert NO_GAP not in run.predict(motion, draws=20).remarks
 
 
 def test_tests_that_follow_in_a_circle_are_survived(run):

@@ -50,11 +50,6 @@ def decided(trace, folder):
     }
 
 
-def test_noise_decides_nothing_where_the_model_explains_the_record(tmp_path):
-    found = decided(record(0.0, 0.0), tmp_path)
-    assert found == {"staged": set(), "iid": set(), "student_t": set()}
-
-
 def test_noise_decides_slip_force_and_gap_where_the_model_cannot_follow(tmp_path):
     found = decided(record(0.3, 0.5), tmp_path)
     assert {"Fc_fwd", "Fc_bwd"} <= found["staged"]

@@ -87,7 +87,3 @@ def test_every_statistic_of_the_texts_is_checked(true_model: dict[str, Predictiv
 
 def test_a_model_without_the_gap_fails() -> None:
     assert "force at mid-gap, kip" in extremes(checks("lugre", "iid"))
-
-
-def test_noise_without_correlation_fails() -> None:
-    assert "lag-one residual correlation" in extremes(checks("three_stage", "iid"))

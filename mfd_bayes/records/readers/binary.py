@@ -544,23 +544,16 @@ def _align(
         return columns
     first, reference = next(iter(clocks.items()))
     for name, clock in clocks.items():
-        late = clock.begin - reference.begin
+        late, problem = clock.begin - reference.begin, ""
         if not clock.even(reference):
-            raise RecordError(
-                f"{path}: {first} has a step of {reference.step:g} s and {name} one of "
-                f"{clock.step:g} s"
-                + (", and the file has one time" if timed else ": resample them first")
-            )
-        if timed and abs(late) > SHARE * reference.step:
+            problem = f"has a step of {clock.step:g} s, {first} one of {reference.step:g} s"
+        elif timed and abs(late) > SHARE * reference.step:
             way = "after" if late > 0 else "before"
-            raise RecordError(
-                f"{path}: {name} begins {abs(late):.6g} s {way} {first}, and the file has one time"
-            )
-        if clock.dated != reference.dated and late:
-            raise RecordError(
-                f"{path}: of {first} and {name} only one has a start time, wf_start_time, which "
-                "is not that of the file's first channel: they cannot be aligned"
-            )
+            problem = f"begins {abs(late):.6g} s {way} {first}, and the file has one time"
+        elif clock.dated != reference.dated and late:
+            problem = f"has another start than {first}, and wf_start_time is not given for both"
+        if problem:
+            raise RecordError(f"{path}: {name} {problem}: they cannot be aligned")
     if timed:
         return columns
     start = max(clock.begin for clock in clocks.values())

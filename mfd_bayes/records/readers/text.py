@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from mfd_bayes.records.readers.grid import (
 from mfd_bayes.records.readers.table import (
     SURELY_DECIMAL,
     Array,
+    Column,
     Table,
     bare_unit,
     check_names,
@@ -268,9 +269,13 @@ def read_json(path: Path) -> Table:
         given = {}
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
-    rows = [frozenset(column) for column in columns.values() if isinstance(column, dict)]
-    if len(set(rows)) > 1:  # labels of the rows, as pandas writes them
-        raise RecordError(f"columns of {path} have different lengths or row labels")
+    rows = {n: frozenset(column) for n, column in columns.items() if isinstance(column, dict)}
+
+    def align(used: Mapping[str, Column]) -> Mapping[str, Column]:
+        if len({rows[name] for name in used if name in rows}) > 1:  # labels, as pandas writes them
+            raise RecordError(f"columns of {path} have different lengths or row labels")
+        return used
+
     for name, column in columns.items():
         if isinstance(column, dict):
             numbers = [str(i) for i in range(len(column))]
@@ -280,7 +285,7 @@ def read_json(path: Path) -> Table:
     units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
     units |= {name: "s" for name, cells in columns.items() if cells and is_stamp(cells[0])}
     settings = tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str))
-    return Table(path, columns, units=units, headed=headed, head=settings)
+    return Table(path, columns, units=units, headed=headed, head=settings, align=align)
 
 
 def _of_rows(path: Path, rows: list[Any], names: Sequence[str] | None = None) -> dict[str, Any]:

@@ -13,13 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from mfd_bayes.evaluation.views import Array, CampaignView, Fan, LawView, TestView
+from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.reporting import colours
-from mfd_bayes.reporting.conversion import convert_law, convert_row, convert_test, system_of
+from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test
 from mfd_bayes.reporting.figures import posteriors
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview
-from mfd_bayes.reporting.symbols import in_figure, label, plain
+from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
 
@@ -34,37 +35,43 @@ def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
     return _pngs(shared_figures(view))
 
 
-def draw_test(test: TestView, system: System, actuation_unit: str) -> Iterator[tuple[str, bytes]]:
+def draw_test(
+    test: TestView, system: System, actuation_unit: str, model: Model | None = None
+) -> Iterator[tuple[str, bytes]]:
     """PNGs of the figures of one test, one at a time, each with its key.
 
     Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out. The
     test and `actuation_unit` are in internal units, the figures in those of `system`.
     """
-    return _pngs(figures_of_test(convert_test(test, system, actuation_unit), system))
+    return _pngs(figures_of_test(test, system, actuation_unit, model))
 
 
 def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     """Figures that show all tests together, each with its key."""
-    system, unit = system_of(view), view.actuation_unit
+    system, unit, symbols = view.system, view.actuation_unit, Symbols(view.model)
     if view.tests:
         tests = [convert_test(test, system, unit) for test in view.tests]
-        yield "overview", draw_overview("Measured loops over their bands", tests, system, unit)
-    laws = [convert_law(law, system, unit) for law in view.laws]
-    figure = draw_laws("Quantities against the actuation", laws, system.unit(unit))
-    if figure is not None:
-        yield "laws", figure
-    truth = [convert_row(row, system) for row in view.truth]
-    figure = posteriors.draw_truth("Posterior against the known truth", truth)
+        title = "Measured loops over their bands"
+        yield "overview", draw_overview(title, tests, system, unit, symbols)
+    if view.laws:
+        laws = [convert_law(law, system, unit) for law in view.laws]
+        title = "Quantities against the actuation"
+        yield "laws", draw_laws(title, laws, system.unit(unit), symbols)
+    truth = convert_rows(view.truth, system)
+    figure = posteriors.draw_truth("Posterior against the known truth", truth, symbols)
     if figure is not None:
         yield "truth", figure
     if view.next_test is not None:
         yield "next", draw_next(view.next_test, system, unit, "Which test next")
 
 
-def figures_of_test(test: TestView, system: System) -> Iterator[tuple[str, Figure]]:
+def figures_of_test(
+    test: TestView, system: System, actuation_unit: str, model: Model | None = None
+) -> Iterator[tuple[str, Figure]]:
     """Figures of one test in the units of a system, each with its key."""
+    shown, symbols = convert_test(test, system, actuation_unit), Symbols(model)
     for name, draw in OF_TEST.items():
-        figure = draw(test, system)
+        figure = draw(shown, system, symbols)
         if figure is not None:
             yield f"tests/{test.id}/{name}", figure
 
@@ -76,15 +83,12 @@ def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
     gc.freeze()
     try:
         for key, figure in drawn:
-            yield key, to_png(figure)
+            yield key, look.to_png(figure)
             gc.collect()
     finally:
         gc.unfreeze()
         if enabled:
             gc.enable()
-
-
-to_png = look.to_png
 
 
 def _title(test: TestView, what: str = "") -> str:
@@ -95,23 +99,25 @@ def _fans(test: TestView) -> list[Fan]:
     return [fan for fan in (test.observation, test.device) if fan is not None]
 
 
-def _chains(test: TestView) -> int:
-    return max((len(values) for values in test.chains.values()), default=0)
+Draw = Callable[[TestView, System, Symbols], Figure | None]
 
-
-OF_TEST: Mapping[str, Callable[[TestView, System], Figure | None]] = MappingProxyType(
+OF_TEST: Mapping[str, Draw] = MappingProxyType(
     {
-        "loops": lambda t, s: draw_loops(_title(t), t.trace, _fans(t), s),
-        "history": lambda t, s: draw_history(_title(t), t.trace, _fans(t), s, Marks(t.first)),
-        "residuals": lambda t, s: posteriors.draw_residuals(_title(t, ": residuals"), t, s),
-        "marginals": lambda t, _: posteriors.draw_marginals(
-            _title(t, ": priors and posteriors"), t.marginals
+        "loops": lambda t, s, names: draw_loops(_title(t), t.trace, _fans(t), s, names),
+        "history": lambda t, s, names: draw_history(
+            _title(t), t.trace, _fans(t), s, Marks(t.first), names
         ),
-        "corner": lambda t, _: posteriors.draw_corner(
-            _title(t, ": joint posterior"), t.marginals, t.corner
+        "residuals": lambda t, s, names: posteriors.draw_residuals(
+            _title(t, ": residuals"), t, s, names
         ),
-        "ranks": lambda t, _: posteriors.draw_ranks(
-            _title(t, ": ranks of each chain"), t.marginals, _chains(t)
+        "marginals": lambda t, _, names: posteriors.draw_marginals(
+            _title(t, ": priors and posteriors"), t.marginals, names
+        ),
+        "corner": lambda t, _, names: posteriors.draw_corner(
+            _title(t, ": joint posterior"), t.marginals, t.corner, names
+        ),
+        "ranks": lambda t, _, names: posteriors.draw_ranks(
+            _title(t, ": ranks of each chain"), t.marginals, t.chains, names
         ),
     }
 )
@@ -119,13 +125,8 @@ OF_TEST: Mapping[str, Callable[[TestView, System], Figure | None]] = MappingProx
 
 
 @look.style()
-def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figure | None:
-    """One panel per law: the mean property with its bands, and the tests' 95 % intervals.
-
-    None where there is no law.
-    """
-    if not laws:
-        return None
+def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str, symbols: Symbols) -> Figure:
+    """One panel per law: the mean property with its bands, and the tests' 95 % intervals."""
     columns = min(3, len(laws))
     rows = -(-len(laws) // columns)
     figure = look.new_figure(max(4.0 * columns, 5.5), 2.75 * rows + 0.8, title)
@@ -133,34 +134,27 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str) -> Figur
     for axes in grid.flat[len(laws) :]:
         axes.set_visible(False)
     for axes, law in zip(grid.flat, laws, strict=False):
-        _draw_law(axes, law)
+        _draw_law(axes, law, symbols)
         axes.set_xlabel(plain(f"actuation, {actuation_unit}"))
     handles, texts = grid.flat[0].get_legend_handles_labels()
     figure.legend(handles, texts, loc="outside lower left", ncols=4)
     return figure
 
 
-def _draw_law(axes: Axes, law: LawView) -> None:
+def _draw_law(axes: Axes, law: LawView, symbols: Symbols) -> None:
     wide, _, dark = colours.BANDS["new_test"]
     for fan, colour in ((law.new_test, wide), (law.device, _MEDIAN)):
-        widest = max(fan.intervals, key=lambda interval: interval.probability, default=None)
-        if widest is not None:
-            name = f"{colours.BAND_NAMES[fan.kind]}, {percent(widest.probability)} %"
-            edges = widest.lower, widest.upper
-            axes.fill_between(law.actuation, *edges, color=colour, linewidth=0, label=name)
+        edges = fan.widest.lower, fan.widest.upper
+        name = f"{colours.BAND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
+        axes.fill_between(law.actuation, *edges, color=colour, linewidth=0, label=name)
     axes.plot(law.actuation, law.device.median, color=dark, label="best estimate")
     if law.tested:
         _, at, lower, median, upper = (np.asarray(part) for part in zip(*law.tested, strict=True))
         arms = np.maximum(0.0, [median - lower, upper - median])
-        shown: dict[str, Any] = {
-            "fmt": "o",
-            "color": colours.DATA,
-            "markersize": 3,
-            "linewidth": 0.9,
-        }
-        axes.errorbar(spread(at), median, arms, label="tests, 95 %", **shown)
-    axes.set_title(f"{in_figure(law.name)}: {plain(law.law)}")
-    axes.set_ylabel(label(law.name, law.unit))
+        shown: dict[str, Any] = {"fmt": "o", "color": colours.DATA, "markersize": 3}
+        axes.errorbar(spread(at), median, arms, label="tests, 95 %", linewidth=0.9, **shown)
+    axes.set_title(f"{symbols.in_figure(law.name)}: {plain(law.law)}")
+    axes.set_ylabel(symbols.label(law.name, law.unit))
     axes.set_ylim(*_limits(law))
     axes.margins(x=0.0)
     if any(test[1] == 0 for test in law.tested):  # room for tests at zero, side by side

@@ -24,7 +24,7 @@ from mfd_bayes.records.motion import HYSTERESIS, turning_points
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.tested_range import conditions
 from mfd_bayes.runs.unit_system import US, System
 
@@ -34,6 +34,7 @@ TURNS = 24
 """Most turning points of a record that is shown in one column, without the strongest motion."""
 PANELS = 60
 """Most panels of an overview."""
+NAMES = Symbols()
 _NOT_FITTED, _GIVEN = "#eeeeee", "#fff3d6"
 
 
@@ -54,7 +55,13 @@ class Marks:
 
 
 @look.style()
-def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: System = US) -> Figure:
+def draw_loops(
+    title: str,
+    trace: Trace,
+    fans: Sequence[Fan] = (),
+    system: System = US,
+    symbols: Symbols = NAMES,
+) -> Figure:
     """Force against displacement and against velocity, over bands, the widest fan first.
 
     Trace and fans are in the units of `system`.
@@ -62,13 +69,12 @@ def draw_loops(title: str, trace: Trace, fans: Sequence[Fan] = (), system: Syste
     figure = look.new_figure(10, 4.3, title)
     left, *others = figure.subplots(1, 2 if trace.timed else 1, sharey=True, squeeze=False)[0]
     _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
-    force = system.label("force", "kip")
-    left.set(xlabel=system.label("displacement", "in"), ylabel=force)
+    left.set(xlabel=symbols.motion(system), ylabel=symbols.response(system))
     left.set_title(system.text("Force–displacement"))
     for right in others:
         span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
         _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
-        right.set(xlabel=system.label("velocity", "in/s"), ylabel=force)
+        right.set(xlabel=system.label("velocity", "in/s"), ylabel=symbols.response(system))
         right.set_title(system.text("Force–velocity"))
     _legend(figure, fans, measured=trace.force is not None)
     return figure
@@ -81,6 +87,7 @@ def draw_history(
     fans: Sequence[Fan] = (),
     system: System = US,
     marks: Marks = Marks(),
+    symbols: Symbols = NAMES,
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
@@ -110,8 +117,8 @@ def draw_history(
             _mark(axes, trace.time, window, marks)
         column[-1].set_xlabel(clock(trace))
         column[-1].margins(x=0.005)
-    parts = (("displ.", "in"), ("force", "kip"), ("residual", "kip"))
-    names = [system.label(*part) for part in parts]
+    below = symbols.response(system), symbols.response(system, "residual")
+    names = (system.label("displ.", "in"), *below)
     for axes, name in zip(grid[:, 0], names, strict=False):
         axes.set_ylabel(name)
     if len(windows) > 1:
@@ -123,7 +130,11 @@ def draw_history(
 
 @look.style()
 def draw_overview(
-    title: str, tests: Sequence[TestView], system: System = US, actuation_unit: str = "ksi"
+    title: str,
+    tests: Sequence[TestView],
+    system: System = US,
+    actuation_unit: str = "ksi",
+    symbols: Symbols = NAMES,
 ) -> Figure:
     """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
 
@@ -143,9 +154,9 @@ def draw_overview(
         axes.set_visible(True)
         _draw_panel(axes, test)
         if (row + 1, column) not in places:
-            axes.set_xlabel(system.label("displacement", "in"))
+            axes.set_xlabel(symbols.motion(system))
         if (row, column - 1) not in places:
-            axes.set_ylabel(system.label("force", "kip"))
+            axes.set_ylabel(symbols.response(system))
             axes.tick_params(labelleft=True)
     if shown:
         _legend(figure, [shown[0].observation], measured=True)
@@ -198,7 +209,7 @@ def draw_band(axes: Any, fan: Fan, time: Array, displacement: Array | None, syst
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
         _draw_loop(axes, [fan], displacement, turns)
     timed = "time, s" if system.axes.timed else "sample"
-    below = timed if displacement is None else system.label("displacement", "in")
+    below = timed if displacement is None else NAMES.motion(system)
     return _labelled(axes, below, fan, system)
 
 
@@ -206,7 +217,7 @@ def draw_measured(axes: Any, trace: Trace, fan: Fan, system: System) -> Axes:
     """Axes with the measured loops of a trace over a band, both in the units of a system."""
     axes = _checked_axes(axes)
     _draw_loop(axes, [fan], trace.displacement, trace.turning_points, trace.force)
-    return _labelled(axes, system.label("displacement", "in"), fan, system)
+    return _labelled(axes, NAMES.motion(system), fan, system)
 
 
 def clock(trace: Trace) -> str:
@@ -215,13 +226,7 @@ def clock(trace: Trace) -> str:
 
 
 def _checked_axes(axes: Any) -> Axes:
-    """The axes that are given, or those of a new figure.
-
-    Raises
-    ------
-    ReportError
-        When something else is given.
-    """
+    """The axes that are given, or those of a new figure."""
     if axes is None:
         pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
         figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
@@ -232,7 +237,7 @@ def _checked_axes(axes: Any) -> Axes:
 
 
 def _labelled(axes: Axes, below: str, fan: Fan, system: System) -> Axes:
-    axes.set(xlabel=below, ylabel=system.label("force", "kip"))
+    axes.set(xlabel=below, ylabel=NAMES.response(system))
     axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
 

@@ -16,11 +16,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from mfd_bayes.evaluation.checks import INFORMED
-from mfd_bayes.evaluation.views import Array, Marginal, TestView, TruthRow
+from mfd_bayes.evaluation.views import Array, Marginal, Rows, TestView
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import in_figure, label
-from mfd_bayes.runs.unit_system import US, System
+from mfd_bayes.reporting.symbols import Symbols
+from mfd_bayes.runs.unit_system import System
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
 RANKS = 10
@@ -47,7 +47,9 @@ def _small_panels(title: str, number: int) -> tuple[Figure, list[Axes]]:
 
 
 @look.style()
-def draw_ranks(title: str, marginals: Sequence[Marginal], chains: int) -> Figure | None:
+def draw_ranks(
+    title: str, marginals: Sequence[Marginal], chains: int, symbols: Symbols
+) -> Figure | None:
     """Histogram of the ranks of each chain's draws among all draws, one panel per quantity.
 
     The lines of chains that agree stay near 1. None where nothing was sampled in several chains.
@@ -60,7 +62,7 @@ def draw_ranks(title: str, marginals: Sequence[Marginal], chains: int) -> Figure
         for heights, colour in zip(rank_heights(marginal, chains), _cycle(chains), strict=True):
             axes.stairs(heights, np.linspace(0, 1, RANKS + 1), color=colour, linewidth=1.0)
         axes.axhline(1.0, color=colours.DATA, linewidth=0.6)
-        axes.set_title(in_figure(marginal.name), fontsize=8)
+        axes.set_title(symbols.in_figure(marginal.name), fontsize=8)
         axes.set_ylim(0.0, max(2.0, axes.get_ylim()[1]))
         axes.set_xlim(0.0, 1.0)
         axes.tick_params(labelsize=7)
@@ -84,7 +86,7 @@ def _cycle(number: int) -> list[str]:
 
 
 @look.style()
-def draw_marginals(title: str, marginals: Sequence[Marginal]) -> Figure | None:
+def draw_marginals(title: str, marginals: Sequence[Marginal], symbols: Symbols) -> Figure | None:
     """Densities of priors and posteriors, each scaled to its peak; skewed priors logarithmic.
 
     None where there are none.
@@ -93,7 +95,7 @@ def draw_marginals(title: str, marginals: Sequence[Marginal]) -> Figure | None:
         return None
     figure, panels = _small_panels(title, len(marginals))
     for axes, marginal in zip(panels, marginals, strict=True):
-        _draw_marginal(axes, marginal)
+        _draw_marginal(axes, marginal, symbols)
     handles = [
         Patch(facecolor="#dddddd", edgecolor=colours.PRIOR, label="prior"),
         Patch(facecolor=_BLUE, edgecolor=colours.POSTERIOR, label="posterior"),
@@ -102,7 +104,7 @@ def draw_marginals(title: str, marginals: Sequence[Marginal]) -> Figure | None:
     return figure
 
 
-def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
+def _draw_marginal(axes: Axes, marginal: Marginal, symbols: Symbols) -> None:
     prior, posterior = marginal.prior, marginal.posterior
     low, high = np.quantile(prior, [0.005, 0.995])
     low, high = min(low, posterior.min()), max(high, posterior.max())
@@ -133,14 +135,16 @@ def _draw_marginal(axes: Axes, marginal: Marginal) -> None:
     logs = LogLocator(subs=steps, numticks=6)
     axes.xaxis.set_major_locator(logs if logarithmic else MaxNLocator(4))
     axes.xaxis.set_major_formatter(_PLAIN)
-    axes.set_xlabel(label(marginal.name, marginal.unit), fontsize=8)
+    axes.set_xlabel(symbols.label(marginal.name, marginal.unit), fontsize=8)
     axes.tick_params(labelsize=7)
     if marginal.contraction < INFORMED:
         axes.set_title("not informed by the data", fontsize=7.5, color=colours.VERMILLION)
 
 
 @look.style()
-def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str]) -> Figure | None:
+def draw_corner(
+    title: str, marginals: Sequence[Marginal], names: Sequence[str], symbols: Symbols
+) -> Figure | None:
     """Pairs of quantities: contours of 39, 86 and 95 % of the draws, 95 % intervals dashed.
 
     Draws of the marginals belong together by their number. At most eight quantities are
@@ -161,6 +165,7 @@ def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str])
     grid = figure.add_gridspec(number, number, wspace=0.05, hspace=0.05, **edges)
     stride = -(-len(chosen[0].posterior) // CORNER_DRAWS)
     draws = [marginal.posterior[::stride] for marginal in chosen]
+    labels = [symbols.label(marginal.name, marginal.unit) for marginal in chosen]
     for row in range(number):
         for column in range(row + 1):
             axes = figure.add_subplot(grid[row, column])
@@ -173,10 +178,10 @@ def draw_corner(title: str, marginals: Sequence[Marginal], names: Sequence[str])
             axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if first else NullLocator())
             axes.tick_params(labelsize=7, labelrotation=45)
             if last:
-                axes.set_xlabel(label(chosen[column].name, chosen[column].unit), fontsize=8)
+                axes.set_xlabel(labels[column], fontsize=8)
                 axes.xaxis.set_label_coords(0.5, -0.48)
             if first:
-                axes.set_ylabel(label(chosen[row].name, chosen[row].unit), fontsize=8)
+                axes.set_ylabel(labels[row], fontsize=8)
                 axes.yaxis.set_label_coords(-0.48, 0.5)
     return figure
 
@@ -216,7 +221,7 @@ def _hist2d() -> Callable[..., None]:
 
 
 @look.style()
-def draw_residuals(title: str, test: TestView, system: System = US) -> Figure | None:
+def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols) -> Figure | None:
     """Residuals of a test, in the units of `system`: by stage, along the gap, autocorrelation.
 
     None of a test that was not fitted.
@@ -225,17 +230,18 @@ def draw_residuals(title: str, test: TestView, system: System = US) -> Figure | 
         return None
     kept = slice(test.first, None)
     residual = (np.asarray(test.trace.force) - test.observation.median)[kept]
-    widest = max(test.observation.intervals, key=lambda interval: interval.probability)
+    widest = test.observation.widest
     half = 0.5 * (widest.upper - widest.lower)[kept]
     figure = look.new_figure(10, 3.4, title)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.6, 1.3))
     _draw_by_stage(left, residual, half, None if test.stage is None else test.stage[kept])
-    left.set_ylabel(system.label("residual", "kip"))
-    where, what = test.trace.displacement, "displacement"
+    residual_label = symbols.response(system, "residual")
+    left.set_ylabel(residual_label)
+    where, below = test.trace.displacement, symbols.motion(system)
     if test.travel is not None:
-        where, what = test.travel, "travel since the last slip or turn"
+        where, below = test.travel, system.label("travel since the last slip or turn", "in")
     _draw_along(middle, where[kept], residual, half)
-    middle.set(xlabel=system.label(what, "in"), ylabel=system.label("residual", "kip"))
+    middle.set(xlabel=below, ylabel=residual_label)
     _draw_autocorrelation(right, residual)
     for axes in (left, middle):
         axes.axhline(0.0, color="#888888", linewidth=0.7)
@@ -294,37 +300,40 @@ def _draw_autocorrelation(axes: Axes, residual: Array) -> None:
 
 
 @look.style()
-def draw_truth(title: str, rows: Sequence[TruthRow]) -> Figure | None:
+def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     """Posterior median and 95 % interval over the truth, one line per quantity and test.
 
     Rows without a positive truth are left out, for nothing can be divided by it; None if no
     row remains.
     """
-    kept = [row for row in rows if row.truth > 0]
+    kept = [row for row in rows if row["truth"] > 0]
     if not kept:
         return None
-    names = list(dict.fromkeys(row.name for row in kept))
-    groups = [[row for row in kept if row.name == name] for name in names]
+    names = list(dict.fromkeys(row["name"] for row in kept))
+    groups = [[row for row in kept if row["name"] == name] for name in names]
     heights = np.array([1.0 + 0.25 * len(group) for group in groups])
     ends = np.cumsum(heights)
     figure = look.new_figure(9, 1.3 + 0.12 * float(ends[-1]), title)
     axes = figure.subplots()
     for group, end, height in zip(groups, ends, heights, strict=True):
         for at, row in enumerate(group):
-            colour = colours.POSTERIOR if row.inside else colours.TRUTH
-            colour = colour if row.informed else colours.PRIOR
+            colour = colours.POSTERIOR if row["inside"] else colours.TRUTH
+            colour = colour if row["informed"] else colours.PRIOR
             y = end - height + 0.625 + 0.25 * at
-            axes.plot([row.lower / row.truth, row.upper / row.truth], [y, y], color=colour, lw=1.2)
-            marker, size = ("o", 3) if row.inside else ("X", 6)
-            axes.plot([row.median / row.truth], [y], marker, color=colour, ms=size)
+            lower, median, upper = (row[k] / row["truth"] for k in ("lower", "median", "upper"))
+            axes.plot([lower, upper], [y, y], color=colour, lw=1.2)
+            marker, size = ("o", 3) if row["inside"] else ("X", 6)
+            axes.plot([median], [y], marker, color=colour, ms=size)
     for end, height in zip(ends[1::2], heights[1::2], strict=True):
         axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
     axes.axvline(1.0, color=colours.DATA, linewidth=1.2, zorder=1)
-    axes.set_yticks(ends - 0.5 * heights, [in_figure(name) for name in names], fontsize=9)
+    axes.set_yticks(ends - 0.5 * heights, [symbols.in_figure(name) for name in names], fontsize=9)
     axes.set_ylim(ends[-1], 0.0)
     axes.grid(visible=False, axis="y")
-    informed = [row for row in kept if row.informed] or kept
-    widest = max(max(r.upper / r.truth, r.truth / max(r.lower, 1e-12)) for r in informed)
+    informed = [row for row in kept if row["informed"]] or kept
+    widest = max(
+        max(r["upper"] / r["truth"], r["truth"] / max(r["lower"], 1e-12)) for r in informed
+    )
     reach = float(np.clip(1.05 * widest, 1.25, 8.0))
     ticks = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
     axes.set_xscale("log")

@@ -1,0 +1,1 @@
+"""Thirty steel coupons, each left out, beside least squares and beside quoFEM."""

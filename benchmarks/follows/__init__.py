@@ -1,1 +1,0 @@
-"""Whether a test is predicted better if it is known where the test before it ended."""

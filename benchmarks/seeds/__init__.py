@@ -1,0 +1,1 @@
+"""Whether statistical tests hold for other seeds and on other processors."""

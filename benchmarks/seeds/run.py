@@ -1,0 +1,77 @@
+"""Do the statistical tests hold for other seeds, and on processors without AVX-512 or AVX2?
+
+    nice python -m benchmarks.seeds.run 20 > benchmarks/seeds/seeds.txt
+
+runs TESTS, slow ones too, with the seeds 1 to 20 on each of three sets of instructions: an hour for
+each seed on one quiet core (--quick: one file with one seed). Each `default_rng(seed)` of tests and
+package becomes `default_rng([seed, number])`: what is the same for one seed stays the same.
+Processes that a test starts keep their own seeds. A failure is a tolerance that is too narrow, or a
+fault that the tests' own seeds hide. Exit status 1: a test failed.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from benchmarks import common
+
+SETS = {
+    "all": {},
+    "no AVX-512": {"NPY_DISABLE_CPU_FEATURES": "X86_V4", "OPENBLAS_CORETYPE": "Haswell"},
+    "no AVX2": {"NPY_DISABLE_CPU_FEATURES": "X86_V4 X86_V3", "OPENBLAS_CORETYPE": "Nehalem"},
+}
+TESTS = (
+    *("tests/statistical", "tests/planning", "tests/population/test_exact.py"),
+    *("tests/population/test_mixed_model.py", "tests/population/test_predict.py"),
+    *("tests/population/test_given.py", "tests/calibration/test_moves.py"),
+    *("tests/calibration/test_sampling.py", "tests/calibration/test_diagnostics.py"),
+)
+
+
+def pytest_configure(config):
+    """As a plugin of pytest: draw other random numbers from every seed."""
+    plain, number = np.random.default_rng, int(os.environ["BENCHMARK_SEED"])
+
+    def other(seed=None):
+        if isinstance(seed, int | np.integer | list | tuple | np.ndarray):
+            seed = [*np.atleast_1d(np.asarray(seed, dtype=object)).ravel().tolist(), number]
+        return plain(seed)
+
+    np.random.default_rng = other
+
+
+def main():
+    parser = common.parser_of(__doc__)
+    parser.add_argument("seeds", type=int, nargs="?", default=20)
+    parser.add_argument("tests", nargs="*", default=TESTS)
+    options = parser.parse_args()
+    seeds = 1 if options.quick else options.seeds
+    tests = TESTS[7:8] if options.quick else options.tests
+    common.heading(__doc__.splitlines()[0])
+    print(f"{'':14}{'seed':>5}{'passed':>8}{'failed':>8}{'minutes':>9}", flush=True)
+    command = [sys.executable, "-m", "pytest", "-q", "-m", "not slow" if options.quick else ""]
+    command += ["-p", "benchmarks.seeds.run", "-p", "no:cacheprovider", *tests]
+    failed = []
+    for seed in range(1, seeds + 1):
+        for name, variables in SETS.items():
+            began = time.monotonic()
+            home = {"PYTHONPATH": str(common.PROJECT), "BENCHMARK_SEED": str(seed)}
+            done = subprocess.run(
+                command, env=os.environ | home | variables, capture_output=True, text=True
+            )
+            count = {w: re.search(rf"(\d+) {w}", done.stdout) for w in ("passed", "failed")}
+            cells = "".join(f"{int(c[1]) if c else 0:8d}" for c in count.values())
+            print(f"{name:14}{seed:5d}{cells}{(time.monotonic() - began) / 60:9.1f}", flush=True)
+            fell = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+            if done.returncode and not fell:
+                fell = [(done.stdout + done.stderr).strip().splitlines()[-1]]
+            failed += [f"{name}, seed {seed}: {test}" for test in fell]
+    common.finish(failed)
+
+
+if __name__ == "__main__":
+    main()

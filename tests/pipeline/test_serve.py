@@ -1,0 +1,111 @@
+"""A model and a run for other programs, asked by real clients over HTTP."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+
+THETA = [40.0, 0.02, 0.01, 2.2, 2.0, 2.3, 2.1, 1.0]
+"""Of LuGre: sigma0, sigma1, sigma2, Fs_fwd, Fc_fwd, Fs_bwd, Fc_bwd, v_s."""
+SINE = ("--sine", "1 in, 0.5 Hz, 2 cycles", "--actuation", "30 lbf")
+
+
+@contextmanager
+def served(*words):
+    """Address of a server in a process of its own, and what it says."""
+    command = [sys.executable, "-m", "mfd_bayes", "serve", *map(str, words), "--port", "0"]
+    env = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
+        try:
+            said = [process.stdout.readline()]
+            while "forward: " not in said[-1] and said[-1]:
+                said.append(process.stdout.readline())
+            yield re.search(r"http://\S+", said[0])[0], "".join(said)
+        finally:
+            process.terminate()
+
+
+def ask(address, path, **content):
+    request = urllib.request.Request(f"{address}/{path}", json.dumps(content).encode())
+    with urllib.request.urlopen(request, timeout=60) as answer:
+        return json.load(answer)
+
+
+def refusal(*arguments, **content):
+    with pytest.raises(urllib.error.HTTPError) as error:
+        ask(*arguments, **content)
+    return error.value.code, json.load(error.value)["error"]["message"]
+
+
+def test_a_model_gives_the_force_of_a_motion():
+    with served("lugre", *SINE) as (address, said):
+        with urllib.request.urlopen(f"{address}/Info", timeout=60) as answer:
+            assert json.load(answer) == {"protocolVersion": 1.0, "models": ["forward"]}
+        assert ask(address, "InputSizes", name="forward") == {"inputSizes": [8]}
+        (size,) = ask(address, "OutputSizes", name="forward")["outputSizes"]
+        (force,) = ask(address, "Evaluate", name="forward", input=[THETA])["output"]
+        assert len(force) == size
+        assert max(force) == pytest.approx(2.0, rel=0.1)  # Fc_fwd
+        assert ask(address, "ModelInfo", name="forward")["support"]["Evaluate"]
+        assert refusal(address, "Evaluate", name="forward", input=[THETA[1:]])[0] == 400
+        assert "sigma0 [kip/in]" in refusal(address, "Evaluate", name="forward", input=3)[1]
+        assert "sigma0" in refusal(address, "Evaluate", name="forward", input=[[-1, *THETA[1:]]])[1]
+        assert refusal(address, "Evaluate", name="backward", input=[THETA])[0] == 400
+        assert "sigma0 [kip/in], " in said
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("lugre",), "--sine"),
+        (("lugrr", *SINE), "lugrr"),
+        (("no.py:Model", *SINE), "no.py"),
+        (("lugre", "--motion", "none.csv"), "none.csv"),
+        (("lugre", *SINE, "--port", "1"), "--port 1"),
+    ],
+)
+def test_what_cannot_be_served_is_one_sentence(words, expected):
+    if "--port" in words and os.geteuid() == 0:
+        pytest.skip("a superuser may take any port")
+    outcome = CliRunner().invoke(app, ["serve", *words])
+    assert outcome.exit_code == 2
+    assert expected in outcome.output
+    assert "Traceback" not in outcome.output
+
+
+def test_a_run_gives_its_log_posterior_to_a_client_of_the_protocol(finished_run):
+    umbridge = pytest.importorskip("umbridge", reason="needs the extra umbridge")
+    run = mb.open_run(finished_run.out)
+    first, *others = run.tests.values()
+    with served(finished_run.out) as (address, said):
+        models = umbridge.supported_models(address)
+        assert models == ["posterior", "values", "forward"]
+        posterior, values, forward = (umbridge.HTTPModel(address, name) for name in models)
+        for test, config in ((first, {}), *((other, {"test": other.id}) for other in others)):
+            q = test.posterior.coordinates(test.stored.values())[:3]
+            assert posterior.get_input_sizes(config) == [test.posterior.dim]
+            expected = test.posterior.log_prob(q)
+            for point, density in zip(q, expected, strict=True):
+                assert posterior([point.tolist()], config)[0] == pytest.approx([density])
+            (named,) = values([q[0].tolist()], config)
+            drawn = test.posterior.values(q[:1])
+            assert named == pytest.approx([drawn[name][0] for name in test.posterior.names])
+            theta = test.posterior.theta(drawn)
+            (force,) = forward([theta[0].tolist()], config)
+            assert force == pytest.approx(test.posterior.model.force(theta, test.trace)[0])
+        far = np.full(first.posterior.dim, 1e9).tolist()
+        assert posterior([far])[0] == [-1e300]
+        with pytest.raises(Exception, match="no test"):
+            posterior([far], {"test": "no"})
+        assert f"q({first.posterior.names[0]})" in said
