@@ -8,7 +8,7 @@ import shlex
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -53,6 +53,19 @@ def open_console() -> Console:
     if not console.is_terminal:
         console.width = 110
     return console
+
+
+def effect_cells(row: Any) -> tuple[str, ...]:
+    """Cells of a quantity of a device that is compared with the others."""
+    has = math.isfinite(row["effect"])
+    return (
+        f"{row['effect']:+.1f}" if has else "",
+        f"{row['effect_lower']:+.1f} to {row['effect_upper']:+.1f}" if has else "",
+        f"±{row['limit']:.3g}" if math.isfinite(row["limit"]) else "",
+        f"{row['percentile']:.1f}",
+        f"{row['p_value']:.3f}",
+        str(row["verdict"]),
+    )
 
 
 def print_rows(

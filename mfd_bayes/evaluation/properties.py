@@ -239,6 +239,7 @@ def predicted_rows(
     record: Record | None = None,
     after: str = "",
     given: Trace | None = None,
+    device: str = "",
 ) -> Rows:
     """Properties of a prediction, with intervals of the band's probability.
 
@@ -255,11 +256,14 @@ def predicted_rows(
         Test that the motion follows without a reset.
     given : Trace, optional
         With the force of the part that was given.
+    device : str
+        That was predicted.
     """
     test = band
     if band.kind == "observation":
         window = band.given.window if band.given else None
         how: dict[str, Any] = {"given": window, "after": after, "draws": len(band.draws)}
+        how |= {"device": device} if device else {}
         test = source.predict(given or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):
         drawn = properties_of(trace, band.draws, peaks_of(source.runs[0]), smooth=test.draws)

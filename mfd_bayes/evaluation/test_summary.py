@@ -124,9 +124,9 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
 
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
-    session = run.session(name)
-    before = run.sequence.before(name, trace, Forecast(draws=HELD_OUT_DRAWS, session=session))
-    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, "session": session, "after": before or ""}
+    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **run.place(name)}
+    before = run.sequence.before(name, trace, Forecast(**how))
+    how["after"] = before or ""
     seen = run.predict(trace, "observation", explain=True, **how)
     drawn = device_properties(run, trace, seen, run.predict(trace, "new_test", **how))
     measured = measured_properties(measured_of(run.manifest, name))

@@ -23,7 +23,6 @@ from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, gap_of, tested_of
 from mfd_bayes.population.design import Design, design_of
-from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
@@ -157,7 +156,8 @@ def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
             f"noise_sd is fixed in {some.priors.path.name}: the population of tests needs a prior "
             "of it, such as a narrow lognormal"
         )
-    under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
+    inference = settings.inference("quick", ())
+    under = [inference.setting(task.id, task.trace) for task in tasks]
     laws, dependence = settings.laws, settings.dependence
     return design_of(some.priors, names, under, laws, dependence, posterior.model)
 

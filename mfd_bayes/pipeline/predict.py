@@ -57,6 +57,7 @@ class Question:
     given: str = ""
     after: str = ""
     others: tuple[Path, ...] = ()
+    device: str = ""
 
     @property
     def window(self) -> tuple[float, float] | None:
@@ -126,12 +127,13 @@ def predict(out: Path, question: Question) -> Answer:
             "after": question.after,
         }
         if not others:
-            how |= {"test": question.test, "explain": question.explain}
+            how |= {"test": question.test, "explain": question.explain, "device": question.device}
             # without sessions the tables of --design are then of the same draws
             how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
         band = source.predict(*asked, **how)
         compared_with = record if question.compare else None
-        rows = predicted_rows(source, trace, band, compared_with, question.after, measured)
+        about = question.after, measured, question.device
+        rows = predicted_rows(source, trace, band, compared_with, *about)
         if question.design:
             remarks += design_warnings(run)
             design = design_rows(run, trace, question.probability)
@@ -168,7 +170,7 @@ def check_question(question: Question) -> None:
                 f"--design cannot be combined with {option}: its properties are those of any test, "
                 f"not of {which}"
             )
-    for option in ("test", "explain", "design"):
+    for option in ("test", "explain", "design", "device"):
         if question.others and getattr(question, option):
             raise CampaignError(
                 f"--{option} cannot be combined with --with: it is of one model alone"

@@ -24,7 +24,7 @@ from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_f
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
-from mfd_bayes.population.settings import ZERO, Setting, setting_of
+from mfd_bayes.population.settings import ZERO, Setting
 from mfd_bayes.population.stopping import Estimate, Stopping, properties, quantiles
 from mfd_bayes.records.motion import HYSTERESIS
 from mfd_bayes.records.numbers import real_numbers
@@ -270,7 +270,7 @@ def predict_given(
 ) -> Band:
     """Band of a record of which a part is known; all of it, with the given part."""
     check_kind(forecast)
-    setting, population = setting_of(trace, forecast.session), predictor.population
+    setting, population = forecast.setting(trace), predictor.population
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)

@@ -32,6 +32,8 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
 
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
 ZERO = 1e-3  # share of the largest actuation below which one is zero: what an idle gauge shows
+# what a test may say of the state of its device: decimal years, number of cycles, °C
+CONDITIONS = ("date", "cycles", "temperature")
 FULL = 0.8  # share of the largest stroke from which one is a full stroke
 
 
@@ -42,11 +44,17 @@ class Setting:
     actuation: float  # ksi or kip
     session: str = ""  # tests of one session were made together; "" where none is declared
     # velocity (in/s, its peak), amplitude (in, half the stroke) and full_strokes (share of the path
-    # that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake)
+    # that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake), and `CONDITIONS`
     covariates: Mapping[str, float] = field(default_factory=dict)
+    device: str = ""
 
 
-def setting_of(trace: Trace, session: str = "") -> Setting:
+def setting_of(
+    trace: Trace,
+    session: str = "",
+    device: str = "",
+    conditions: Mapping[str, float] | None = None,
+) -> Setting:
     """Setting under which a trace was made, or is to be predicted."""
     check_trace("trace", trace, FitError)
     if not np.isfinite(trace.reference_actuation):
@@ -59,7 +67,8 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
         "amplitude": 0.5 * float(np.ptp(x)),
         "full_strokes": float(full / max(strokes.sum(), 1e-300)),
     }
-    return Setting(trace.reference_actuation, session, covariates)
+    covariates |= conditions or {}
+    return Setting(trace.reference_actuation, session, covariates, device)
 
 
 def planned_setting(

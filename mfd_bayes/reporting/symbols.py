@@ -59,11 +59,16 @@ _PREFIXES = {
         "deviation by session,",
         "deviation from the law that all tests of a session have in common, standard deviation",
     ),
+    "deviation_device": (
+        "deviation by device,",
+        "deviation from the law that all tests of a device have in common, standard deviation",
+    ),
     "exponent": ("exponent of", "exponent of the power law"),
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
     "dependence": (
         "dependence of",
-        "change of the logarithm when speed or stroke grows by a factor e",
+        "change of the logarithm when speed or stroke grows by a factor e, or over the span of the "
+        "tests' dates, cycles or temperatures",
     ),
 }
 # Scatter of these is not that of the quantity itself, but of another one that is pooled for it:

@@ -70,6 +70,11 @@ _COLUMNS = {
         "fitted_crps:fitted_crps_kip width_ratio crps_ratio whole_95"
     ),
     "tested_range": "name:condition unit lowest:smallest highest:largest",
+    "drift": (
+        "quantity condition per change:change_percent lower:lower_percent upper:upper_percent "
+        "probability limit:limit_percent left:left_at_last_test leaves:leaves_ahead when "
+        "when_lower:when_q5 when_upper:when_q95"
+    ),
     "comparison": (
         "subject:test model cycles elpd elpd_se p_loo worst_k:worst_pareto_k bad:share_bad_k "
         "unsettled:share_unsettled difference:elpd_difference difference_se:elpd_difference_se "
@@ -113,6 +118,8 @@ def report_tables(view: CampaignView) -> dict[str, str]:
         "scores": (test.score for test in tests),
         "tested_range": view.tested,
     }
+    if view.drifts:
+        rows["drift"] = view.drifts
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
     frames = {name: frame_of(name, lines, system) for name, lines in rows.items()}

@@ -228,6 +228,8 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
     keys[POPULATION] = _digest(
         [*fitted.items()],
         {name: settings.sessions[name] for name in fitted},
+        {name: settings.devices[name] for name in fitted if settings.devices[name]},
+        {name: settings.conditions[name] for name in fitted if settings.dependence},
         (settings.laws, settings.dependence, settings.actuation_unit),
         {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()},
     )
