@@ -152,11 +152,11 @@ def test_all_dampers_at_a_bound_stand_beside_the_band(run, path, ground):
     trace = next(iter(run.tests.values())).trace
     model = next(iter(run.tests.values())).posterior.model
     trace = replace(trace, actuation=1.0)
-    rows = {(row.name, row.basis): row for row in design_rows(run, trace)}
+    rows = {(row["name"], row["basis"]): row for row in design_rows(run, trace)}
     for name, parameter in (("slip_fwd", "Fc_fwd"), ("slip_bwd", "Fc_bwd")):
         column, design = model.parameters.index(parameter), rows[name, "new_test"]
         got = [float(bound.dampers.theta[0, 0, column]) for bound in (lower, upper)]
-        assert got == pytest.approx([design.lower, design.upper], rel=0.05)
+        assert got == pytest.approx([design["lower"], design["upper"]], rel=0.05)
     static, kinetic = (model.parameters.index(f"F{x}_fwd") for x in "sc")
     ratios = [
         bound.dampers.theta[0, :, static] / bound.dampers.theta[0, :, kinetic]
