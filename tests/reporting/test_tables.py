@@ -297,7 +297,7 @@ def test_a_data_sheet_is_the_same_in_every_form(datasheet):
     assert energy["nominal"] == pytest.approx(4.4482216 * 25.4)
     line = read(to_csv(frame))[0]
     assert (line["quantity"], line["tested"], line["n_outside"]) == ("slip_force", "yes", "1")
-    sheet = datasheet_sheet(datasheet.rows, "A device", NAMES).to_units(SI)
+    sheet = datasheet_sheet(datasheet.rows, "A device", NAMES, SI.axes).to_units(SI)
     assert sheet.heads == ("c0", "c1")
     slip = sheet.rows[0]
     assert [line.text for line in slip.cells[0].shown] == [
