@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.sampling import Draws, sample
     from mfd_bayes.errors import MfdError
+    from mfd_bayes.evaluation.acceptance import Acceptance, accept
     from mfd_bayes.friction.backlash import BacklashLuGre
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.lugre import LuGre
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
+    "Acceptance": "mfd_bayes.evaluation.acceptance",
     "Advice": "mfd_bayes.planning.study",
     "Band": "mfd_bayes.population.bands",
     "BacklashLuGre": "mfd_bayes.friction.backlash",
@@ -47,12 +49,14 @@ _HOMES = {
     "Run": "mfd_bayes.runs.run",
     "ThreeStage": "mfd_bayes.friction.three_stage",
     "Trace": "mfd_bayes.records.trace",
+    "accept": "mfd_bayes.evaluation.acceptance",
     "open_run": "mfd_bayes.reporting.notebook",
     "read_record": "mfd_bayes.records.record",
     "sample": "mfd_bayes.calibration.sampling",
 }
 
 __all__ = [
+    "Acceptance",
     "Advice",
     "BacklashLuGre",
     "Band",
@@ -72,6 +76,7 @@ __all__ = [
     "Run",
     "ThreeStage",
     "Trace",
+    "accept",
     "open_run",
     "read_record",
     "sample",

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Formatter
+from typing import Protocol
 
 from mfd_bayes.units import in_digits
 
-Writer = Callable[[Sequence[float], str, int], str]
-"""Writes values of an internal unit with a number of digits: `([0.2, 0.3], "in", 3)`."""
+
+class Writer(Protocol):
+    """Writes for a reader, as `runs.unit_system.System` does."""
+
+    def words(self, values: Sequence[float], internal: str, digits: int) -> str:
+        """Values of an internal unit with a number of digits: `([0.2, 0.3], "in", 3)`."""
+
+    def text(self, words: str) -> str:
+        """Words of a sentence, in which motion and response are called as the model's are."""
 
 
 @dataclass(frozen=True)
@@ -42,23 +50,29 @@ class Message:
     values: Mapping[str, Quantity | str] = field(default_factory=dict)
 
     def to_text(self, writer: Writer) -> str:
-        """The sentence with its quantities as `writer` writes them, such as `System.words`."""
+        """The sentence with its quantities as `writer` writes them."""
         shown = {
-            name: writer(value.values, value.unit, value.digits)
+            name: writer.words(value.values, value.unit, value.digits)
             if isinstance(value, Quantity)
             else value
             for name, value in self.values.items()
         }
-        return self.template.format(**shown)
+        return writer.text(self.template).format(**shown)
 
     def __str__(self) -> str:
         """The sentence in internal units."""
-        return self.to_text(_internal)
+        return self.to_text(_Internal())
 
 
-def _internal(values: Sequence[float], unit: str, digits: int) -> str:
-    shown = dict.fromkeys(in_digits(value, digits) for value in values)
-    return f"{' to '.join(shown)} {unit.replace('*', '·')}"
+class _Internal:
+    """Writes values in internal units."""
+
+    def words(self, values: Sequence[float], internal: str, digits: int) -> str:
+        shown = dict.fromkeys(in_digits(value, digits) for value in values)
+        return f"{' to '.join(shown)} {internal.replace('*', '·')}"
+
+    def text(self, words: str) -> str:
+        return words
 
 
 def join(messages: Iterable[Message], separator: str) -> Message:

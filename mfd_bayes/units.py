@@ -82,7 +82,9 @@ _SPELLINGS = {
     **dict.fromkeys(("klb", "klbs"), "klbf"),
     **dict.fromkeys(("kp", "Kgf", "KGF"), "kgf"),
     **dict.fromkeys(("mil", "mils", "thous"), "thou"),  # not a thousandth of a radian
-    **dict.fromkeys(("gal", "gals"), "Gal"),  # of earthquakes; no fluid is measured here
+    **dict.fromkeys(("gal", "gals"), "Gal"),  # of earthquakes; of a flow, see `_FLUIDS`
+    **dict.fromkeys(("µε", "με", "uε", "µstrain", "μstrain", "ue"), "microstrain"),
+    "ε": "strain",
 }
 
 _METRIC_TON, _US_TON = "'tf' (9.807 kN)", "'ton_force' (2000 lbf)"
@@ -114,8 +116,15 @@ _ACTUATIONS = ("ksi", "kip", "A", "V", "W", "N*m", "turn", "%", "K", "T", *_COUN
 # pint's parser evaluates its input: it is given names, products and small powers alone.
 # A power may be written as in N/mm2.
 _POWER = re.compile(r"(?<=[A-Za-zµμ])([23])(?!\w)")
-_TERM = r"\(*[A-Za-zµμ°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
+_TERM = r"\(*[A-Za-zµμε°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
 _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
+_DASH = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")  # kip-in, kN-m
+_FLUIDS = (
+    (re.compile(r"\bgals?(?=\s*/\s*(?:s|sec|min|h|hr|d)\b)", re.IGNORECASE), "gallon"),
+    (re.compile(r"\blpm\b", re.IGNORECASE), "(L/min)"),
+    (re.compile(r"\bgpm\b", re.IGNORECASE), "(gallon/min)"),
+    (re.compile(r"\bcfm\b", re.IGNORECASE), "(ft^3/min)"),
+)
 _GROUPED = re.compile(r"\s*[+-]?\d{1,3}(?:[ ,'’\u00a0\u202f]\d{3})+(?!\d)")  # 1,000 · 1 000
 _ANGLES = re.compile(r"radian|degree|revolution|turn|grad|cycle|arc")  # pint takes them for 1
 _LONGEST = 200  # characters of a quantity
@@ -235,6 +244,16 @@ def measure(unit: str) -> str | None:
         return None
 
 
+def measures(unit: str, like: str) -> bool:
+    """Whether a unit is of the same dimension as another."""
+    return bool(_parse(unit, unit).dimensionality == _parse(like, like).dimensionality)
+
+
+def has_angle(unit: str) -> bool:
+    """Whether a unit is one of an angle, or has one in it: those measure a ratio too."""
+    return bool(_ANGLES.search(str(_parse(unit, f"unit {unit!r}"))))
+
+
 def same_unit(one: str, other: str) -> bool:
     """Whether two units are the same, however they are spelled: ``"kip"`` and ``"Kips"``."""
     try:
@@ -345,12 +364,14 @@ def _parse(unit: str, named: str) -> Any:
     unknown = f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
     unknown += force_meant(unit)
     text = unit.strip().removesuffix(".") if isinstance(unit, str) else ""
-    text = _POWER.sub(r"^\1", text)
+    text = _DASH.sub("*", _POWER.sub(r"^\1", text))
+    for spelled, plain in _FLUIDS:
+        text = spelled.sub(plain, text)
     if not text or len(text) > 60 or not _UNIT.fullmatch(text):
         raise UnitError(unknown)
-    plain = re.sub(r"[A-Za-z_]+", lambda word: _spelled(word[0]), text)
+    words = re.sub(r"[A-Za-z_µμε]+", lambda word: _spelled(word[0]), text)
     try:
-        parsed = _registry().parse_units(plain)
+        parsed = _registry().parse_units(words)
         _ = parsed.dimensionality  # fails for units such as "delta_dB"
         return parsed
     except Exception as error:  # pint raises AssertionError, TypeError, TokenError and its own

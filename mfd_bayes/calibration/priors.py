@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import reprlib
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from mfd_bayes.axes import DAMPER
 from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.friction import models
@@ -402,6 +403,16 @@ def load_priors(
         raise PriorError(f"{str(error)[:_LONGEST]}…") from None
 
 
+def _in_model(quantity: Quantity, model: Model | None) -> Quantity:
+    """A quantity as a prior file gives it: in units of what the model's force and motion are."""
+    if model is None or model.axes == DAMPER:
+        return quantity
+    if quantity.kind == "time" and model.rate_independent:
+        return replace(quantity, kind="dimensionless")  # in samples
+    unit = model.axes.unit(quantity.unit)
+    return quantity if unit == quantity.unit else replace(quantity, kind=unit)
+
+
 def _read(
     path: Path, content: dict[str, Any], model: Model | None, *, of_others: bool
 ) -> PriorFile:
@@ -411,7 +422,7 @@ def _read(
             f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
             "it may hold title, scales, parameters and scatter"
         )
-    known = sampled_quantities(model)
+    known = {name: _in_model(q, model) for name, q in sampled_quantities(model).items()}
     needed: Collection[str] = known
     if model is not None and of_others:
         packaged = {q.name for m in models.MODELS.values() for q in m.quantities}
@@ -537,7 +548,7 @@ def _figure(where: str, value: Any, kind: str | None) -> float:
             number = parse_quantity(value, kind or "dimensionless")
         except UnitError as error:
             raise PriorError(f"{where}: {error}") from error
-    elif kind in (None, "dimensionless"):
+    elif kind in (None, "dimensionless", "1"):
         try:
             number = float(value)
         except OverflowError:

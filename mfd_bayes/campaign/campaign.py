@@ -6,13 +6,14 @@ import difflib
 import math
 import reprlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
 from pydantic import ValidationError
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.campaign.schema import (
     TABLES,
     CampaignFile,
@@ -29,7 +30,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, check_session
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.records.channels import Source
+from mfd_bayes.records.channels import NO_ACTUATION, Source
 from mfd_bayes.records.columns import header_unit
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.table import own_name
@@ -60,6 +61,8 @@ class Test:
         Role to its source, where the campaign file gives one.
     session, after : str
         As in the campaign file.
+    axes : Axes
+        What the model's motion and response are.
     """
 
     __test__: ClassVar[bool] = False  # pytest must not take it for a test class
@@ -72,10 +75,13 @@ class Test:
     columns: dict[str, Source]
     session: str = ""
     after: str = ""
+    axes: Axes = DAMPER
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
-        return read_record(self.path, self.columns, None, self.actuation, fit=self.window)
+        return read_record(
+            self.path, self.columns, None, self.actuation, fit=self.window, axes=self.axes
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +129,12 @@ class Campaign:
         return self.folder / file if file else None
 
     @property
+    def axes(self) -> Axes:
+        """What the model's motion and response are; whether its tests have time and actuation."""
+        actuated = any(test.actuation is not None for test in self.settings.test)
+        return replace(self.force_model.axes, actuated=actuated)
+
+    @property
     def noise(self) -> str:
         """Name of the noise."""
         return self.settings.noise
@@ -164,19 +176,27 @@ def load_campaign(
         When a test file that must be read for its row of units cannot be read.
     """
     path = Path(path)
-    settings = _read_settings(path)
-    chosen = {name: value for name, value in (("model", model), ("noise", noise)) if value}
-    general = settings.campaign.model_copy(update=chosen)
+    content = _read_toml(path)
     try:
         folder = path.resolve().parent
     except (OSError, RuntimeError) as error:
         raise CampaignError(f"cannot read {path}: {error}") from error
-    force_model = models.find_model(general.model, folder)
-    replaced = general.model != settings.model
+    axes = _axes_of(content, folder, model)
+    general = content.get("campaign")
+    if not axes.timed and isinstance(general, dict) and "rate" in general:
+        raise CampaignError(
+            f"campaign.rate in {path}: samples are numbered for a rate-independent model; leave "
+            "rate out"
+        )
+    settings = _checked(path, content, axes)
+    chosen = {name: value for name, value in (("model", model), ("noise", noise)) if value}
+    table = settings.campaign.model_copy(update=chosen)
+    force_model = models.find_model(table.model, folder)
+    replaced = table.model != settings.model
     if not replaced:
         _check_own_names(path, settings, force_model)
     laws = _laws_of(settings, force_model)
-    settings = settings.model_copy(update={"campaign": general, "laws": laws})
+    settings = settings.model_copy(update={"campaign": table, "laws": laws})
     tests = []
     for entry in settings.test:
         if entry.rate is not None and "time" in entry.columns.given:
@@ -189,18 +209,21 @@ def load_campaign(
             column = entry.actuation.model_copy(update={"unit": unit})
             settings = settings.with_test(entry.id, actuation=column)
             entry = settings.tests[entry.id]
+        level = None if isinstance(entry.actuation, Column) else entry.actuation or NO_ACTUATION
         tests.append(
             Test(
                 entry.id,
                 file,
-                entry.actuation if isinstance(entry.actuation, str) else None,
-                None if entry.fit is None else parse_window(entry.fit),
+                level,
+                _window_of(path, entry, axes),
                 entry.role,
                 {role: column.source for role, column in settings.columns_of(entry).items()},
                 entry.session,
                 entry.after,
+                axes,
             )
         )
+    _check_actuations(path, settings, force_model)
     _check_tests(path, settings)
     _check_order(path, tests)
     own = [*force_model.laws, *([settings.goal.of] if settings.goal and replaced else [])]
@@ -208,6 +231,42 @@ def load_campaign(
     learned = [test.session for test in tests if test.role == "calibrate"]
     check_session(goal.session, learned, of=f"goal.session in {path}")
     return Campaign(path, folder, settings, tuple(tests), force_model, replaced)
+
+
+def _axes_of(content: dict[str, Any], folder: Path, model: str | None) -> Axes:
+    """Axes of the model that a campaign's content names, or of the one in its place.
+
+    What is wrong with the content is said later.
+    """
+    general = content.get("campaign")
+    own = general.get("model") if isinstance(general, dict) else None
+    name = model or (own if isinstance(own, str) and len(own) <= 1000 else None)
+    if name is None or not (name in models.model_names() or models.file_of(name)):
+        return DAMPER
+    return models.find_model(name, folder).axes
+
+
+def _window_of(path: Path, entry: TestTable, axes: Axes) -> Window | None:
+    if entry.fit is None:
+        return None
+    try:
+        return parse_window(entry.fit, of=f"fit of test {entry.id!r} in {path}", timed=axes.timed)
+    except UnitError as error:
+        raise CampaignError(str(error)) from error
+
+
+def _check_actuations(path: Path, settings: CampaignFile, model: Model) -> None:
+    """Refuse tests without an actuation where something follows it, or others have one."""
+    without = [test.id for test in settings.test if test.actuation is None]
+    if not without:
+        return
+    where = f"test {without[0]!r}.actuation is missing in {path}"
+    if not model.source:
+        raise CampaignError(where)
+    if model.laws:
+        raise CampaignError(f"{where}: {' and '.join(model.laws)} of {model.where} follow it")
+    if len(without) < len(settings.test):
+        raise CampaignError(f"{where}: expected one in all tests or in none")
 
 
 def _check_own_names(path: Path, settings: CampaignFile, model: Model) -> None:
@@ -393,15 +452,40 @@ def goal_settings(
     return GoalSettings(goal, tests("candidates", table.candidates), limits)
 
 
-def _read_settings(path: Path) -> CampaignFile:
-    content = _read_toml(path)
+def _checked(path: Path, content: dict[str, Any], axes: Axes) -> CampaignFile:
+    """The content of a file, checked, with columns called as in the package."""
+    content = _in_roles(path, content, axes)
     try:
         return CampaignFile.model_validate(content)
     except ValidationError as error:
-        faults = list(islice(_faults(path, content, error), _MOST_FAULTS + 1))
+        faults = list(islice(_faults(path, content, error, axes), _MOST_FAULTS + 1))
         texts = [f if len(f) <= _LONGEST_FAULT else f"{f[:_LONGEST_FAULT]}…" for f in faults]
         more = "; and more" if len(texts) > _MOST_FAULTS else ""
         raise CampaignError("; ".join(texts[:_MOST_FAULTS]) + more) from None
+
+
+def _in_roles(path: Path, content: dict[str, Any], axes: Axes) -> dict[str, Any]:
+    """The content with the package's names of columns in place of a model's own."""
+    if axes.of_damper:
+        return content
+
+    def renamed(tables: dict[str, Any], where: str) -> dict[str, Any]:
+        columns = tables.get("columns")
+        if not isinstance(columns, dict):
+            return tables
+        for key in columns:
+            if axes.name(key) != key:
+                known = ", ".join(map(axes.name, ("time", "displacement", "force")))
+                raise CampaignError(
+                    f"unknown key {key!r} in {where} of {path}, by its model; expected {known}"
+                )
+        return {**tables, "columns": {axes.role(key): value for key, value in columns.items()}}
+
+    content, tests = renamed(content, "[columns]"), content.get("test")
+    if isinstance(tests, list):
+        entries = [renamed(t, "columns of a test") if isinstance(t, dict) else t for t in tests]
+        content = {**content, "test": entries}
+    return content
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -423,11 +507,14 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise CampaignError(f"{path} {error}") from error
 
 
-def _faults(path: Path, content: dict[str, Any], error: ValidationError) -> Iterator[str]:
+def _faults(
+    path: Path, content: dict[str, Any], error: ValidationError, axes: Axes
+) -> Iterator[str]:
     """A sentence for each fault: which key, what was expected, what came."""
     for fault in error.errors(include_url=False):
         loc = [part for part in fault["loc"] if not str(part).startswith((":", "[key]"))]
         key, value = _dotted(content, loc), fault["input"]
+        key = ".".join(map(axes.name, key.split(".")))
         came, message = reprlib.repr(value), fault["msg"].removeprefix("Value error, ")
         if loc == ["test"] and isinstance(content.get("test"), dict):
             yield f"a test in {path} begins with [[test]], in two brackets, not [test]"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import date
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -27,7 +28,8 @@ from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.records.channels import Source, Subtracted, step_of
+from mfd_bayes.population.settings import CONDITIONS
+from mfd_bayes.records.channels import NO_ACTUATION, Source, Subtracted, step_of
 from mfd_bayes.records.readers.table import COLUMNS, NAME
 from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.units import (
@@ -73,19 +75,35 @@ LAWS: Mapping[str, str] = MappingProxyType(
 
 DEPENDENCE: Mapping[str, str] = MappingProxyType(
     {
+        "Fc": "kinetic friction in both directions",
         "Fc_fwd": "kinetic friction forward",
         "Fc_bwd": "kinetic friction backward",
         "sigma0": "stiffness of the bristles",
         "d2": "width of the gap, d2 + d3, of the three stages",
-        "gap": "width of the gap, of `backlash`",
+        "gap": "width of the gap, of `backlash` and of the three stages",
     }
 )
+
+ACCEPTANCE: Mapping[str, str] = MappingProxyType(
+    {
+        "all": "every quantity that has no limit of its own",
+        "slip": "slip force, forward and backward",
+        "build_up": "stiffness where the force comes back",
+        "gap": "width of the gap",
+        "peak": "peak forces",
+        "energy": "energy of a cycle at full stroke",
+        "stiffness": "effective stiffness",
+        "damping": "effective damping",
+    }
+)
+"""What a device may deviate in from the nominal value of `accept`, as a share."""
 
 RESERVED = frozenset({"campaign", "sentence", "population"})
 """Names beside those of the tests in the verdicts and steps of a run, in small letters."""
 
 _ID = re.compile(r"[A-Za-z0-9+_-][A-Za-z0-9+_.-]{0,99}")
 _PERCENT = re.compile(r"(\d+(?:\.\d+)?)\s*%")
+_TEMPERATURE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([CFK])")
 
 
 def _one_of(names: Callable[[], Iterable[str]]) -> BeforeValidator:
@@ -154,9 +172,53 @@ def _quantity(dimension: str) -> BeforeValidator:
     return BeforeValidator(read)
 
 
+def _window(text: str) -> object:
+    """Window in time or in samples; which of them is right is checked with the model."""
+    return parse_window(text, timed=not re.fullmatch(r"[\d\s]+to[\d\s]+", text))
+
+
+def _kind_of_actuation(value: object) -> str:
+    if value is None:
+        return ":none"
+    return ":quantity" if isinstance(value, str) else ":column"
+
+
 def _share(value: object) -> object:
     percent = _PERCENT.fullmatch(value.strip()) if isinstance(value, str) else None
     return float(percent[1]) / 100.0 if percent else value
+
+
+def _day(value: object) -> object:
+    """A date of TOML, or a text such as "2024-03-05", as text."""
+    if isinstance(value, date):
+        return value.isoformat()[:10]
+    try:
+        return date.fromisoformat(str(value)).isoformat()
+    except ValueError:
+        raise ValueError("a date reads 2024-03-05 (year, month, day)") from None
+
+
+def _celsius(value: object) -> object:
+    """A number in °C, or a text such as "20 °C", "68 °F" or "293 K"."""
+    if not isinstance(value, str):
+        return value
+    read = _TEMPERATURE.fullmatch(value.strip())
+    if read is None:
+        raise ValueError('a temperature reads "20 °C", "68 °F" or "293 K"')
+    number = float(read[1])
+    return {"C": number, "F": (number - 32.0) / 1.8, "K": number - 273.15}[read[2]]
+
+
+def _all_dependences(given: Mapping[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    """Covariates of each quantity of the model; "Fc" stands for both directions."""
+    general = (info.data or {}).get("campaign")
+    staged = isinstance(general, General) and general.model == "three_stage"
+    found: dict[str, Any] = {}
+    for name, which in given.items():
+        names = {"Fc": ("Fc_fwd", "Fc_bwd"), "gap": ("d2",) if staged else ("gap",)}
+        for each in names.get(name, (name,)):
+            found[each] = tuple(dict.fromkeys((*found.get(each, ()), *which)))
+    return {name: which for name, which in found.items() if which}
 
 
 def check_id(name: str) -> str:
@@ -201,7 +263,11 @@ Text = Annotated[str, Field(max_length=100)]
 QuantityText = Annotated[str, Field(max_length=200)]
 Path1000 = Annotated[str, Field(min_length=1, max_length=1000)]
 Tolerance = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_share)]
-Covariates = Annotated[tuple[Literal["velocity", "amplitude"], ...], AfterValidator(_once)]
+Limit = Annotated[float, Field(gt=0, lt=1, strict=True), BeforeValidator(_share)]
+Covariates = Annotated[
+    tuple[Literal["velocity", "amplitude", "date", "cycles", "temperature"], ...],
+    AfterValidator(_once),
+]
 
 
 class Table(BaseModel):
@@ -375,16 +441,19 @@ class TestTable(Table):
     """relative to the campaign file, and inside its folder"""
     actuation: Annotated[
         Annotated[str, _understood(parse_actuation), Tag(":quantity")]
-        | Annotated[Column, Tag(":column")],
-        Discriminator(lambda value: ":quantity" if isinstance(value, str) else ":column"),
-    ]
+        | Annotated[Column, Tag(":column")]
+        | Annotated[None, Tag(":none")],
+        Discriminator(_kind_of_actuation),
+    ] = None
     """`"500 psi"`, `"30 lbf"`, `"0 psi"` (not for all tests), or `{ name = "pressure", unit =
     "MPa" }` for a measured history; also in A, V, W, N*m, T, K, %, turns, degrees, clicks,
-    notches or steps: laws, tables and figures are in that unit"""
+    notches or steps: laws, tables and figures are in that unit. Left out, in all tests, where
+    nothing in a model of your own follows it"""
     rate: SampleRate | None = None
     """in place of a column of times: `"100 Hz"`, or the step, `"10 ms"`"""
-    fit: Annotated[str, _understood(parse_window)] | None = None
-    """the part of the record that is used, `"0 s to 60 s"`, in its own time"""
+    fit: Annotated[str, _understood(_window)] | None = None
+    """the part of the record that is used, `"0 s to 60 s"`, in its own time; `"0 to 300"`, in
+    samples, where the model is rate-independent"""
     role: Role = "calibrate"
     """or `"validate"`: predicted from the others and scored, never fitted"""
     columns: Columns = Columns()
@@ -392,16 +461,33 @@ class TestTable(Table):
     session: Text = ""
     """tests that were made together, with nothing changed on damper or rig in between; they
     have one deviation from the laws in common"""
+    device: Text = ""
+    """the device that was tested, `"no. 3"`, where there are several of one make; tests of a device
+    have one deviation from the others in common"""
+    date: Annotated[str, BeforeValidator(_day)] | None = None
+    """day of the test, `2024-03-05`"""
+    cycles: Annotated[float, Field(ge=0, strict=True)] | None = None
+    """number of cycles that the device had made before"""
+    temperature: Annotated[float, Field(ge=-273.15), BeforeValidator(_celsius)] | None = None
+    """temperature of the device, a number in °C or `"68 °F"`"""
     after: Text = ""
     """id of the test that was made directly before this one, without a reset of the device in
     between: this one begins where in the gap that one ended"""
 
     @property
+    def conditions(self) -> dict[str, float]:
+        """What is known of date (decimal years), cycles and temperature (°C)."""
+        day = None if self.date is None else date.fromisoformat(self.date)
+        years = None if day is None else day.year + (day.timetuple().tm_yday - 1) / 365.25
+        known = {"date": years, "cycles": self.cycles, "temperature": self.temperature}
+        return {name: value for name, value in known.items() if value is not None}
+
+    @property
     def actuation_unit(self) -> str:
         """Unit of the actuation as it is given, such as "psi"; "" where the file has it."""
-        if isinstance(self.actuation, str):
-            return split_quantity(self.actuation)[1]
-        return self.actuation.unit or ""
+        if isinstance(self.actuation, Column):
+            return self.actuation.unit or ""
+        return split_quantity(self.actuation or NO_ACTUATION)[1]
 
 
 class GoalTable(Table):
@@ -439,11 +525,23 @@ class CampaignFile(Table):
     ] = {}
     dependence: Annotated[
         dict[Annotated[str, _key_of(lambda: DEPENDENCE, models_own=True)], Covariates],
-        AfterValidator(lambda given: {name: which for name, which in given.items() if which}),
+        AfterValidator(_all_dependences),
     ] = {}
     goal: GoalTable | None = None
     tolerances: dict[Annotated[str, _key_of(lambda: TOLERANCES)], Tolerance] = {}
+    limits: dict[Annotated[str, _key_of(lambda: ACCEPTANCE)], Limit] = {}
     test: Annotated[tuple[TestTable, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _conditions_there(self) -> Self:
+        for name, which in self.dependence.items():
+            for test in self.test:
+                if lacking := [c for c in which if c in CONDITIONS and c not in test.conditions]:
+                    raise ValueError(
+                        f"{name} is to follow the {lacking[0]}, and test {test.id!r} has no "
+                        f"{lacking[0]}"
+                    )
+        return self
 
     @property
     def tests(self) -> dict[str, TestTable]:
@@ -476,6 +574,16 @@ class CampaignFile(Table):
         return {test.id: test.session for test in self.test}
 
     @property
+    def devices(self) -> dict[str, str]:
+        """Device of each test, "" where it has none."""
+        return {test.id: test.device for test in self.test}
+
+    @property
+    def conditions(self) -> dict[str, dict[str, float]]:
+        """What is known of the date, the cycles and the temperature of each test."""
+        return {test.id: test.conditions for test in self.test}
+
+    @property
     def order(self) -> dict[str, str]:
         """The test that each follows without a reset, of those that follow one."""
         return {test.id: test.after for test in self.test if test.after}
@@ -504,7 +612,9 @@ class CampaignFile(Table):
         from mfd_bayes.population.inference import InferenceSettings
 
         return InferenceSettings(
-            self.laws, self.actuation_unit, effort, seed, self.dependence, self.sessions, jobs
+            *(self.laws, self.actuation_unit, effort, seed, self.dependence, self.sessions, jobs),
+            devices=self.devices,
+            conditions=self.conditions,
         )
 
 
@@ -528,7 +638,7 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
         "minus": Minus,
     }
 )
-"""Tables of a campaign file by their own name, but for laws, dependence and tolerances."""
+"""Tables of a campaign file by their own name, but for laws, dependence, tolerances, limits."""
 
 
 def keys_of(table: str) -> dict[str, tuple[str, str]]:
@@ -543,6 +653,10 @@ def keys_of(table: str) -> dict[str, tuple[str, str]]:
         }
     if table == "dependence":
         return {name: ("`[]`", meaning) for name, meaning in DEPENDENCE.items()}
+    if table == "limits":
+        return {
+            name: ('`"15 %"`' if name == "all" else "none", m) for name, m in ACCEPTANCE.items()
+        }
     if table == "tolerances":
         return {name: (f"`{share:g}`", meaning) for name, (share, meaning) in TOLERANCES.items()}
 

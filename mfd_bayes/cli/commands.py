@@ -15,7 +15,16 @@ import typer
 from mfd_bayes.cli.data import init, inspect, prior_check
 from mfd_bayes.cli.errors import Command, Commands, checked_streams
 from mfd_bayes.cli.fit import calibrate, check, demo, draws, report
-from mfd_bayes.cli.use import compare, crossvalidate, export, next_test, predict, respond, serve
+from mfd_bayes.cli.use import (
+    accept,
+    compare,
+    crossvalidate,
+    export,
+    next_test,
+    predict,
+    respond,
+    serve,
+)
 from mfd_bayes.cli.watch import watch
 from mfd_bayes.jobs.signals import end_on_signals
 
@@ -42,6 +51,7 @@ _PANELS: dict[str, tuple[tuple[Callable[..., None], str], ...]] = {
     ),
     "Predict and compare": (
         (predict, "look at bands.png, then mfd-bayes crossvalidate --help"),
+        (accept, "print and file FOLDER/DEVICE.html; test a rejected device again"),
         (crossvalidate, "open out/report.html, then mfd-bayes compare --help"),
         (compare, "open out/MODEL/report.html of the model that is favoured"),
         (draws, "read the table with pandas, R or another program; or mfd-bayes predict --help"),

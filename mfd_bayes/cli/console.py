@@ -8,7 +8,7 @@ import shlex
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -55,6 +55,19 @@ def open_console() -> Console:
     return console
 
 
+def effect_cells(row: Any) -> tuple[str, ...]:
+    """Cells of a quantity of a device that is compared with the others."""
+    has = math.isfinite(row["effect"])
+    return (
+        f"{row['effect']:+.1f}" if has else "",
+        f"{row['effect_lower']:+.1f} to {row['effect_upper']:+.1f}" if has else "",
+        f"±{row['limit']:.3g}" if math.isfinite(row["limit"]) else "",
+        f"{row['percentile']:.1f}",
+        f"{row['p_value']:.3f}",
+        str(row["verdict"]),
+    )
+
+
 def print_rows(
     title: str,
     heads: Sequence[str],
@@ -91,7 +104,7 @@ def _figures(values: Iterable[float], digits: int = 4) -> list[str]:
 def print_warnings(warnings: Iterable[Finding], system: System) -> None:
     """Print what was found that a reader must know, a line each, in the units of a system."""
     for finding in warnings:
-        say(f"warning: {finding.subject}: {finding.message.to_text(system.words)}")
+        say(f"warning: {finding.subject}: {finding.message.to_text(system)}")
 
 
 def print_plan(plan: Plan) -> None:
@@ -236,16 +249,16 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
 
 def missed_lines(view: CampaignView) -> list[str]:
     """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
-    words = view.systems[view.metric].words
+    system = view.systems[view.metric]
     return [
-        *(f"warning: {f.subject}: {f.message.to_text(words)}" for f in view.warnings),
+        *(f"warning: {f.subject}: {f.message.to_text(system)}" for f in view.warnings),
         *(
-            f"{c.status}: {c.test}: {c.message.to_text(words)}"
+            f"{c.status}: {c.test}: {c.message.to_text(system)}"
             for c in view.checks
             if c.status in (Verdict.FAIL, Verdict.WARNING)
         ),
         *(
-            f"{j.use}: {j.subject}: {j.to_text(words)}"
+            f"{j.use}: {j.subject}: {j.to_text(system)}"
             for j in view.judgements
             if j.use != Use.USABLE
         ),
@@ -271,8 +284,8 @@ def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
 
     These are at most `LINES` lines of at most `WIDTH` columns; `mfd-bayes check` has the rest.
     """
-    words = view.systems[view.metric].words
-    text = " ".join(sentence.to_text(words) for sentence in view.sentences)
+    system = view.systems[view.metric]
+    text = " ".join(sentence.to_text(system) for sentence in view.sentences)
     text = clean(f"{view.verdict.upper()}: {text}")
     lines = LINES if quiet else 4
     verdict = textwrap.wrap(text, WIDTH, max_lines=lines, placeholder=" …", break_on_hyphens=False)
@@ -291,4 +304,4 @@ def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
 def print_sentences(view: CampaignView) -> None:
     """Print the verdict on a run, a line for each of its sentences, in the units of a view."""
     for sentence in view.sentences:
-        say(sentence.to_text(view.systems[view.metric].words))
+        say(sentence.to_text(view.systems[view.metric]))

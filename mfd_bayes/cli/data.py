@@ -109,7 +109,7 @@ def inspect(
         for key, fact in inspection.facts.items():
             say(f"  {key:21s}{fact}")
         for fault in inspection.faults:
-            say(f"  {'warning':21s}{fault.name}: {fault.message.to_text(system.words)}")
+            say(f"  {'warning':21s}{fault.name}: {fault.message.to_text(system)}")
         say(f"  {'picture':21s}{picture}")
 
 

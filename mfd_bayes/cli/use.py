@@ -22,10 +22,12 @@ _COMPARED = "three_stage,lugre,bouc_wen,backlash"
 def predict(
     ctx: Context,
     out: options.Run,
-    actuation: Annotated[str, Option(help='Such as "1000 psi".')],
     bands: Annotated[
         Path, Option("-o", "--out", parser=options.path, help="CSV to write; PNGs beside it.")
     ],
+    actuation: Annotated[
+        str, Option(help='Such as "1000 psi"; needed where the tests have one.')
+    ] = "",
     motion: Annotated[
         Path | None, Option(parser=options.path, help="A file with time_s and displacement_in, …")
     ] = None,
@@ -37,6 +39,10 @@ def predict(
     ] = False,
     test: Annotated[
         str, Option(metavar="ID", help="The calibrated test, for --kind this_test.")
+    ] = "",
+    device: Annotated[
+        str,
+        Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several."),
     ] = "",
     whole: Annotated[
         bool, Option("--whole", help="Add a band that holds the whole history.")
@@ -106,7 +112,7 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     """Print what a prediction found, and where its tables are."""
     band = answer.band
     for remark in band.remarks:
-        console.say(f"warning: {remark}", err=True)
+        console.say(f"warning: {answer.system.text(remark)}", err=True)
     console.say(
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({answer.name}), from {band.source}: {question.bands}"
@@ -220,6 +226,72 @@ def compare(
             console.say(f"{model}: {view.sentence} Mean CRPS {view.mean['crps']:.3f} {unit}.")
         if not quiet:
             console.say(f"look next at {out / 'comparison.csv'}")
+
+
+def accept(
+    ctx: Context,
+    out: options.Run,
+    records: Annotated[
+        list[Path], typer.Argument(parser=options.path, help="Records of the devices.")
+    ],
+    actuation: Annotated[str, Option(help='Of the records, such as "1000 psi".')],
+    folder: options.Folder,
+    device: Annotated[
+        list[str] | None,
+        Option(metavar='"no. 17"', help="The device of all records; or repeat it for each."),
+    ] = None,
+    limit: Annotated[
+        list[str] | None,
+        Option(
+            metavar='slip="15 %"',
+            help="Largest deviation of slip, gap, energy, …, or all; may be repeated.",
+            show_default="the campaign's, else all=15 %",
+        ),
+    ] = None,
+    session: Annotated[str, Option(help="The session in which the records were made.")] = "",
+    draws: Annotated[int, Option(min=200, max=10000)] = 1000,
+    seed: options.Seed = 0,
+    force: options.Replace = False,
+    units: options.Units = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Say whether a device is like the others: accepted, rejected, or that a record cannot tell.
+
+    Compares slip force, peak force, energy, effective stiffness and damping, gap,
+    and the whole loop of a record with what the run's tests scatter. A device is
+    accepted where its own level is shown to lie within the limits (two one-sided
+    tests, 5 % each); it is rejected where it lies beyond one and the scatter of
+    tests does not explain it (5 % false alarms, over all quantities and the whole
+    batch). Writes FOLDER/acceptance.csv, a page of A4 for each device, and with
+    several devices a picture. Ends with exit code 1 where a device is rejected.
+
+    Example:
+      mfd-bayes accept out no17.csv --actuation "1000 psi" --device "no. 17" -o qc
+      mfd-bayes accept out new/*.csv --actuation 1ksi --limit "slip=10 %" -o qc
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import accept as pipeline
+
+        found = pipeline.accept_records(out, options.settings(pipeline.Inspection, ctx))
+    for remark in dict.fromkeys(remark for each in found.devices for remark in each.remarks):
+        console.say(f"warning: {remark}", err=True)
+    if not quiet:
+        for each in found.devices:
+            heads = ["effect, %", "90 % interval", "limit, %", "percentile", "p", "verdict"]
+            rows = [
+                (
+                    f"{row['quantity']} {row['direction']}".strip(),
+                    *console.effect_cells(row),
+                )
+                for _, row in each.rows.iterrows()
+            ]
+            console.print_rows(f"{each.device}: {each.verdict}", ["quantity", *heads], rows)
+    for each in found.devices:
+        console.say(f"{each.device}: {each.sentence}")
+    if not quiet:
+        console.say(f"look next at {found.pages[0]}")
+    if found.rejected:
+        raise typer.Exit(1)
 
 
 def next_test(

@@ -119,7 +119,10 @@ def predictive_checks(
             sizes = check.observed, check.expected, check.size, check.p_value
             checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
     seen = measured_properties(measured)
+    axes = posterior.model.axes
     for name, (feature, unit, check_name) in _FEATURES.items():
+        if not axes.has(name):
+            continue
         values, own = properties[name][np.isfinite(properties[name])], seen[name]
         if not values.size or not np.isfinite(own):
             continue

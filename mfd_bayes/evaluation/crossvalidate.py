@@ -200,7 +200,7 @@ def leave_out(
         test = run.tests[name]
         posterior = test.posterior
         predictor = Predictor(inference.population, posterior.model, posterior.noise)
-        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, session=run.session(name))
+        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, **run.place(name))
         order = TestSequence(
             run.manifest, others, motions, predictor, partial(_pooled, inference, others)
         )

@@ -10,10 +10,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.evaluation.design import sessions_of
+from mfd_bayes.evaluation.design import NEW, places_of, sessions_of
 from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
 from mfd_bayes.messages import Message
+from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
@@ -48,7 +50,8 @@ _QUANTITIES = (
 _COLUMNS = [
     *("condition", "actuation", "actuation_unit", "stroke", "frequency", "tested"),
     *("quantity", "direction", "unit", "cycle", "measured_low", "measured", "measured_high"),
-    *("n_cycles", "n_outside", "nominal", "lower", "upper", "lambda_min", "lambda_max", "note"),
+    *("n_cycles", "n_outside", "nominal", "lower", "upper", "lambda_min", "lambda_max"),
+    *("lambda_min_other", "lambda_max_other", "note"),
 ]
 """Of `Datasheet.rows`, there even where no test is harmonic."""
 
@@ -73,10 +76,12 @@ class Datasheet:
         `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was
         tested. `nominal` is the mean of the mean property (the device at this actuation), `lower`
         and `upper` hold a cycle of a new test with 95 %, offset, noise and chatter included.
-        `n_outside` counts the measured cycles outside of them.
+        `n_outside` counts the measured cycles outside of them. `lambda_min_other` and
+        `lambda_max_other` are those of another device: NaN where all tests are of one.
     tested : mapping of str to Message
         Ranges and numbers of what was tested, by name.
-    verdict : tuple of three Message
+    verdict : tuple of Message
+        Three; a fourth of other devices, where there are several.
     not_known : tuple of Message
         What a standard asks for and these tests cannot tell.
     formulas : mapping of str to str
@@ -90,17 +95,19 @@ class Datasheet:
     formulas: Mapping[str, str]
 
 
-def parse_condition(text: str, actuation_unit: str) -> Condition:
+def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:
     """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency."""
+    if not axes.actuated:
+        text = f"{NO_ACTUATION}, {text}"
     level, _, motion = text.partition(",")
-    if text.count(",") != 2:
+    if text.count(",") != (2 if axes.timed else 1):
         raise CampaignError(f"a condition reads '35 lbf, 1 in, 0.5 Hz', got {text!r}")
     actuation, unit = parse_actuation(level.strip(), of=f"the actuation of {text!r}")
     if unit != actuation_unit:
         raise CampaignError(
             f"the actuation of {text!r} must be {actuation_kind(actuation_unit)}, as in the tests"
         )
-    harmonic = parse_sine(f"{motion}, {CYCLES} cycles")
+    harmonic = parse_sine(f"{motion}, {CYCLES} cycles", axes)
     return Condition(actuation, harmonic.amplitude, harmonic.frequency)
 
 
@@ -123,15 +130,23 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
         tested=_tested(run),
         verdict=_verdict(run, rows),
         not_known=(*lacking, *_not_known(run)),
-        formulas={quantity: FORMULAS[quantity] for quantity, _, _ in _QUANTITIES},
+        formulas={
+            run.system.text(quantity): run.system.text(FORMULAS[quantity])
+            for quantity, _, name in _QUANTITIES
+            if run.system.axes.has(name)
+        },
     )
 
 
 def condition_words(run: Run, condition: Condition) -> str:
     """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
-    words = run.system.words
-    level = words([condition.actuation], run.actuation_unit, actuation=True)
-    return f"{level}, {words([condition.stroke], 'in', 3)}, {condition.frequency:.3g} Hz"
+    words, axes = run.system.words, run.system.axes
+    parts = [words([condition.stroke], "in", 3)]
+    if axes.actuated:
+        parts.insert(0, words([condition.actuation], run.actuation_unit, actuation=True))
+    if axes.timed:
+        parts.append(f"{condition.frequency:.3g} Hz")
+    return ", ".join(parts)
 
 
 Tested = tuple[Condition, str, Trace, MeasuredCycles]
@@ -148,7 +163,8 @@ def _harmonic_tests(run: Run) -> list[Tested]:
         full = cycles.full_stroke
         if full.size and full.mean() >= HARMONIC:
             amplitude = 0.5 * float(np.median(cycles.stroke[full]))
-            frequency = float(np.median(cycles.frequency[full]))
+            timed = run.system.axes.timed
+            frequency = float(np.median(cycles.frequency[full])) if timed else 1.0
             level, by = traces[name].reference_actuation, run.system.factor("in")
             condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
             tests.append((condition, name, traces[name], cycles))
@@ -165,9 +181,15 @@ def _rows(
     run: Run, condition: Condition, label: str, own: Sequence[Tested], peaks: Peaks
 ) -> list[dict[str, object]]:
     """Rows of one condition; `own` are its tests."""
-    trace = own[0][2] if own else Harmonic(*condition[1:], CYCLES).trace(condition.actuation)
-    names = dict.fromkeys(run.session(name) for _, name, _, _ in own) or sessions_of(run)
+    axes = run.system.axes
+    if own:
+        trace = own[0][2]
+    else:
+        trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
+    devices = run.manifest.settings.devices
+    names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in own) or places_of(run)
     nominal, bounded = _predicted(run, trace, list(names), peaks)
+    others = _predicted(run, trace, [(NEW, NEW)], peaks)[1] if len(run.devices) > 1 else {}
     remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
     head = {
         "condition": label,
@@ -179,6 +201,8 @@ def _rows(
     }
     tail, rows = 0.5 * (1.0 - PROBABILITY), []
     for quantity, direction, name in _QUANTITIES:
+        if not axes.has(name):
+            continue
         values = [getattr(cycles, name)[cycles.full_stroke] for _, _, _, cycles in own]
         for cycle in range(CYCLES + 1 if name == "energy" else 1):
             kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
@@ -200,9 +224,19 @@ def _rows(
                 | {"nominal": level, "lower": float(lower), "upper": float(upper)}
                 | {"lambda_min": float(lower / level) if level else float("nan")}
                 | {"lambda_max": float(upper / level) if level else float("nan")}
+                | _other_factors(others.get(name), kept, level)
                 | {"note": "; ".join(remarks)}
             )
     return rows
+
+
+def _other_factors(drawn: Array | None, kept: slice, middle: float) -> dict[str, float]:
+    """Property modification factors of another device."""
+    values = np.empty(0) if drawn is None else drawn[:, kept]
+    values, tail = values[np.isfinite(values)], 0.5 * (1.0 - PROBABILITY)
+    known = values.size and middle
+    low, high = np.quantile(values, [tail, 1.0 - tail]) / middle if known else (np.nan, np.nan)
+    return {"lambda_min_other": float(low), "lambda_max_other": float(high)}
 
 
 def _finite(values: Array) -> Array:
@@ -210,14 +244,14 @@ def _finite(values: Array) -> Array:
 
 
 def _predicted(
-    run: Run, trace: Trace, sessions: Sequence[str], peaks: Peaks
+    run: Run, trace: Trace, places: Sequence[tuple[str, str]], peaks: Peaks
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Draws of the nominal values of the cycles at full stroke, and of those of a measurement."""
     nominal, bounded = [], []
-    draws = max(DRAWS // len(sessions), 10)
-    for session in sessions:
+    draws = max(DRAWS // len(places), 10)
+    for session, name in places:
         device, test, seen = (
-            run.predict(trace, kind, PROBABILITY, draws=draws, session=session)
+            run.predict(trace, kind, PROBABILITY, draws=draws, session=session, device=name)
             for kind in ("device", "new_test", "observation")
         )
         middle = cycles_of(trace, device.draws)
@@ -237,12 +271,15 @@ def _tested(run: Run) -> dict[str, Message]:
     """Ranges and numbers of what was tested."""
     more = {"stroke": " from end to end"}
     ranges = {
-        span.name: Message(f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)})
+        run.system.text(span.name): Message(
+            f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)}
+        )
         for span in run.tested
+        if run.system.axes.actuated or span.name != "actuation"
     }
     sessions = [session for session in sessions_of(run) if session]
     return ranges | {
-        "devices": Message("1"),
+        "devices": Message(f"{len(run.devices)}"),
         "sessions": Message(f"{len(sessions)}" if sessions else "1 (none declared)"),
         "tests": Message(f"{len(run.tests)} calibrated, {len(run.held_out)} held out"),
     }
@@ -270,21 +307,30 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     if not cycles:
         second = Message("No test is harmonic: there are no measured cycles to compare.")
     spans = {span.name: span for span in run.tested}
-    where = [spans[name] for name in ("actuation", "stroke", "frequency") if name in spans]
+    actuated = ("actuation",) if run.system.axes.actuated else ()
+    where = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
     third = Message(
         "Bounds hold for one device within {where}; outside they rest on the form of the laws.",
         {"where": ", ".join(span.words(run.system) for span in where)},
     )
-    return first, second, third
+    if len(run.devices) < 2:
+        return first, second, third
+    slip = rows[(rows["cycle"] == 0) & (rows["quantity"] == "slip_force")]
+    low, high = slip["lambda_min_other"].min(), slip["lambda_max_other"].max()
+    fourth = Message(
+        f"Another device of the make, from {len(run.devices)} devices: slip force of "
+        f"{low:.2f} to {high:.2f} times the nominal one."
+    )
+    return first, second, third, fourth
 
 
 def _not_known(run: Run) -> tuple[Message, ...]:
     """What ASCE/SEI 7 and EN 15129 ask of property factors and these tests cannot tell."""
-    unless = (
-        "unless the declared sessions are devices" if any(sessions_of(run)) else "none is known"
-    )
-    return (
-        Message(f"Other devices of the same make: {unless}."),
-        Message("Ageing, wear and contamination: all tests are of a few cycles of a new device."),
-        Message("Temperature: no record has one."),
-    )
+    followed = {c for those in run.manifest.settings.dependence.values() for c in those}
+    ageing = "Ageing, wear and contamination: all tests are of a few cycles of a new device."
+    unknown = {
+        "Other devices of the same make: all tests are of one device.": len(run.devices) < 2,
+        ageing: not followed & {"date", "cycles"},
+        "Temperature: no law of these tests follows one.": "temperature" not in followed,
+    }
+    return tuple(Message(text) for text, lacking in unknown.items() if lacking)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.evaluation.properties import NO_FACTOR, UNITS, peaks_of, properties_of
+from mfd_bayes.evaluation.properties import NO_FACTOR, UNITS, kept, peaks_of, properties_of
 from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
@@ -18,7 +19,7 @@ from mfd_bayes.runs.run import Run
 Array = NDArray[np.float64]
 
 ANOTHER = "another_device"
-"""Another device of the same make: known where the sessions of a campaign are devices."""
+"""Another device of the same make: known where the calibrated tests are of several devices."""
 
 BASES: Mapping[str, str] = {
     "device": KIND_NAMES["device"],
@@ -31,32 +32,33 @@ BASES: Mapping[str, str] = {
 DRAWS = 1000
 """Draws of each basis: few would leave the bounds to chance."""
 
-NOT_KNOWN = "not known: no sessions of several devices are declared"
+NOT_KNOWN = "not known: the calibrated tests are of one device"
 
 PROPERTIES = (
     *("slip_fwd", "slip_bwd", "energy_per_cycle", "effective_stiffness", "effective_damping"),
     *("c_eq", "peak_fwd", "peak_bwd", "gap"),
 )
-_NEW = "\x00another"  # a session that no campaign can declare
+NEW = "\x00another"  # a session or a device that no campaign can declare
 
 
 def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
     """Mean and bounding properties under a motion and an actuation, by property, then by basis.
 
-    "This device tested again" is a test in one of the declared sessions, "another device" one in a
-    session that was not. Without sessions the latter is not known. The mean property has the mean
-    of the factor between the model's peak and the measured one, the others its scatter too.
+    "This device tested again" is a test of one of the calibrated devices in one of the declared
+    sessions, "another device" a test of a new one, in a new session where there are several. With
+    one device the latter is not known. The mean property has the mean of the factor between the
+    model's peak and the measured one, the others its scatter too.
     """
-    sessions, n, peaks = sessions_of(run), n_draws(run), peaks_of(run)
+    places, n, peaks = places_of(run), n_draws(run), peaks_of(run)
 
-    def draw(kind: str, session: str, draws: int = n) -> Band:
-        return run.predict(trace, kind, probability, session=session, draws=draws)
+    def draw(kind: str, session: str, device: str, draws: int = n) -> Band:
+        how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
+        return run.predict(trace, kind, probability, **how)
 
-    bands = {
-        kind: [draw(kind, session) for session in sessions] for kind in KIND_NAMES if kind in BASES
-    }
-    if len(sessions) > 1:
-        bands[ANOTHER] = [draw("new_test", _NEW, DRAWS)]
+    bands = {kind: [draw(kind, *place) for place in places] for kind in KIND_NAMES if kind in BASES}
+    if len(run.devices) > 1:
+        session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
+        bands[ANOTHER] = [draw("new_test", session, NEW, DRAWS)]
     drawn = {}
     for basis, several in bands.items():
         parts = []
@@ -70,14 +72,15 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
         drawn[basis] = {name: np.concatenate([p[name] for p in parts]) for name in PROPERTIES}
     for side, factor_of in peaks.items():
         drawn["device"][f"peak_{side}"] *= factor_of.expected
-    return bounds_of(drawn, probability)
+    drawn = {basis: kept(of, run.manifest.axes) for basis, of in drawn.items()}
+    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
 
 
-def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float) -> Rows:
+def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
     """Bounds of draws (n,) by basis and property; "device" has the nominal values.
 
     A basis of `BASES` that is missing is not known, and its bounds are NaN. `lambda_min` and
-    `lambda_max` are the bounds over the nominal value.
+    `lambda_max` are the bounds over the nominal value. The `note` is of another device.
     """
     tail, rows = 0.5 * (1.0 - probability), []
     for name, mean in drawn["device"].items():
@@ -98,7 +101,7 @@ def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float) -> R
                 | {"nominal": nominal, "lower": lower, "upper": upper}
                 | {"lambda_min": lower / nominal if nominal else np.nan}
                 | {"lambda_max": upper / nominal if nominal else np.nan}
-                | {"note": "" if basis in drawn else NOT_KNOWN}
+                | {"note": (note if basis == ANOTHER else "") if basis in drawn else NOT_KNOWN}
             )
     return tuple(rows)
 
@@ -117,11 +120,17 @@ def design_warnings(run: Run) -> tuple[str, ...]:
 
 
 def n_draws(run: Run) -> int:
-    """Draws of the bands behind the bounds, for each session.
+    """Draws of the bands behind the bounds, for each session and device.
 
-    A band with as many, without sessions, has the same draws as the bounds.
+    A band with as many, of one session and device, has the same draws as the bounds.
     """
-    return DRAWS // len(sessions_of(run)) + 10
+    return DRAWS // len(places_of(run)) + 10
+
+
+def places_of(run: Run) -> tuple[tuple[str, str], ...]:
+    """Session and device of the calibrated tests, each pair once."""
+    devices = run.manifest.settings.devices
+    return tuple(dict.fromkeys((run.session(name), devices[name]) for name in run.tests))
 
 
 def sessions_of(run: Run) -> tuple[str, ...]:

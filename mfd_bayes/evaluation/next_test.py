@@ -23,9 +23,12 @@ _COUNT = ("none", "one", "two", "three", "four", "five", "six")
 
 def candidate_words(candidate: Candidate, system: System, unit: str) -> str:
     """A test in words: "1350 psi, 0.5 Hz, 1 in", with its waveform where it is no sine."""
-    level = system.words([candidate.actuation], unit, actuation=True)
-    amplitude = system.words([candidate.amplitude], "in", 3)
-    text = f"{level}, {candidate.frequency:.3g} Hz, {amplitude}"
+    axes, parts = system.axes, [system.words([candidate.amplitude], "in", 3)]
+    if axes.timed:
+        parts.insert(0, f"{candidate.frequency:.3g} Hz")
+    if axes.actuated:
+        parts.insert(0, system.words([candidate.actuation], unit, actuation=True))
+    text = ", ".join(parts)
     return text if candidate.waveform == "sine" else f"{text}, {candidate.waveform}"
 
 
@@ -36,7 +39,7 @@ def goal_words(advice: Advice, system: System, unit: str) -> str:
         scatter = ", with test-to-test scatter," if goal.kind == "new_test" else ""
         what = f"the {100 * goal.probability:.3g} % band{scatter}"
     else:
-        what = f"the {100 * goal.probability:.3g} % interval of the {goal.words}"
+        what = f"the {100 * goal.probability:.3g} % interval of the {system.text(goal.words)}"
     if goal.quantity not in AT_MOTIONS or (goal.quantity == GAP):
         return what
     if not goal.at:
@@ -117,14 +120,15 @@ def advice_rows(advice: Advice, system: System, unit: str) -> list[dict[str, str
             "cost_h": candidate.cost,
             f"actuation_{name}": candidate.actuation * by,
             "frequency_Hz": candidate.frequency,
-            f"amplitude_{system.length}": candidate.amplitude * system.factor("in"),
+            system.column("amplitude", "in"): candidate.amplitude * system.factor("in"),
             "cycles": candidate.cycles,
             "waveform": candidate.waveform,
             "repeats_a_test": "" if score is None else "yes" if score.repeat else "no",
             "ruled_out_by": why,
         }
         rows.append(row)
-    return rows
+    lost = {f"actuation_{name}": not system.axes.actuated, "frequency_Hz": not system.axes.timed}
+    return [{key: value for key, value in row.items() if not lost.get(key)} for row in rows]
 
 
 def advice_content(advice: Advice, system: System, unit: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.axes import Axes
 from mfd_bayes.calibration.cycles import derive_from_parameters
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
@@ -239,6 +240,7 @@ def predicted_rows(
     record: Record | None = None,
     after: str = "",
     given: Trace | None = None,
+    device: str = "",
 ) -> Rows:
     """Properties of a prediction, with intervals of the band's probability.
 
@@ -255,11 +257,14 @@ def predicted_rows(
         Test that the motion follows without a reset.
     given : Trace, optional
         With the force of the part that was given.
+    device : str
+        That was predicted.
     """
     test = band
     if band.kind == "observation":
         window = band.given.window if band.given else None
         how: dict[str, Any] = {"given": window, "after": after, "draws": len(band.draws)}
+        how |= {"device": device} if device else {}
         test = source.predict(given or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):
         drawn = properties_of(trace, band.draws, peaks_of(source.runs[0]), smooth=test.draws)
@@ -267,7 +272,14 @@ def predicted_rows(
         drawn = device_properties(source, trace, band, test)
     cycles = None if record is None else measured_cycles(record)
     measured = {} if cycles is None else measured_properties(cycles)
+    first = source.runs[0] if isinstance(source, ModelAverage) else source
+    drawn = kept(drawn, first.system.axes)
     return property_rows("", band.kind, trace, drawn, measured, band.probability)
+
+
+def kept(properties: Mapping[str, Array], axes: Axes) -> dict[str, Array]:
+    """Those of the properties that make sense for a model's motion and response."""
+    return {name: values for name, values in properties.items() if axes.has(name)}
 
 
 def property_rows(

@@ -12,6 +12,7 @@ import numpy as np
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation.checks import convergence_checks, exponent_checks
 from mfd_bayes.evaluation.crossvalidate import left_out_view
+from mfd_bayes.evaluation.drift import drift_rows
 from mfd_bayes.evaluation.laws import law_choices, law_rows, law_score_rows, law_views
 from mfd_bayes.evaluation.outliers import (
     contradicted_order,
@@ -151,6 +152,7 @@ def build_summary(
         metric=run.system.name == SI.name,
         systems=both_systems(run.system),
         tested=run.tested,
+        drifts=drift_rows(run) if table else (),
         model=run.model,
     )
 
@@ -173,7 +175,7 @@ def verdicts(view: CampaignView) -> dict[str, str]:
         if worse != Use.WITH_CARE or uses.get(check.test) != Use.NOT_USABLE:
             uses[check.test] = worse or uses.get(check.test, Use.USABLE)
     uses |= {judged.subject: judged.use for judged in view.judgements}
-    sentence = join(view.sentences, " ").to_text(view.system.words)
+    sentence = join(view.sentences, " ").to_text(view.system)
     whole = {"campaign": view.verdict, "sentence": sentence}
     return whole | uses | whole  # tests may have these names too
 

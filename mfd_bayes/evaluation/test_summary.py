@@ -21,6 +21,7 @@ from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.properties import (
     Peaks,
     device_properties,
+    kept,
     measured_of,
     measured_properties,
     of_parameters,
@@ -78,6 +79,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     predictive = checks.predictive_checks(*arguments)
     level = trace.reference_actuation
     derived = properties | of_parameters(posterior.model, replicas.values, level, settings)
+    derived = kept(derived, manifest.axes)
     by_name = {row["name"]: row for row in rows}
     informed = {name for name, row in by_name.items() if row["contraction"] >= checks.INFORMED}
     most = FEWER if len(manifest.tests) > MANY else MAX_PLOTTED_DRAWS
@@ -87,7 +89,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     return TestView(
         id=test.id,
         role="calibrate",
-        actuation=US.actuation(trace, settings.actuation_unit),
+        actuation=US.actuation(trace, settings.actuation_unit) if manifest.axes.actuated else "",
         trace=trace,
         first=posterior.first,
         device=fan_of("this_test", replicas.force),
@@ -124,21 +126,21 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
 
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
-    session = run.session(name)
-    before = run.sequence.before(name, trace, Forecast(draws=HELD_OUT_DRAWS, session=session))
-    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, "session": session, "after": before or ""}
+    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **run.place(name)}
+    before = run.sequence.before(name, trace, Forecast(**how))
+    how["after"] = before or ""
     seen = run.predict(trace, "observation", explain=True, **how)
     drawn = device_properties(run, trace, seen, run.predict(trace, "new_test", **how))
     measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
         id=name,
         role="validate",
-        actuation=US.actuation(trace, run.actuation_unit),
+        actuation=US.actuation(trace, run.actuation_unit) if run.manifest.axes.actuated else "",
         trace=trace,
         first=0,
         observation=fan_of("observation", seen.draws),
         score=_score(name, "validate", trace, seen.draws, 0),
-        derived=property_rows(name, "validate", trace, drawn, measured),
+        derived=property_rows(name, "validate", trace, kept(drawn, run.manifest.axes), measured),
         shares=seen.explained,
         begun=before.words if before else "",
     )

@@ -264,7 +264,8 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
         and s.difference > max(s.se, 1.0)
     ]
     texts += zero_pressure_sentences(run.population.design, run.tests)
-    if len({round(t.trace.reference_actuation, 9) for t in run.tests.values()}) < 2:
+    levels = {round(t.trace.reference_actuation, 9) for t in run.tests.values()}
+    if len(levels) < 2 and run.manifest.axes.actuated:
         texts.append(
             "All calibrated tests are at one actuation: at any other actuation, predictions rest "
             "only on the form of the laws."

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from mfd_bayes.runs.scores import Comparison
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
+
+if TYPE_CHECKING:
+    from mfd_bayes.evaluation.drift import DriftRow
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -309,6 +312,8 @@ class CampaignView:
         Smallest and largest stroke, speed, frequency and actuation of the calibrated tests.
     next_test : Advice or None
         Which test to make next, where it was asked for.
+    drifts : tuple of DriftRow
+        What follows a date, a count of cycles or a temperature.
     """
 
     title: str
@@ -334,6 +339,7 @@ class CampaignView:
     systems: tuple[System, System] = SYSTEMS
     tested: tuple[Span, ...] = ()
     next_test: Advice | None = None
+    drifts: tuple[DriftRow, ...] = ()
     model: Model | None = None
 
     @property

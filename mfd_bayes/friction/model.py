@@ -10,11 +10,12 @@ from functools import cached_property
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mfd_bayes.axes import DAMPER, Axes, axis_of, in_place_of
 from mfd_bayes.errors import FitError, MfdError, UnitError
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
 from mfd_bayes.friction.quantity import LAW_NAMES, LIMITS, Parameter, Quantity
@@ -29,13 +30,6 @@ Rows = NDArray[np.intp]
 Scales = Mapping[str, Array]
 
 _NONE: Mapping[str, str] = MappingProxyType({})
-
-
-class Axis(NamedTuple):
-    """What a model's input or output is, and its unit."""
-
-    name: str
-    unit: str
 
 
 class Model:
@@ -68,10 +62,12 @@ class Model:
         In campaign files.
     parameters : tuple of Parameter
         Of a class; of an object, their names, which are theta's columns.
-    motion, response : str or Axis
-        What the model takes and gives, with units, such as "strain" and "stress, MPa".
+    motion, response : str
+        What the model takes and gives, with units: "strain" and "stress, MPa" (see `axes.UNITS`
+        for those that need no unit). `trace.displacement` holds the first, and `force` gives the
+        second, in these units.
     rate_independent : bool
-        Whether time does not matter, so that a record needs none.
+        Whether time does not matter: samples are then numbered, `trace.time` is their number.
     quantities : tuple of Quantity
         All that it knows by name. Those that are sampled are so in this order.
     positive : frozenset of str
@@ -94,8 +90,8 @@ class Model:
 
     name: ClassVar[str]
     parameters: ClassVar[Any]
-    motion: ClassVar[Any] = Axis("displacement", "in")
-    response: ClassVar[Any] = Axis("force", "kip")
+    motion: ClassVar[Any] = DAMPER.motion
+    response: ClassVar[Any] = DAMPER.response
     rate_independent: ClassVar[bool] = False
     quantities: ClassVar[tuple[Quantity, ...]] = ()
     positive: ClassVar[frozenset[str]] = frozenset()
@@ -116,13 +112,23 @@ class Model:
         given = cls.__dict__
         declared = given.get("parameters")
         by_name = isinstance(declared, tuple) and {type(name) for name in declared} == {str}
+        for key, default in (("motion", DAMPER.motion), ("response", DAMPER.response)):
+            if key in given:
+                try:
+                    setattr(cls, key, axis_of(given[key], default))
+                except UnitError as error:
+                    raise FitError(f"{where_of(cls)}, {key}: {error}") from error
+        if cls.motion.name == cls.response.name:
+            raise FitError(f"{where_of(cls)}: motion and response are both {cls.motion.name!r}")
+        if not isinstance(cls.rate_independent, bool):
+            raise FitError(
+                f"{where_of(cls)}: rate_independent must be True or False, "
+                f"got {cls.rate_independent!r:.60}"
+            )
         if "parameters" in given and not (by_name or isinstance(declared, property)):
             _declare(cls, declared)
         elif "quantities" in given and "parameters" not in given:
             cls.parameters = tuple(quantity.name for quantity in cls.quantities)
-        for key, default in (("motion", "in"), ("response", "kip")):
-            if key in given:
-                setattr(cls, key, _axis(cls, key, given[key], default))
         names = [name for name in ("force", "start", "step") if name in given]
         parent: type[Any] = cls.__mro__[1]
         built_in = parent.compute_force is not Model.compute_force
@@ -139,6 +145,11 @@ class Model:
     def actuated(self) -> tuple[str, ...]:
         """Parameters that `scales` may hold: those that follow the actuation."""
         return (*self.laws, *self.tied_laws)
+
+    @property
+    def axes(self) -> Axes:
+        """What motion and response are, and whether time matters."""
+        return Axes(self.motion, self.response, not self.rate_independent)
 
     @property
     def where(self) -> str:
@@ -519,6 +530,10 @@ class Model:
     ) -> tuple[Columns, Array, Columns]:
         """Columns and place in the gap, (n,), and factors, (T, n) or (T, 1); none if constant."""
         check_trace("trace", trace, FitError)
+        if not (trace.timed or self.rate_independent):
+            raise FitError(
+                f"the model {self.name} needs the time of each sample, and the trace has none"
+            )
         c = self.columns(theta)
         n = next(iter(c.values())).size if c else len(np.atleast_2d(np.asarray(theta)))
         w0 = check_start(start, n)
@@ -753,21 +768,13 @@ def _declare(cls: type[Model], declared: Any) -> None:
         raise FitError(f"{where_of(cls)}: there are two parameters {twice[0]!r}")
     cls.parameters = names
     cls.quantities = tuple(parameter.quantity for parameter in declared)
+    if not (cls.motion == DAMPER.motion and cls.response == DAMPER.response):
+        # "in" and "kip" are inside the package those of motion and response
+        own = {q.unit: in_place_of(q.unit, {"in": "inch", "kip": "klbf"}) for q in cls.quantities}
+        cls.quantities = tuple(
+            replace(q, kind=own[q.unit]) if own[q.unit] != q.unit else q for q in cls.quantities
+        )
     cls.laws = {parameter.name: parameter.law for parameter in declared if parameter.law}
-
-
-def _axis(cls: type[Model], key: str, given: Any, default: str) -> Axis:
-    """Name and unit of a class's motion or response, of "stress, MPa" or of a pair."""
-    parts = given if isinstance(given, tuple) else str(given).split(",", 1)
-    name = str(parts[0]).strip()
-    own = {"displacement": "in", "force": "kip"}.get(name, "1")
-    unit = str(parts[1]).strip() if len(parts) > 1 else own
-    if not name or len(parts) > 2:
-        raise FitError(f"{where_of(cls)}: {key} must be such as 'stress, MPa', got {given!r:.60}")
-    _check_unit(f"{where_of(cls)}, {key}", unit)
-    if name in ("displacement", "force") and unit != default:
-        raise FitError(f"{where_of(cls)}, {key}: a {name} is in {own} here, got {unit!r}")
-    return Axis(name, unit)
 
 
 def _check_unit(where: str, unit: Any) -> None:

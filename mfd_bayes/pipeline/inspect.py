@@ -86,6 +86,8 @@ def system_of_records(records: Iterable[Record], units: str = "") -> System:
             else record.columns.get("actuation", ("", ""))[1]
             for record in records
         ),
+        records[0].axes,
+        (record.columns["force"][1] for record in records if "force" in record.columns),
     )
     return named_system(units, own)
 
@@ -93,10 +95,12 @@ def system_of_records(records: Iterable[Record], units: str = "") -> System:
 def _to_units(inspection: Inspection, record: Record, system: System) -> Inspection:
     """The inspection of a record, its facts in the units of a system."""
     facts = {
-        name: Message("{text}", {"text": fact.to_text(system.words)})
+        system.text(name): Message("{text}", {"text": fact.to_text(system)})
         for name, fact in inspection.facts.items()
     }
-    if record.actuation_unit is not None:  # of the value itself: a rounded one is not 7 bar
+    if (
+        "actuation" in facts and record.actuation_unit is not None
+    ):  # of the value itself: a rounded one is not 7 bar
         level = system.actuation(inspection.trace, record.actuation_unit)
         facts["actuation"] = Message("{text}", {"text": level})
     return replace(inspection, facts=facts)

@@ -23,7 +23,6 @@ from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, gap_of, tested_of
 from mfd_bayes.population.design import Design, design_of
-from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.regular import hash_file
@@ -128,6 +127,7 @@ def plan_campaign(path: Path, options: Options) -> Plan:
         settings=settings,
         inputs=inputs,
         tests=entries,
+        axes=campaign.axes,
         warnings=findings_of(faults, campaign, design, {task.id: task.trace for task in tasks}),
         command=options.command.encode(errors="backslashreplace").decode(),  # any path's name
         started=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -157,19 +157,22 @@ def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
             f"noise_sd is fixed in {some.priors.path.name}: the population of tests needs a prior "
             "of it, such as a narrow lognormal"
         )
-    under = [setting_of(task.trace, settings.sessions[task.id]) for task in tasks]
+    inference = settings.inference("quick", ())
+    under = [inference.setting(task.id, task.trace) for task in tasks]
     laws, dependence = settings.laws, settings.dependence
     return design_of(some.priors, names, under, laws, dependence, posterior.model)
 
 
 def _read(campaign: Campaign, test: Test) -> Record:
-    record = test.read()
+    record, force = test.read(), test.axes.response.name
     if record.force is None:
         raise CampaignError(
-            f"test {test.id!r} of {campaign.path} has no force: name its column in [columns]"
+            f"test {test.id!r} of {campaign.path} has no {force}: name its column in [columns]"
         )
     if not np.any(record.force):
-        raise CampaignError(f"the force of test {test.id!r} of {campaign.path} is zero throughout")
+        raise CampaignError(
+            f"the {force} of test {test.id!r} of {campaign.path} is zero throughout"
+        )
     return record
 
 
@@ -184,6 +187,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
         record_rate=record.rate,
         unit=record.columns["displacement"][1],
+        response_unit=record.columns["force"][1],
         conditions=conditions_of(trace),
         peak_force=float(np.max(np.abs(np.asarray(trace.force)))),
         derived=record.derived,

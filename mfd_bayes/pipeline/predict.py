@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mfd_bayes.axes import Axes
+from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.design import design_rows, design_warnings, n_draws
 from mfd_bayes.evaluation.properties import predicted_rows
@@ -16,6 +18,8 @@ from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES
+from mfd_bayes.records.channels import NO_ACTUATION
+from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.sine import parse_sine
 from mfd_bayes.records.time_axis import parse_window
@@ -57,11 +61,14 @@ class Question:
     given: str = ""
     after: str = ""
     others: tuple[Path, ...] = ()
+    device: str = ""
 
     @property
     def window(self) -> tuple[float, float] | None:
         """The given part, s; None where there is none."""
-        return parse_window(self.given, of="--given") if self.given.strip() else None
+        text = self.given
+        numbered = text.replace(" to ", "").replace(" ", "").isdigit()
+        return parse_window(text, of="--given", timed=not numbered) if text.strip() else None
 
     @property
     def picture(self) -> Path:
@@ -100,6 +107,12 @@ def predict(out: Path, question: Question) -> Answer:
     """Force band for a motion and an actuation, and derived quantities; both are written."""
     check_question(question)
     run, *others = (open_run(folder) for folder in (out, *question.others))
+    if not run.system.axes.actuated:
+        if question.actuation:
+            raise CampaignError("--actuation: the campaign's tests have none; leave it out")
+        question = replace(question, actuation=NO_ACTUATION)
+    if not question.actuation:
+        raise CampaignError(f"--actuation is missing: give {actuation_kind(run.actuation_unit)}")
     if question.units:
         run, *others = (replace(each, units=question.units) for each in (run, *others))
     source = ModelAverage((run, *others)) if others else run
@@ -109,7 +122,7 @@ def predict(out: Path, question: Question) -> Answer:
             f"--actuation {question.actuation!r} must be {actuation_kind(run.actuation_unit)}, as "
             "in the campaign"
         )
-    motion, remarks, record = _motion_of(question)
+    motion, remarks, record = _motion_of(question, run.manifest.settings, run.system.axes)
     measured = replace(motion, actuation=level)  # with its force, if the file has one
     trace = replace(measured, force=None)
     own = question.test if question.test in run.tests else ""
@@ -126,12 +139,13 @@ def predict(out: Path, question: Question) -> Answer:
             "after": question.after,
         }
         if not others:
-            how |= {"test": question.test, "explain": question.explain}
+            how |= {"test": question.test, "explain": question.explain, "device": question.device}
             # without sessions the tables of --design are then of the same draws
             how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
         band = source.predict(*asked, **how)
         compared_with = record if question.compare else None
-        rows = predicted_rows(source, trace, band, compared_with, question.after, measured)
+        about = question.after, measured, question.device
+        rows = predicted_rows(source, trace, band, compared_with, *about)
         if question.design:
             remarks += design_warnings(run)
             design = design_rows(run, trace, question.probability)
@@ -168,7 +182,7 @@ def check_question(question: Question) -> None:
                 f"--design cannot be combined with {option}: its properties are those of any test, "
                 f"not of {which}"
             )
-    for option in ("test", "explain", "design"):
+    for option in ("test", "explain", "design", "device"):
         if question.others and getattr(question, option):
             raise CampaignError(
                 f"--{option} cannot be combined with --with: it is of one model alone"
@@ -178,7 +192,9 @@ def check_question(question: Question) -> None:
     check_outputs(outputs, [question.motion] if question.motion else [], force=question.force)
 
 
-def _motion_of(question: Question) -> tuple[Trace, tuple[str, ...], Record | None]:
+def _motion_of(
+    question: Question, settings: CampaignFile, axes: Axes
+) -> tuple[Trace, tuple[str, ...], Record | None]:
     """Motion that is asked for, a remark where it had to be thinned, and its record, if any.
 
     Its actuation is that of the question, whatever columns its file has.
@@ -188,12 +204,21 @@ def _motion_of(question: Question) -> tuple[Trace, tuple[str, ...], Record | Non
     if question.motion is None:
         if question.compare or question.rate or question.given:
             raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
-        return parse_sine(question.sine).trace(0.0), (), None
-    record = read_record(question.motion, actuation=question.actuation)
+        return parse_sine(question.sine, axes).trace(0.0), (), None
+    columns = None
+    if not axes.of_damper:  # units that the campaign states and the file does not
+        names = read_table(question.motion).names
+        stated = settings.columns.given.items()
+        columns = {role: c.source for role, c in stated if c.key in names or c.name is None} or None
+    record = read_record(question.motion, columns, actuation=question.actuation, axes=axes)
     given = f"--given {question.given!r}" if question.given else ""
     needs = "--compare" if question.compare else given
     if needs and record.force is None:
-        raise CampaignError(f"{needs} needs a column of the force in {question.motion}")
+        raise CampaignError(
+            f"{needs} needs a column of the {axes.response.name} in {question.motion}"
+        )
+    if question.rate and not axes.timed:
+        raise CampaignError("--rate: samples are numbered, the model is rate-independent")
     if question.rate:
         rate = parse_quantity(question.rate, "rate", of="--rate")
         return _thinned(record, rate, question.window), (), record
@@ -229,16 +254,18 @@ def _thinned(record: Record, rate: float, window: tuple[float, float] | None) ->
 def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) -> None:
     """Write the tables and the pictures of a prediction; `measured` has a given part's force."""
     band, system = answer.band, answer.system
-    title = f"Predicted force at {question.actuation}"
-    about = [f"actuation {question.actuation}"]
+    actuated = system.axes.actuated
+    title = system.text("Predicted force") + f" at {question.actuation}" * actuated
+    about = [f"actuation {question.actuation}"] * actuated
     if answer.compared is not None:
         about.append(f"compared: {answer.compared.sentence(system)}")
         about += [answer.judged] if answer.judged else []
     write_text(question.bands, bands_csv(drawn, band, about, system))
-    derived = predicted_csv(answer.derived, question.actuation, question.probability)
+    level = question.actuation if actuated else ""
+    derived = predicted_csv(answer.derived, level, question.probability, system.axes.response.name)
     write_text(question.beside("derived.csv"), derived)
     if answer.design:
-        design = design_csv(answer.design, question.actuation, question.probability)
+        design = design_csv(answer.design, level, question.probability)
         write_text(question.beside("design.csv"), design)
     else:
         remove_file(question.beside("design.csv"))  # it is of an earlier question

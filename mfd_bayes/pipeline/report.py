@@ -52,7 +52,7 @@ def write_report(
     from mfd_bayes.reporting.publish import publish
 
     try:
-        at = [parse_condition(text, run.actuation_unit) for text in forms.at]
+        at = [parse_condition(text, run.actuation_unit, run.system.axes) for text in forms.at]
     except MfdError as error:
         raise ReportError(f"--at: {error}") from error
     processes = Workplace(jobs).processes

@@ -262,6 +262,8 @@ class Shown:
 
     actuation: float = 1.0
     length: float = 1.0
+    actuated: bool = True
+    timed: bool = True
 
 
 def harmonic_of(trace: Trace, shown: Shown = Shown()) -> Candidate:
@@ -271,7 +273,9 @@ def harmonic_of(trace: Trace, shown: Shown = Shown()) -> Candidate:
     """
     setting, loops = setting_of(trace), find_loops(trace)
     amplitude = setting.covariates["amplitude"]
-    if 2 * np.count_nonzero(loops.strong) > loops.period.size:
+    if not trace.timed:
+        frequency = 1.0
+    elif 2 * np.count_nonzero(loops.strong) > loops.period.size:
         frequency = float(1.0 / np.median(loops.period[loops.strong]))
     else:  # an earthquake
         frequency = setting.covariates["velocity"] / (2.0 * np.pi * amplitude)
@@ -308,6 +312,8 @@ def grid_of(tests: Sequence[Candidate], shown: Shown = Shown()) -> list[Candidat
         own = [own[k] for k in np.unique(np.linspace(0, len(own) - 1, most).round().astype(int))]
     others = [0.5 * (a + b) for a, b in pairwise(own)] + [BEYOND * own[-1]]
     others += [own[0] / BEYOND] if len(own) == 1 else []
+    if not shown.actuated:
+        others = []
     levels = sorted({*own, *(_round(level, NEW, scale) for level in others)} - {0.0})
     # smallest and largest tested value, and one beyond
     motions = []
@@ -315,7 +321,8 @@ def grid_of(tests: Sequence[Candidate], shown: Shown = Shown()) -> list[Candidat
         values = [getattr(test, name) for test in tests]
         low, high = min(values), max(values)
         near = [low] if low > 0.9 * high else [low, high]
-        motions.append([*near, _round(BEYOND * high, NEW, by)])
+        beyond = [] if name == "frequency" and not shown.timed else [_round(BEYOND * high, NEW, by)]
+        motions.append([*near, *beyond])
     again: list[Candidate] = []
     for test in tests:
         if test.actuation > 0.0 and not repeats(test, again, NEW):

@@ -12,7 +12,7 @@ from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.population.bands import Drawn, Predictor
-from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import Setting, setting_of
 from mfd_bayes.records.trace import Trace
 
@@ -163,7 +163,7 @@ class Devices:
         chance = population.draw_numbers(self.index.size, 0, rng)
         flat = chance.flat.copy()
         flat[:, d : 2 * d], flat[:, 2 * d : 3 * d] = self.unknown[""], self.unknown[setting.session]
-        numbers = Numbers(flat, chance.quantities, chance.leveled, 0)
+        numbers = replace(chance, flat=flat)
         at = int(np.argmin(np.abs(self.grid - setting.actuation)))
         effects = {name: v[:, at] for name, v in self.effects[setting.session].items()}
         parts = population.parts(setting, self.index, numbers, effects, scatter=scattered)

@@ -44,6 +44,8 @@ class Forecast:
     whole: bool = False  # whether a band of the whole history is computed too
     explained: bool = False  # whether the shares of the band's variance are computed too
     before: Ending | None = field(default=None, repr=False, compare=False)  # without a reset
+    device: str = ""  # likewise, where it declares devices
+    conditions: Mapping[str, float] = field(default_factory=dict)  # of `settings.CONDITIONS`
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -51,9 +53,14 @@ class Forecast:
         real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
         whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, FitError)
-        if not isinstance(self.session, str):
-            raise FitError(f"session must be text, got {self.session!r}")
+        for name in ("session", "device"):
+            if not isinstance(getattr(self, name), str):
+                raise FitError(f"{name} must be text, got {getattr(self, name)!r}")
         check_flag("whole", self.whole)
+
+    def setting(self, trace: Trace) -> Setting:
+        """Setting of the predicted test under a motion."""
+        return setting_of(trace, self.session, self.device, self.conditions)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -261,7 +268,7 @@ class Predictor:
 
         They begin where the test before ended, if there is one.
         """
-        population, setting = self.population, setting_of(trace, forecast.session)
+        population, setting = self.population, forecast.setting(trace)
         grid, n = population.grid_of(trace), forecast.draws
         p = population.draw_tests(n, setting.actuation, grid, rng)
         drawn = self.drawn(trace, setting, p, grid, scatter=forecast.kind != "device", x=x)

@@ -3,7 +3,7 @@
 In prior units the coordinate of quantity k of test j is
 
     x_jk = level_k + law_k(p_j) + b_k' covariates_j + level effect_k(p_j, session_j)
-           + session effect_k(session_j) + d_jk,      d_jk ~ N(0, τ_k²)
+           + session effect_k(session_j) + device effect_k(device_j) + d_jk,   d_jk ~ N(0, τ_k²)
 
 Level, slopes b and effects are linear; the shapes of laws (share, exponent) are not. Quantities
 that are the same in all tests (`sparse` in the prior file) have no scatter and no effects.
@@ -35,6 +35,7 @@ from mfd_bayes.population.laws import (
     shapes_of,
 )
 from mfd_bayes.population.settings import (
+    CONDITIONS,
     Setting,
     geometric_mean,
     levels_of,
@@ -55,12 +56,16 @@ WIDER = 2.0
 BOUNDS = (0.5, 2.0)
 LEVELS = 3  # fewest levels at which a deviation from a law can be told from the law
 TESTS = 4  # fewest tests in which a dependence on a covariate is looked for
+# prior sd of the change of a logarithm over the span of dates, counts or temperatures of the tests
+DRIFT = 0.3
 # Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared
 USUAL_SPEED = 2.0 / np.pi
 
 
 class Effect(NamedTuple):
-    """Random effect of levels or of sessions ("level", "session") on some quantities, with one sd.
+    """Random effect of levels, sessions or devices on some quantities, with one sd.
+
+    `name` is "level", "session" or "device".
 
     `scale` is that of the half-normal prior of the sd. A level's effect is like that of a wrong
     actuation, wrong by as much at every level: in the logarithm of a force its sd is in inverse
@@ -118,7 +123,8 @@ class Design:
     @cached_property
     def covariates(self) -> dict[str, float]:
         """Geometric mean of each covariate over the tests."""
-        used = {c for those in self.dependence.values() for c in those} | {"amplitude", "velocity"}
+        used = {c for those in self.dependence.values() for c in those} - {*CONDITIONS}
+        used |= {"amplitude", "velocity"}
         values = {c: [s.covariates.get(c, 0.0) for s in self.settings] for c in sorted(used)}
         return {c: geometric_mean(v) for c, v in values.items() if min(v) > 0}
 
@@ -131,6 +137,20 @@ class Design:
     def sessions(self) -> tuple[str, ...]:
         """Sessions of the tests, each once."""
         return tuple(dict.fromkeys(s.session for s in self.settings))
+
+    @cached_property
+    def devices(self) -> tuple[str, ...]:
+        """Devices of the tests, each once."""
+        return tuple(dict.fromkeys(s.device for s in self.settings))
+
+    def groups_of(self, effect: Effect) -> Sequence[object]:
+        """Cells, sessions or devices that an effect differs between."""
+        groups: dict[str, Sequence[object]] = {
+            "level": self.cells,
+            "session": self.sessions,
+            "device": self.devices,
+        }
+        return groups[effect.name]
 
     @cached_property
     def informs(self) -> NDArray[np.bool_]:
@@ -148,16 +168,17 @@ class Design:
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects of levels on what has a law, of sessions on all that differs between tests."""
+        """Effects of levels on what has a law, of sessions and devices on all that has scatter."""
         found: dict[tuple[str, str], list[int]] = {}
         followers = [self.names.index(n) for n in self.laws] if self.leveled else []
-        for name, members in (("level", followers), ("session", self.free.tolist())):
+        free = self.free.tolist()
+        for name, members in (("level", followers), ("session", free), ("device", free)):
             for k in members:
                 those = [self.settings[j] for j in np.flatnonzero(self.informs[:, k])]
-                sessions = len({s.session for s in those})
-                if len(levels_of(those)) >= LEVELS if name == "level" else sessions >= 2:
+                groups = {s.session if name == "session" else s.device for s in those}
+                if len(levels_of(those)) >= LEVELS if name == "level" else len(groups) >= 2:
                     found.setdefault((name, self.groups[self.names[k]]), []).append(k)
-        wider = {"level": WIDER, "session": 1.0}
+        wider = {"level": WIDER, "session": 1.0, "device": 1.0}
         return tuple(
             Effect(name, group, tuple(members), wider[name] * float(self.scatter_sd[members[0]]))
             for (name, group), members in found.items()
@@ -169,7 +190,7 @@ class Design:
         found = [(k, -1) for k in range(len(self.names))]
         found += [(self.names.index(n), -1) for n, those in self.dependence.items() for _ in those]
         for e, effect in enumerate(self.effects):
-            size = len(self.cells if effect.name == "level" else self.sessions)
+            size = len(self.groups_of(effect))
             found += [(k, e) for k in effect.members for _ in range(size)]
         return np.array(found).T
 
@@ -188,7 +209,20 @@ class Design:
         """Prior sd of the linear coefficients that are no effects: levels and slopes."""
         sd = np.full(np.count_nonzero(self._columns[1] < 0), SENSITIVITY)
         sd[: len(self.names)] = 1.0
+        pairs = [c for those in self.dependence.values() for c in those]
+        sd[len(self.names) :][[c in CONDITIONS for c in pairs]] = DRIFT
         return sd
+
+    def changed(self, covariate: str, setting: Setting) -> float:
+        """Change of a condition from the mean of the tests, over their span.
+
+        A setting that does not say it has the latest date or count of the tests, and their mean
+        temperature.
+        """
+        values = np.array([s.covariates[covariate] for s in self.settings])
+        usual = values.mean() if covariate == "temperature" else values.max()
+        here = setting.covariates.get(covariate, usual)
+        return float((here - values.mean()) / (np.ptp(values) or 1.0))
 
     @property
     def free(self) -> Index:
@@ -253,16 +287,20 @@ class Design:
         parts: list[Array] = [np.ones(len(self.names))]
         for name, those in self.dependence.items():
             for c in those:
+                spread = self.spread[self.names.index(name)]
+                if c in CONDITIONS:
+                    parts.append(np.array([self.changed(c, setting) / spread]))
+                    continue
                 among = [s.covariates[c] for s in self.settings]
                 within = np.clip(setting.covariates[c], min(among), max(among))
-                slope = np.log(within / self.covariates[c]) / self.spread[self.names.index(name)]
-                parts.append(np.array([slope]))
+                parts.append(np.array([np.log(within / self.covariates[c]) / spread]))
         cell = self.cell_of(setting) if level_effects else None
         level = np.array([float(cell == one) for one in self.cells])
         session = np.array([float(setting.session == s) for s in self.sessions])
+        device = np.array([float(setting.device == d) for d in self.devices])
+        weights = {"level": level, "session": session, "device": device}
         for effect in self.effects:
-            weights = level if effect.name == "level" else session
-            parts += [weights / self.spread[k] for k in effect.members]
+            parts += [weights[effect.name] / self.spread[k] for k in effect.members]
         return np.concatenate(parts)
 
     def linear(self, z: Array, rows: Array) -> Array:

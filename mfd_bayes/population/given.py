@@ -24,7 +24,7 @@ from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_f
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
-from mfd_bayes.population.settings import ZERO, Setting, setting_of
+from mfd_bayes.population.settings import ZERO, Setting
 from mfd_bayes.population.stopping import Estimate, Stopping, properties, quantiles
 from mfd_bayes.records.motion import HYSTERESIS
 from mfd_bayes.records.numbers import real_numbers
@@ -252,7 +252,7 @@ def check_kind(forecast: Forecast) -> None:
 def usual_step(residual: Residual, setting: Setting) -> float:
     """Time between samples, s, at which a motion of such a peak speed would be fitted."""
     own = -residual.noise_time * np.log(residual.lag_one)
-    speed = setting.covariates["velocity"]
+    speed = setting.covariates.get("velocity", 0.0)
     usual = 0.5 * np.pi * residual.travel / speed if speed > 0 else np.inf
     return float(np.clip(usual, 0.25 * own, 4.0 * own))
 
@@ -270,7 +270,7 @@ def predict_given(
 ) -> Band:
     """Band of a record of which a part is known; all of it, with the given part."""
     check_kind(forecast)
-    setting, population = setting_of(trace, forecast.session), predictor.population
+    setting, population = forecast.setting(trace), predictor.population
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)
@@ -327,6 +327,7 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
         mean(trace.velocity),
         hysteresis=trace.hysteresis,
     )
+    part = replace(part, timed=trace.timed)
     return part, (edges >= inside[0]) & (edges + size <= inside[-1] + 1)
 
 

@@ -32,7 +32,7 @@ from mfd_bayes.population.law_scores import (
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import MixedModel, marginalised
 from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import levels_of, setting_of, varies
+from mfd_bayes.population.settings import CONDITIONS, Setting, levels_of, setting_of, varies
 from mfd_bayes.population.starts import Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace
 
@@ -64,8 +64,10 @@ class InferenceSettings:
     seed : sequence of int
     dependence : mapping of str to sequence of str
         Covariates that quantities follow.
-    sessions : mapping of str to str
-        Session of each test; none where it is missing.
+    sessions, devices : mapping of str to str
+        Session and device of each test; none where it is missing.
+    conditions : mapping of str to mapping of str to float
+        What is known of the date, the count of cycles and the temperature of each test.
     jobs : int
         Processes that compute the tests' likelihoods; the draws are the same.
     """
@@ -77,6 +79,17 @@ class InferenceSettings:
     dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)
     sessions: Mapping[str, str] = field(default_factory=dict)
     jobs: int = 1
+    devices: Mapping[str, str] = field(default_factory=dict)
+    conditions: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def setting(self, name: str, trace: Trace) -> Setting:
+        """Setting of a test."""
+        return setting_of(
+            trace,
+            self.sessions.get(name, ""),
+            self.devices.get(name, ""),
+            self.conditions.get(name, {}),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,14 +242,16 @@ def _likelihoods(
     """Design of the population, and likelihoods of the tests without discrepancy."""
     some = next(iter(tests.values())).posterior
     model = some.model
-    under = [setting_of(t.trace, settings.sessions.get(name, "")) for name, t in tests.items()]
+    under = [settings.setting(name, test.trace) for name, test in tests.items()]
     noise = set(some.noise.parameters) - {"noise_sd"}
     names = [name for name in some.names if name not in noise]
     slips = [name for name in model.slip_forces if name in names]
     # slip forces follow the stroke, if it varies: no friction model here knows of it
     stroke = len(under) >= TESTS and varies(under, "amplitude")
     dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
-    dependence |= {name: those for name, those in settings.dependence.items() if those}
+    for name, those in settings.dependence.items():
+        usual = () if {*those} - {*CONDITIONS} else dependence.get(name, ())
+        dependence[name] = (*usual, *those)
     design = design_of(priors, names, under, settings.laws, dependence, model)
     changing = [swings(design, model, test.trace) for test in tests.values()]
     if any(changing):

@@ -75,8 +75,9 @@ class MixedModel:
         self.cells = [[j for j, one in enumerate(home) if one == cell] for cell in design.cells]
         covariance = design.level_covariance(design.cells, design.cells)
         level = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
-        session = np.eye(len(design.sessions))
-        self.effect_precision = [level if e.name == "level" else session for e in effects]
+        self.effect_precision = [
+            level if e.name == "level" else np.eye(len(design.groups_of(e))) for e in effects
+        ]
 
     # --- parts of h -------------------------------------------------------------------------------
 

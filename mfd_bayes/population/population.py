@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -35,12 +35,16 @@ OCTAVE = 0.25  # octaves between the actuations at which deviations along a hist
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """Standard normal numbers (n, m) of n tests: d quantities, M level effects, G actuations."""
+    """Standard normal numbers (n, m) of n tests: d quantities, M level effects, G actuations.
+
+    `several` devices have numbers of a new one.
+    """
 
     flat: Array
     quantities: int
     leveled: int
     grid: int
+    several: bool = False
 
     @property
     def scatter(self) -> Array:
@@ -58,9 +62,14 @@ class Numbers:
         return self.flat[:, 2 * self.quantities : 3 * self.quantities]
 
     @property
+    def device(self) -> Array:
+        """Of a new device, (n, d); only where several devices were tested."""
+        return self.flat[:, 3 * self.quantities : 4 * self.quantities]
+
+    @property
     def level(self) -> Array:
         """Of level effects, (n, M, G)."""
-        level = self.flat[:, 3 * self.quantities : -2]
+        level = self.flat[:, (3 + self.several) * self.quantities : -2]
         return level.reshape(len(level), self.leveled, self.grid)
 
     @property
@@ -325,8 +334,14 @@ class Population:
 
     def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
         """Numbers of n tests with a grid of so many actuations."""
-        d, leveled = len(self.design.names), len(self._leveled)
-        return Numbers(rng.standard_normal((n, 3 * d + leveled * grid + 2)), d, leveled, grid)
+        d, leveled, several = len(self.design.names), len(self._leveled), self.several_devices
+        size = (3 + several) * d + leveled * grid + 2
+        return Numbers(rng.standard_normal((n, size)), d, leveled, grid, several)
+
+    @property
+    def several_devices(self) -> bool:
+        """Whether the tests tell how devices differ."""
+        return len(self.design.devices) > 1
 
     def draw_tests(self, n: int, level: float, grid: Array, rng: np.random.Generator) -> Particles:
         """New tests at a level, with deviations on a grid of actuations (G,)."""
@@ -337,10 +352,12 @@ class Population:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
         free = ~self.design.common
         new = free & (setting.session not in self.design.sessions)
+        device = free & (setting.device not in self.design.devices)
+        more: Sequence[bool] = device.tolist() if self.several_devices else []
         untested = np.any(np.abs(self.design.krige(setting.session, grid)[1]) > 1e-9)
         level = np.full(len(self._leveled) * grid.size, untested)
         outside = self._extrapolation_sd(setting) > 0
-        return np.flatnonzero([*free, *outside, *new, *level, True, True])
+        return np.flatnonzero([*free, *outside, *new, *more, *level, True, True])
 
     def level_effects(
         self, index: Index, session: str, actuations: ArrayLike, numbers: Array
@@ -380,8 +397,8 @@ class Population:
         effects : mapping of str to (n,)
             Level effects of quantities at the setting's actuation.
         scatter : bool
-            Whether to add the scatter from test to test, and what is unknown of a new session;
-            without it, this is the mean property of the device.
+            Whether to add the scatter from test to test, and what is unknown of a new session and
+            of a new device; without it, this is the mean property.
         """
         design, draws, at = self.design, self._all, np.array([setting.actuation])
         row = design.row(setting, level_effects=False)[None]
@@ -395,10 +412,14 @@ class Population:
         if scatter:
             sd, free = np.exp(draws.h[index]), design.free
             scattered[:, free] = sd[:, : free.size] / design.spread[free] * numbers.scatter[:, free]
-            if setting.session not in design.sessions:
-                for e, effect in enumerate(design.effects, free.size):
-                    for k in effect.members if effect.name == "session" else ():
-                        scattered[:, k] += sd[:, e] / design.spread[k] * numbers.session[:, k]
+            new = {
+                "session": (numbers.session, setting.session not in design.sessions),
+                "device": (numbers.device, setting.device not in design.devices),
+            }
+            for e, effect in enumerate(design.effects, free.size):
+                own, unknown = new.get(effect.name, (numbers.scatter, False))
+                for k in effect.members if unknown else ():
+                    scattered[:, k] += sd[:, e] / design.spread[k] * own[:, k]
         return Parts(mean, scattered)
 
     def _extrapolation_sd(self, setting: Setting) -> Array:

@@ -32,6 +32,8 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
 
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
 ZERO = 1e-3  # share of the largest actuation below which one is zero: what an idle gauge shows
+# what a test may say of the state of its device: decimal years, number of cycles, °C
+CONDITIONS = ("date", "cycles", "temperature")
 FULL = 0.8  # share of the largest stroke from which one is a full stroke
 
 
@@ -41,12 +43,18 @@ class Setting:
 
     actuation: float  # ksi or kip
     session: str = ""  # tests of one session were made together; "" where none is declared
-    # velocity (in/s, its peak), amplitude (in, half the stroke) and full_strokes (share of the path
-    # that lies in full strokes: about 1 for a sine, about 0.2 for an earthquake)
+    # velocity (in/s, its peak; if timed), amplitude (in, half the stroke), full_strokes (share of
+    # the path that lies in full strokes: 1 for a sine, 0.2 for an earthquake), and `CONDITIONS`
     covariates: Mapping[str, float] = field(default_factory=dict)
+    device: str = ""
 
 
-def setting_of(trace: Trace, session: str = "") -> Setting:
+def setting_of(
+    trace: Trace,
+    session: str = "",
+    device: str = "",
+    conditions: Mapping[str, float] | None = None,
+) -> Setting:
     """Setting under which a trace was made, or is to be predicted."""
     check_trace("trace", trace, FitError)
     if not np.isfinite(trace.reference_actuation):
@@ -54,12 +62,13 @@ def setting_of(trace: Trace, session: str = "") -> Setting:
     x = trace.displacement
     strokes = np.abs(np.diff(x[np.unique([0, *trace.turning_points, trace.samples - 1])]))
     full = strokes[strokes >= FULL * strokes.max(initial=0.0)].sum()
-    covariates = {
-        "velocity": float(np.quantile(np.abs(trace.velocity), 0.98)),
+    speed = {"velocity": float(np.quantile(np.abs(trace.velocity), 0.98))} if trace.timed else {}
+    covariates = speed | {
         "amplitude": 0.5 * float(np.ptp(x)),
         "full_strokes": float(full / max(strokes.sum(), 1e-300)),
     }
-    return Setting(trace.reference_actuation, session, covariates)
+    covariates |= conditions or {}
+    return Setting(trace.reference_actuation, session, covariates, device)
 
 
 def planned_setting(
@@ -132,9 +141,13 @@ def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, fl
         return np.array([stroke, speed, speed - stroke])
 
     tests = np.array([logs(s) for s in tested])
-    tests = tests[np.all(np.isfinite(tests), axis=1)]
+    timed = "velocity" in setting.covariates and bool(np.any(np.isfinite(tests[:, 1])))
+    kept = slice(None) if timed else slice(1)
+    tests = tests[np.all(np.isfinite(tests[:, kept]), axis=1)]
     here = logs(setting)
-    if not len(tests) or not np.all(np.isfinite(here)):
+    if not len(tests) or not np.all(np.isfinite(here[kept])):
         return 0.0, 0.0
     outside = np.maximum(np.maximum(here - tests.max(axis=0), tests.min(axis=0) - here), 0.0)
+    if not timed:
+        return float(outside[0]), 0.0
     return float(outside[0]), float(outside[1:].max())

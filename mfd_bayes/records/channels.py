@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import RecordError, UnitError
 from mfd_bayes.records.columns import roles_of, unit_of
 from mfd_bayes.records.motion import Array, smallest_turn, turning_points
@@ -80,13 +81,13 @@ class Source:
             text += f" − {'its mean over ' if ' to ' in self.tare else ''}{self.tare}"
         return text
 
-    def scale(self, role: str, unit: str, of: str) -> tuple[float, str]:
+    def scale(self, role: str, unit: str, of: str, axes: Axes = DAMPER) -> tuple[float, str]:
         """Factor from a unit of the column to the internal one of its role, and a unit of the role.
 
         `of` is what has the unit, for messages.
         """
         if not self.arm:
-            return self.sign * factor(unit, role, of=of), unit
+            return self.sign * axes.factor(unit, role, of=of), unit
         arm, length = split_quantity(self.arm, of=f"arm of {of}")
         radius = _radius(self.arm, f"arm of {of}")
         if self.measured_at:
@@ -103,6 +104,13 @@ class Source:
         scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
         parts = [part.strip() for part in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
         return self.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
+
+
+NO_ACTUATION = "100 %"
+"""That of tests which have none, of a model in which nothing follows it."""
+
+NUMBERED = Source(rate="1 Hz")
+"""The time of samples that are numbered."""
 
 
 def used_columns(table: Table, sources: Mapping[str, Source]) -> list[str]:
@@ -123,7 +131,12 @@ def step_of(rate: str, of: str) -> float:
 
 
 def _take_off(
-    table: Table, role: str, source: Source, signals: Mapping[str, Array], raw: Mapping[str, Array]
+    table: Table,
+    role: str,
+    source: Source,
+    signals: Mapping[str, Array],
+    raw: Mapping[str, Array],
+    axes: Axes,
 ) -> Array:
     """Signal of a role, internal units, less all that its source takes off."""
     signal, of = signals[role], f"the {role} of {table.path}"
@@ -134,10 +147,10 @@ def _take_off(
         column = f"column {name!r} of {table.path}"
         if other.times:
             value, by = split_quantity(other.times, of=f"times of {column}")
-            scale = factor(f"{unit}*{by}", role, of=f"{column} times {other.times}")
+            scale = axes.factor(f"{unit}*{by}", role, of=f"{column} times {other.times}")
             signal = signal - raw[name] * value * scale
         else:
-            signal = signal - raw[name] * factor(unit, role, of=column)
+            signal = signal - raw[name] * axes.factor(unit, role, of=column)
     if source.minus_mass:
         mass = parse_mass(source.minus_mass, of=f"minus_mass of {of}")
         if mass < 0.0:
@@ -147,7 +160,7 @@ def _take_off(
         check_increasing(table, signals["time"])
         signal = signal - mass * acceleration(signals["time"], signals["displacement"])
     if " to " in source.tare:
-        start, end = parse_window(source.tare)
+        start, end = parse_window(source.tare, timed=axes.timed)
         inside = (signals["time"] >= start) & (signals["time"] <= end)
         if not inside.any():
             raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
@@ -155,7 +168,7 @@ def _take_off(
     elif source.tare:
         number, unit = split_quantity(source.tare, of=f"tare of {of}")
         try:  # what the column reads at zero, or what the signal does
-            signal = signal - number * source.scale(role, unit, f"tare of {of}")[0]
+            signal = signal - number * source.scale(role, unit, f"tare of {of}", axes)[0]
         except UnitError:
             signal = signal - parse_quantity(source.tare, role, of=f"tare of {of}")
     return signal
@@ -197,14 +210,21 @@ def sources_of(
     columns: Mapping[str, str | int | Source] | None,
     units: Mapping[str, str] | None,
     actuation: str | None,
+    axes: Axes = DAMPER,
 ) -> dict[str, Source]:
     """Role to its source, with the column's name and its unit."""
     examples = {"columns": {"force": "load"}, "units": {"force": "kN"}}
     for name, mapping in (("columns", columns), ("units", units)):
         if mapping is not None and not isinstance(mapping, Mapping):
             raise RecordError(f"{name} must be a mapping such as {examples[name]}, got {mapping!r}")
-    given = {r: c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()}
-    stated = {r: s.unit for r, s in given.items() if s.unit is not None} | dict(units or {})
+    given = {
+        axes.role(r): c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()
+    }
+    stated = {r: s.unit for r, s in given.items() if s.unit is not None}
+    stated |= {axes.role(r): unit for r, unit in (units or {}).items()}
+    if not axes.timed:
+        given["time"] = NUMBERED
+        stated.pop("time", None)
     for role, source in given.items():
         if source.measured_at and not source.arm:
             raise RecordError(
@@ -212,16 +232,16 @@ def sources_of(
             )
     by_column = {r: s.column for r, s in given.items() if s.column is not None}
     rated = "time" in given and bool(given["time"].rate)
-    roles = roles_of(table, by_column, stated, actuation=actuation, timed=not rated)
+    roles = roles_of(table, by_column, stated, actuation=actuation, timed=not rated, axes=axes)
     sources = {"time": given["time"]} if rated else {}
     for role, name in roles.items():
         source = given.get(role, Source(name))
-        sources[role] = replace(source, column=name, unit=unit_of(table, role, name, stated))
+        sources[role] = replace(source, column=name, unit=unit_of(table, role, name, stated, axes))
     return sources
 
 
 def signals_of(
-    table: Table, sources: Mapping[str, Source]
+    table: Table, sources: Mapping[str, Source], axes: Axes = DAMPER
 ) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
     """Role to signal, internal units, and to name and unit; unit of a measured actuation."""
     raw = table.columns(used_columns(table, sources), sources["time"].dates)
@@ -234,11 +254,13 @@ def signals_of(
         if role == "time":
             signals[role] = _times(table, source, raw)
             name, unit = (f"sample number at {source.rate}", "s") if source.rate else (name, unit)
+            if not axes.timed:
+                continue
         else:
             if role == "actuation":
                 scale, internal = actuation_factor(unit, of=of)
             else:
-                scale, unit = source.scale(role, unit, of)
+                scale, unit = source.scale(role, unit, of, axes)
             with np.errstate(over="ignore"):  # check_size refuses infinity
                 signals[role] = raw[name] * scale
         check_size(of, role, signals[role])
@@ -247,7 +269,7 @@ def signals_of(
         columns[role] = name, unit
     for role, source in sources.items():
         if not source.plain and source.column is not None:
-            signals[role] = _take_off(table, role, source, signals, raw)
+            signals[role] = _take_off(table, role, source, signals, raw, axes)
             check_size(f"the {role} of {table.path}", role, signals[role])
     if "actuation" in signals:
         if np.mean(signals["actuation"]) < 0:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from unicodedata import normalize
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.table import bare_unit, own_name
@@ -73,6 +74,7 @@ def roles_of(
     *,
     actuation: str | None = None,
     timed: bool = True,
+    axes: Axes = DAMPER,
 ) -> dict[str, str]:
     """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
 
@@ -82,14 +84,17 @@ def roles_of(
     """
     for role in (*columns, *units):
         if role not in ROLES:
-            raise RecordError(f"unknown role {role!r} of a column; expected {', '.join(ROLES)}")
+            names = ", ".join(map(axes.name, ROLES))
+            raise RecordError(f"unknown role {role!r} of a column; expected {names}")
     roles = {role: table.name_of(column) for role, column in columns.items()}
     chosen = bool({"time", "displacement"} & columns.keys())  # then what is not named is not used
     used: tuple[str, ...] = ("time", "displacement") if chosen else ROLES
     unnamed = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
     if not timed:
         unnamed = [role for role in unnamed if role != "time"]
-    roles |= {role: name for role in unnamed if (name := _guess(table, role)) is not None}
+    roles |= {
+        role: name for role in unnamed if (name := _guess(table, axes.name(role))) is not None
+    }
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
     needed = ("time", "displacement") if timed else ("displacement",)
@@ -100,16 +105,21 @@ def roles_of(
             'which is which, as time = { column = 1, unit = "ms" }; mfd-bayes init guesses it'
         )
     if missing:
+        name = axes.name(missing[0])
+        example = _EXAMPLES[missing[0]] if name in _EXAMPLES else f"{name}_{axes.motion.unit}"
         raise RecordError(
-            f"no column for {missing[0]} in {table.path}, which has {', '.join(table.names[:20])}: "
-            f"rename it in the file, as {_EXAMPLES[missing[0]]}, or name it in [columns] of a "
+            f"no column for {name} in {table.path}, which has {', '.join(table.names[:20])}: "
+            f"rename it in the file, as {example}, or name it in [columns] of a "
             "campaign, or in Python by columns" + (_NO_TIME if missing[0] == "time" else "")
         )
     return {role: roles[role] for role in ROLES if role in roles}
 
 
-def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str:
+def unit_of(
+    table: Table, role: str, name: str, units: Mapping[str, str], axes: Axes = DAMPER
+) -> str:
     """Unit of a column: as given, or from its name, or from the file's row of units."""
+    word = axes.name(role)
     if given := units.get(role):
         return given
     ours, theirs = header_unit(own_name(name)), table.units.get(name)
@@ -118,7 +128,7 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
             if name not in table.names:
                 raise table.no_column(name)
             raise RecordError(
-                f"column {name!r} of {table.path} has no unit in its name; give the unit of {role}"
+                f"column {name!r} of {table.path} has no unit in its name; give the unit of {word}"
             )
         return ours
     if ours is None or measure(ours) in (None, "ratio"):  # "force" of "axial_force", 1 of "force_1"
@@ -126,7 +136,7 @@ def unit_of(table: Table, role: str, name: str, units: Mapping[str, str]) -> str
     if not same_unit(ours, theirs):
         raise RecordError(
             f"column {name!r} of {table.path} is in {ours!r} by its name and in {theirs!r} by the "
-            f"file's own units; give the unit of {role}"
+            f"file's own units; give the unit of {word}"
         )
     return ours
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.channels import Source, part_for, signals_of, sources_of, used_columns
 from mfd_bayes.records.columns import ROLES
@@ -74,6 +75,8 @@ class Record:
     notes, doubts : tuple of str
         Sentences on numbers of the file that are not in the record, and on those of them that
         probably belong to it.
+    axes : Axes
+        What displacement and force are, where they are a model's own motion and response.
     """
 
     path: Path
@@ -94,6 +97,7 @@ class Record:
     stated_units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    axes: Axes = DAMPER
 
     @property
     def rate(self) -> float:
@@ -172,7 +176,7 @@ class Record:
 
     def _as_trace(self, time: Array, signals: dict[str, Array]) -> Trace:
         history = signals.get("actuation")
-        return Trace.from_arrays(
+        trace = Trace.from_arrays(
             time,
             signals["displacement"],
             # The filter may go below zero next to a jump.
@@ -180,6 +184,7 @@ class Record:
             signals.get("force"),
             signals.get("velocity"),
         )
+        return trace if self.axes.timed else replace(trace, timed=False)
 
 
 def read_record(
@@ -189,6 +194,7 @@ def read_record(
     actuation: str | None = None,
     *,
     fit: str | Window | None = None,
+    axes: Axes = DAMPER,
 ) -> Record:
     """Record of a file that `readers` can read, checked and in internal units.
 
@@ -206,6 +212,9 @@ def read_record(
         Constant level: ``"500 psi"`` or ``"30 lbf"``. For a measured one, name its column.
     fit : str or (float, float), s, optional
         Window that `Record.trace` takes by default: ``"0 s to 60 s"``.
+    axes : Axes, optional
+        `Model.axes` of a model with other quantities than displacement and force, or without time:
+        columns are then called by its names, samples are numbered where time does not matter.
 
     Raises
     ------
@@ -216,12 +225,12 @@ def read_record(
     """
     path = path_of("path", path, RecordError)
     table = read_table(path)
-    sources = sources_of(table, columns, units, actuation)
-    window = parse_window(fit) if isinstance(fit, str) else fit
+    sources = sources_of(table, columns, units, actuation, axes)
+    window = parse_window(fit, timed=axes.timed) if isinstance(fit, str) else fit
     if window is not None:
         window = checked_window(window)
         table = part_for(table, sources, window)
-    signals, names, unit = signals_of(table, sources)
+    signals, names, unit = signals_of(table, sources, axes)
     check_increasing(table, signals["time"])
     piece, gap = longest_piece(signals["time"], table.place, window)
     if piece.stop - piece.start < SAMPLES:
@@ -253,11 +262,12 @@ def read_record(
         stated_units={r: table.units[n] for r, (n, _) in names.items() if n in table.units},
         notes=table.notes,
         doubts=table.doubts,
+        axes=axes,
     )
     displacement = mended(record.displacement[_slice(record, window)])
     where = f"{path}" + (" in the fit window" if window else "")
-    if np.ptp(displacement) <= STILL:
-        raise RecordError(f"displacement in {where} is constant")
+    if np.ptp(displacement) <= (STILL if axes.of_damper else 0.0):
+        raise RecordError(f"{axes.motion.name} in {where} is constant")
     count = _turns(displacement).size
     if count < 2:
         raise RecordError(f"motion in {where} has {count} turning points; at least 2 are needed")
@@ -272,9 +282,11 @@ def _slice(record: Record, window: Window | None) -> slice:
     first = int(np.searchsorted(record.time, start, side="left"))
     last = int(np.searchsorted(record.time, end, side="right"))
     if not last - first >= SAMPLES:
+        unit = " s" if record.axes.timed else ""
         raise RecordError(
-            f"window {start:g} s to {end:g} s holds {max(last - first, 0)} samples of "
-            f"{record.path}, which runs from {record.time[0]:g} s to {record.time[-1]:g} s; "
+            f"window {start:g}{unit} to {end:g}{unit} holds {max(last - first, 0)} samples of "
+            f"{record.path}, which runs from {record.time[0]:g}{unit} to "
+            f"{record.time[-1]:g}{unit}; "
             f"at least {SAMPLES} are needed"
         )
     return slice(first, last)

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import parse_quantity
+from mfd_bayes.units import parse_quantity, split_quantity
 
 SAMPLES = 400
 """Samples of a cycle."""
 
 MOST_CYCLES = 100
-
-_FORM = "a harmonic motion reads '1 in, 0.5 Hz, 3 cycles'"
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,7 @@ class Harmonic:
     amplitude: float
     frequency: float
     cycles: float
+    timed: bool = True
 
     def trace(self, actuation: ArrayLike) -> Trace:
         """The sampled motion at an actuation, ksi or kip; back at rest after whole half cycles."""
@@ -52,6 +52,8 @@ class Harmonic:
             last = 0.5 * round(np.cos(angle[-1]))
             x = np.concatenate([x, last * (1.0 + np.cos(out))])
             v = np.concatenate([v, -last * np.sin(out)])
+        if not self.timed:
+            return Trace.from_arrays(None, self.amplitude * x, actuation)
         return Trace.from_arrays(
             np.arange(x.size) / (SAMPLES * self.frequency),
             self.amplitude * x,
@@ -60,28 +62,44 @@ class Harmonic:
         )
 
 
-def parse_sine(text: str) -> Harmonic:
+def parse_sine(text: str, axes: Axes = DAMPER) -> Harmonic:
     """Harmonic motion of ``"1 in, 0.5 Hz, 3 cycles"``: amplitude, frequency, number of cycles.
+
+    Without a frequency where time does not matter; the amplitude is one of the model's motion,
+    ``"2 %, 3 cycles"``.
 
     Raises
     ------
     UnitError
         When it has not these three parts, or one is not above zero or too large.
     """
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 3:
-        raise UnitError(f"{_FORM}, got {text!r}")
-    amplitude = parse_quantity(parts[0], "displacement", of="the amplitude")
-    frequency = parse_quantity(parts[1], "rate", of="the frequency")
-    number, _, word = parts[2].partition(" ")
+    parts, form = [part.strip() for part in text.split(",")], _form(axes)
+    if len(parts) != (3 if axes.timed else 2):
+        raise UnitError(f"{form}, got {text!r}")
+    if axes.motion == DAMPER.motion:
+        amplitude = parse_quantity(parts[0], "displacement", of="the amplitude")
+    else:
+        value, unit = split_quantity(parts[0], of="the amplitude", example=f"1 {axes.motion.unit}")
+        amplitude = value * axes.factor(unit, "displacement", of="the amplitude")
+    frequency = parse_quantity(parts[1], "rate", of="the frequency") if axes.timed else 1.0
+    number, _, word = parts[-1].partition(" ")
     try:
         cycles = float(number)
     except ValueError:
         cycles = math.nan
     if word.strip() not in ("cycle", "cycles") or not math.isfinite(cycles):
-        raise UnitError(f"{_FORM}, got {text!r}")
+        raise UnitError(f"{form}, got {text!r}")
     if not 1.0 <= cycles <= MOST_CYCLES:
         raise UnitError(f"a harmonic motion has 1 to {MOST_CYCLES} cycles, got {text!r}")
     if not (amplitude > 0.0 and frequency > 0.0):
         raise UnitError(f"amplitude and frequency must be above zero, got {text!r}")
-    return Harmonic(amplitude, frequency, cycles)
+    return Harmonic(amplitude, frequency, cycles, axes.timed)
+
+
+def _form(axes: Axes) -> str:
+    unit = axes.motion.unit
+    amplitude = f"1 {unit}" if unit != "1" else "2 %"
+    if axes == DAMPER:
+        return "a harmonic motion reads '1 in, 0.5 Hz, 3 cycles'"
+    parts = (amplitude, "0.5 Hz", "3 cycles") if axes.timed else (amplitude, "3 cycles")
+    return f"a harmonic motion of {axes.motion.name} reads '{', '.join(parts)}'"

@@ -38,7 +38,9 @@ def without_spikes(trace: Trace) -> Trace:
             force,
             interpolated(trace.velocity, near),
         )
-        trace = replace(Trace.from_arrays(trace.time, *motion), actuation=trace.actuation)
+        trace = replace(
+            Trace.from_arrays(trace.time, *motion), actuation=trace.actuation, timed=trace.timed
+        )
     return replace(trace, force=interpolated(np.asarray(force), at)) if at.size else trace
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.loops import Loops, find_loops, measured_cycles
@@ -43,33 +44,36 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
 
 
 def _facts_of_file(record: Record, trace: Trace) -> dict[str, Message]:
+    name, columns = record.axes.name, record.columns.items()
     texts = {
         "file": record.path.name,
-        "columns": ", ".join(f"{role}: {n} [{unit}]" for role, (n, unit) in record.columns.items()),
-        **{f"{role} is made of": text for role, text in record.derived.items()},
+        "columns": ", ".join(f"{name(role)}: {n} [{unit}]" for role, (n, unit) in columns),
+        **{f"{name(role)} is made of": text for role, text in record.derived.items()},
         "columns not used": ", ".join(record.other_columns),
         "rows not used": "; ".join(record.notes),
-        "samples": f"{trace.samples} over {trace.time[-1] - trace.time[0]:.6g} s",
-        "rate": record.clock.words(),
+        "samples": f"{trace.samples}",
     }
+    if trace.timed:
+        texts["samples"] += f" over {trace.time[-1] - trace.time[0]:.6g} s"
+        texts["rate"] = record.clock.words()
     return {title: Message("{text}", {"text": text}) for title, text in texts.items() if text}
 
 
 def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Message]:
     x, turns, strong = trace.displacement, trace.cycle_turns.size, loops.strong
-    facts = {
-        "displacement": _range(x, "in"),
-        "velocity": _range(trace.velocity, "in/s"),
-        "turning points": Message(f"{turns} ({turns / 2:g} cycles)"),
-    }
+    facts = {"displacement": _range(x, "in")}
+    if trace.timed:
+        facts["velocity"] = _range(trace.velocity, "in/s")
+    facts["turning points"] = Message(f"{turns} ({turns / 2:g} cycles)")
     if strong.size:
         some = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
         amplitude, stroke = _middle(loops.amplitude[strong], "amplitude", "in")
-        frequency, rates = _middle(1.0 / loops.period[strong], "frequency", "Hz")
-        facts["full loops"] = Message(
-            f"{strong.size}{some}: amplitude {amplitude}, frequency {frequency}", stroke | rates
-        )
-    if record.actuation is not None:
+        text = f"{strong.size}{some}: amplitude {amplitude}"
+        if trace.timed:
+            frequency, rates = _middle(1.0 / loops.period[strong], "frequency", "Hz")
+            text, stroke = f"{text}, frequency {frequency}", stroke | rates
+        facts["full loops"] = Message(text, stroke)
+    if record.actuation is not None and record.given_actuation != NO_ACTUATION:
         level = Quantity.of(float(np.mean(record.actuation)), unit=str(record.actuation_unit))
         history = " (mean of a history)" if trace.varying else ""
         facts["actuation"] = Message(f"{{level}}{history}", {"level": level})
@@ -118,7 +122,21 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Mes
         text = f"{own[name]:.4g}" if unit == "1" else "{value}"
         if np.isfinite(own[name]):
             facts[title] = Message(text, {"value": value})
-    return {title: fact for title, fact in facts.items() if "nan" not in str(fact)}
+    dropped = {title for title, name in _TITLES.items() if not record.axes.has(name)}
+    return {t: fact for t, fact in facts.items() if t not in dropped and "nan" not in str(fact)}
+
+
+_TITLES = {
+    "energy per cycle": "energy",
+    "energy of ramps": "energy",
+    "energy drift": "energy",
+    "slip force": "slip",
+    "effective damping": "effective_damping",
+    "equivalent damping": "c_eq",
+    "gap": "gap",
+    "build-up slope": "build_up_slope",
+}
+"""Facts that not every model's quantities have, and the property that each is of."""
 
 
 def _both(template: str, values: dict[str, float], name: str, unit: str) -> Message:

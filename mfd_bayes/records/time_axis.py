@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -135,14 +136,23 @@ def checked_window(
     return float(start), float(end)
 
 
-def parse_window(text: str, *, of: str = "") -> tuple[float, float]:
-    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages."""
-    parts = text.split(" to ")
+def parse_window(text: str, *, of: str = "", timed: bool = True) -> tuple[float, float]:
+    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages.
+
+    Where samples are numbered, those of ``"0 to 300"``.
+    """
+    parts, of = text.split(" to "), of or "a window"
+    numbered = re.fullmatch(r"\s*(\d{1,9}) to (\d{1,9})\s*", text)
+    if not timed and numbered is None:
+        raise UnitError(f"{of} must be two numbers of samples such as '0 to 300', got {text!r}")
     if len(parts) != 2:
-        raise UnitError(f"{of or 'a window'} must be two times such as '0 s to 60 s', got {text!r}")
-    start, end = (parse_quantity(part, "time", of=of) for part in parts)
+        raise UnitError(f"{of} must be two times such as '0 s to 60 s', got {text!r}")
+    if numbered and not timed:
+        start, end = float(numbered[1]), float(numbered[2])
+    else:
+        start, end = (parse_quantity(part, "time", of=of) for part in parts)
     if not start < end:
-        raise UnitError(f"{of or 'a window'} must end after it starts, got {text!r}")
+        raise UnitError(f"{of} must end after it starts, got {text!r}")
     return start, end
 
 

@@ -44,6 +44,8 @@ class Trace:
         +1 or -1, the direction of the first stretch of motion.
     hysteresis : float, in
         Smallest reversal that counts as a turning point.
+    timed : bool
+        Whether the time is known; if not, samples are numbered.
     """
 
     time: Array
@@ -54,11 +56,12 @@ class Trace:
     turning_points: NDArray[np.intp]
     direction: int
     hysteresis: float
+    timed: bool = True
 
     @classmethod
     def from_arrays(
         cls,
-        time: ArrayLike,
+        time: ArrayLike | None,
         displacement: ArrayLike,
         actuation: ArrayLike | None = None,
         force: ArrayLike | None = None,
@@ -70,7 +73,9 @@ class Trace:
 
         Parameters
         ----------
-        time : (T,), s
+        time : (T,), s, or None
+            None where it is not known: samples are then numbered, which is for models that are
+            rate-independent.
         displacement : (T,), in
         actuation : scalar or (T,), ksi or kip, optional
         force : (T,), kip, optional
@@ -85,7 +90,8 @@ class Trace:
         RecordError
             When shapes do not fit, a value is not finite, or time does not increase.
         """
-        t = _column("time", time)
+        timed = time is not None
+        t = _column("time", np.arange(np.size(displacement)) if time is None else time)
         x = _column("displacement", displacement, t.size)
         if t.size < 3:
             raise RecordError(f"a trace needs at least 3 samples, got {t.size}")
@@ -114,6 +120,7 @@ class Trace:
             turning_points=turns,
             direction=first_direction(x, turns),
             hysteresis=span,
+            timed=timed,
         )
 
     @property

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from mfd_bayes.axes import Axes
 from mfd_bayes.evaluation.views import Fan, LawView, LeftOutView, Row, Rows, TestView
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import US, System
@@ -37,7 +38,10 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     """
     if system == US:
         return frame
-    shown = frame.copy()
+    shown, axes = frame.copy(), system.axes
+    for name in ("quantity", "feature", "condition", "note"):
+        if name in frame and not axes.of_damper:
+            shown[name] = [_renamed(v, axes) for v in frame[name]]
     if "unit" in frame:
         by = frame["unit"].map(system.factor)
         for name in _OF_UNIT.intersection(frame.columns):
@@ -47,10 +51,22 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     for name in frame.columns:
         ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
         if ending:
-            own = system.unit(_ENDINGS[ending]).replace("/", "_per_")
-            names[name] = f"{name.removesuffix(ending)}_{own}"
+            names[name] = system.column(str(name).removesuffix(ending), _ENDINGS[ending])
             shown[name] = frame[name] * system.factor(_ENDINGS[ending])
-    return shown.rename(columns=names)
+    shown = shown.rename(columns=names)
+    if axes.timed:
+        return shown
+    lost = [n for n in shown if n == "frequency_Hz" or "in_per_s" in str(n)]
+    lost += [n for n in names.values() if n == system.column("velocity", "in/s")]
+    return shown.drop(columns=lost).rename(columns={"time_s": "sample"})
+
+
+def _renamed(words: Any, axes: Axes) -> Any:
+    """Words of the package in the names of a model's axes; a parameter's name stays."""
+    if words == "peak_force":
+        return f"peak_{axes.response.name}"
+    is_ours = isinstance(words, str) and (" " in words or words == "stroke")
+    return axes.text(words) if is_ours else words
 
 
 def convert_rows(rows: Rows, system: System) -> Rows:

@@ -45,7 +45,17 @@ def explore(view: CampaignView) -> Explorer:
     most = max(FEWEST, min(MOST, ALL // max(1, len(view.tests))))
     data = {
         "systems": {
-            s.name: {"length": s.length, "force": s.force, "by": [s.factor("in"), s.factor("kip")]}
+            s.name: {
+                "length": "" if s.length == "1" else s.length,
+                "force": s.force,
+                "by": [s.factor("in"), s.factor("kip")],
+                "names": [s.axes.name("displacement"), s.axes.name("force")],
+                "labels": {
+                    "x": s.label("displacement", "in"),
+                    "t": "time, s" if s.axes.timed else "sample",
+                    "y": s.label("force", "kip"),
+                },
+            }
             for s in view.systems
         },
         "tests": [_packed(test, view, most) for test in view.tests],

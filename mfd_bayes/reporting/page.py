@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,6 +22,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from mfd_bayes.axes import DAMPER
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
 from mfd_bayes.evaluation.scores import width_sentence
@@ -169,7 +171,9 @@ class Units:
         return Markup(escape(line.template)).format(*digits)
 
     def level(self, test: TestView, unit: str) -> Markup:
-        """Actuation of a test; `unit` is its internal one."""
+        """Actuation of a test, "" of none; `unit` is its internal one."""
+        if not self.systems[0].axes.actuated:
+            return Markup()
         text = self.values([test.trace.reference_actuation], ACTUATION + unit, 4)
         return text + Markup(" (mean of a history)" if test.trace.varying else "")
 
@@ -183,7 +187,8 @@ class Units:
             else self.words.sentence(value)
             for name, value in sentence.values.items()
         }
-        return Markup(escape(sentence.template)).format(**shown)
+        template = self.systems[0].text(sentence.template)
+        return Markup(escape(template)).format(**shown)
 
     @property
     def table(self) -> Markup:
@@ -288,10 +293,11 @@ def _datasheet(
 ) -> dict[str, Any]:
     if sheet is None:
         return {"datasheet": None}
+    properties = datasheet_sheet(sheet.rows, view.title, words, view.system.axes)
     noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
     return {
         "datasheet": sheet,
-        "properties": datasheet_sheet(sheet.rows, view.title, words).blocks(CONDITIONS),
+        "properties": properties.blocks(CONDITIONS),
         "property_notes": [f"{row.condition}: {row.note}" for row in noted.itertuples()],
     }
 
@@ -300,7 +306,17 @@ def render_page(template: str, units: Units, *scripts: str, **values: Any) -> st
     """A page from its template; `scripts` are those that it may run besides the report's own."""
     script = files("mfd_bayes.reporting").joinpath("templates", "report.js").read_text("utf-8")
     made = environment().get_template(template)
-    return made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
+    page = made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
+    axes = units.systems[0].axes
+    if axes == DAMPER:
+        return page
+    parts = _TEXT.split(page)  # what is between tags, but for scripts and styles
+    return "".join(axes.text(part) if at % 2 == 0 else part for at, part in enumerate(parts))
+
+
+_TEXT = re.compile(
+    r"(<(?:script|style)\b.*?</(?:script|style)>|<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>)", re.DOTALL
+)
 
 
 def policy_of(*scripts: str) -> str:

@@ -129,7 +129,7 @@ def publish(
     texts["laws.tex"] = to_latex("laws", table_2, symbols)
     sheets = {"Table I": table_1, "Table II": table_2}
     if sheet is not None:
-        properties = datasheet_sheet(sheet.rows, view.title, symbols).to_units(system)
+        properties = datasheet_sheet(sheet.rows, view.title, symbols, system.axes).to_units(system)
         sheets = {"Data sheet": properties} | sheets
         texts["datasheet.csv"] = to_csv(datasheet_frame(sheet.rows, system))
         texts["datasheet.tex"] = to_latex("datasheet", properties, symbols)

@@ -59,11 +59,16 @@ _PREFIXES = {
         "deviation by session,",
         "deviation from the law that all tests of a session have in common, standard deviation",
     ),
+    "deviation_device": (
+        "deviation by device,",
+        "deviation from the law that all tests of a device have in common, standard deviation",
+    ),
     "exponent": ("exponent of", "exponent of the power law"),
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
     "dependence": (
         "dependence of",
-        "change of the logarithm when speed or stroke grows by a factor e",
+        "change of the logarithm when speed or stroke grows by a factor e, or over the span of the "
+        "tests' dates, cycles or temperatures",
     ),
 }
 # Scatter of these is not that of the quantity itself, but of another one that is pooled for it:
@@ -105,11 +110,11 @@ class Symbols:
 
     def motion(self, system: System) -> str:
         """Axis label of the motion with its unit."""
-        return f"displacement, {system.length}"
+        return system.label("displacement", "in")
 
     def response(self, system: System, of: str = "force") -> str:
         """Axis label of the force, or of what is left of it, with its unit."""
-        return f"{of}, {system.force}"
+        return system.label(of, "kip")
 
     def in_html(self, name: str) -> Markup:
         """Symbol as HTML; an unknown name escaped."""

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mfd_bayes.axes import Axes
 from mfd_bayes.evaluation.next_test import advice_rows
 from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.planning.study import Advice
@@ -70,6 +71,11 @@ _COLUMNS = {
         "fitted_crps:fitted_crps_kip width_ratio crps_ratio whole_95"
     ),
     "tested_range": "name:condition unit lowest:smallest highest:largest",
+    "drift": (
+        "quantity condition per change:change_percent lower:lower_percent upper:upper_percent "
+        "probability limit:limit_percent left:left_at_last_test leaves:leaves_ahead when "
+        "when_lower:when_q5 when_upper:when_q95"
+    ),
     "comparison": (
         "subject:test model cycles elpd elpd_se p_loo worst_k:worst_pareto_k bad:share_bad_k "
         "unsettled:share_unsettled difference:elpd_difference difference_se:elpd_difference_se "
@@ -113,6 +119,8 @@ def report_tables(view: CampaignView) -> dict[str, str]:
         "scores": (test.score for test in tests),
         "tested_range": view.tested,
     }
+    if view.drifts:
+        rows["drift"] = view.drifts
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
     frames = {name: frame_of(name, lines, system) for name, lines in rows.items()}
@@ -342,7 +350,9 @@ def paper_sheets(view: CampaignView, symbols: Symbols) -> tuple[Sheet, Sheet]:
     """The paper's Tables I and II, with uncertainty, in internal units."""
     tests = {test.id: test for test in view.tests if test.rows}
     heads = {
-        name: f"{printable(name)}, {view.system.actuation(test.trace, view.actuation_unit)}"
+        name: ", ".join(
+            filter(None, (printable(name), view.system.actuation(test.trace, view.actuation_unit)))
+        )
         for name, test in tests.items()
     }
     rows = [(row, _deciding(test, row["name"])) for test in tests.values() for row in test.rows]
@@ -391,6 +401,8 @@ def datasheet_frame(rows: pd.DataFrame, system: System) -> pd.DataFrame:
     levels = [system.of_actuation(unit) for unit in rows["actuation_unit"]]
     frame["actuation"] = rows["actuation"] * np.array([by for by, _ in levels])
     frame["actuation_unit"] = [name for _, name in levels]
+    if not system.axes.actuated:
+        frame = frame.drop(columns=["actuation", "actuation_unit"])
     return to_units(frame, system)
 
 
@@ -398,12 +410,15 @@ def _records(frame: pd.DataFrame) -> list[Row]:
     return [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
 
 
-def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols) -> Sheet:
+def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes) -> Sheet:
     """The properties of a data sheet for reading, in internal units: conditions are columns."""
     conditions: dict[str, tuple[tuple[float, str], ...]] = {}
     for row in _records(rows.drop_duplicates("condition")):
-        level = row["actuation"], ACTUATION + row["actuation_unit"]
-        parts = (level, (row["stroke"], "in"), (row["frequency"], "Hz"))
+        parts = [(row["stroke"], "in")]
+        if axes.actuated:
+            parts.insert(0, (row["actuation"], ACTUATION + row["actuation_unit"]))
+        if axes.timed:
+            parts.append((row["frequency"], "Hz"))
         conditions[row["condition"]] = tuple(part for part in parts if math.isfinite(part[0]))
     made = []
     order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
@@ -422,7 +437,7 @@ def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols) -> Sheet:
                 Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
             )
             cells[row["condition"]] = Cell(lines, row["note"])
-        name = quantity.replace("_", " ").replace("gap", "gap width")
+        name = axes.text(quantity.replace("_", " ").replace("gap", "gap width"))
         detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle != "0" else "")))
         of = tuple(cells.get(condition, Cell()) for condition in conditions)
         meaning = ", ".join(filter(None, (symbols.meaning(name), detail)))
@@ -746,12 +761,13 @@ def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
     return _csv_text((), rows[0], (map(_safe, row.values()) for row in rows))
 
 
-def predicted_csv(rows: Rows, actuation: str, probability: float) -> str:
+def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "force") -> str:
     """Derived quantities of a prediction, with intervals of this probability."""
     about = (
-        f"derived quantities of the damper, without offset and noise, of kind {rows[0]['role']}: "
+        f"derived quantities of the device, without offset and noise, of kind {rows[0]['role']}: "
         f"equal-tailed {percent(probability)} % intervals",
-        f"actuation {actuation}; measured: of the force in the motion's file, as it is",
+        f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
+        "as it is",
     )
     return _records_csv("prediction", rows, about)
 
@@ -762,7 +778,7 @@ def design_csv(rows: Rows, actuation: str, probability: float) -> str:
         "mean and bounding properties; each bound is exceeded with a probability of "
         f"{50.0 * (1.0 - probability):g} %",
         "lambda: bound over the nominal value, which is the mean of the mean property",
-        f"actuation {actuation}",
+        *([f"actuation {actuation}"] if actuation else []),
     )
     return _records_csv("design", rows, about)
 
@@ -773,16 +789,16 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     `about` are lines of its head, besides what the band is; the columns are in the units of
     `system`.
     """
-    length, force = system.unit("in"), system.unit("kip")
     columns: dict[str, Any] = {
-        "time_s": [f"{time:.15g}" for time in trace.time],  # may be seconds since 1970
-        f"displacement_{length}": trace.displacement * system.factor("in"),
+        # may be seconds since 1970
+        "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
+        system.column("displacement", "in"): trace.displacement * system.factor("in"),
     }
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
     forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
     for name, values in forces.items():
         if values is not None:
-            columns[f"{name}_{force}"] = values * system.factor("kip")
+            columns[system.column(name, "kip")] = values * system.factor("kip")
     if band.given is not None:
         columns["given"] = band.given.holds(trace.time).astype(np.float64)
     head = [
@@ -792,8 +808,8 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     if band.whole_lower is not None:
         head.append("whole: band of the whole history, of the same probability")
     if band.given is not None:
-        head.append("given: 1 where the force was given, 0 elsewhere")
-    head += [f"warning: {remark}" for remark in band.remarks] + list(about)
+        head.append(system.text("given: 1 where the force was given, 0 elsewhere"))
+    head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(about)
     return _csv_text(head, list(columns), zip(*columns.values(), strict=True), 8)
 
 

@@ -321,8 +321,11 @@ def bound_dampers(
 
 
 def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:
-    """Numbers of one damper: its own scatter, and its own place in the gap."""
+    """Numbers of one damper: its own scatter, its own place in the gap; a device of its own."""
     flat = shared.flat.copy()
+    if shared.several:
+        own = slice(3 * shared.quantities, 4 * shared.quantities)
+        flat[:, own] = rng.standard_normal(shared.device.shape)
     flat[:, : shared.quantities] = rng.standard_normal((len(flat), shared.quantities))
     flat[:, -1] = rng.standard_normal(len(flat))
-    return Numbers(flat, shared.quantities, shared.leveled, shared.grid)
+    return replace(shared, flat=flat)

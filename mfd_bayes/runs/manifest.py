@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
@@ -59,6 +60,8 @@ class Entry(Part):
     """Sampling rate of the record, Hz."""
     unit: str
     """The record's unit of displacement."""
+    response_unit: str = ""
+    """The record's unit of force; empty in a run before there were other responses."""
     conditions: Mapping[str, Figure]
     """Stroke, speed, frequency and actuation, as `tested_range.conditions_of` has them."""
     peak_force: Figure
@@ -117,6 +120,8 @@ class Manifest(Part):
     platform: str
     machines: tuple[Mapping[str, str], ...] = ()
     """The machines that have computed a part of it, as `this_machine` has them."""
+    axes: Axes = DAMPER
+    """What the model's motion and response are."""
     tests: Annotated[Mapping[Id, Entry], Field(min_length=1)]
     truth: Truth | None = None
     seconds: Figure = 0.0
@@ -168,6 +173,8 @@ class Manifest(Part):
             (entry.unit for entry in self.tests.values()),
             (entry.peak_force for entry in self.tests.values()),
             (test.actuation_unit for test in self.settings.test),
+            self.axes,
+            (entry.response_unit for entry in self.tests.values()),
         )
 
     @property
@@ -228,6 +235,8 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
     keys[POPULATION] = _digest(
         [*fitted.items()],
         {name: settings.sessions[name] for name in fitted},
+        {name: settings.devices[name] for name in fitted if settings.devices[name]},
+        {name: settings.conditions[name] for name in fitted if settings.dependence},
         (settings.laws, settings.dependence, settings.actuation_unit),
         {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()},
     )

@@ -43,6 +43,7 @@ def next_test(
     """Table of the candidates, or of a grid from the campaign's range; see `Run.next_test`."""
     settings = _chosen(run, goal, candidates, limits)
     shown = Shown(run.system.factor(run.actuation_unit), run.system.factor("in"))
+    shown = replace(shown, actuated=run.system.axes.actuated, timed=run.system.axes.timed)
     # an actuation that is next to nothing is zero in the population
     done = tuple(
         replace(harmonic_of(test.trace, shown), actuation=setting.actuation)

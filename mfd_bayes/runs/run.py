@@ -214,7 +214,12 @@ class Run:
     def tested(self) -> tuple[Span, ...]:
         """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
         tests = (self.manifest.tests[name].conditions for name in self.tests)
-        return range_of(tests, self.actuation_unit)
+        spans = range_of(tests, self.actuation_unit)
+        return (
+            spans
+            if self.manifest.axes.actuated
+            else tuple(s for s in spans if s.name != "actuation")
+        )
 
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
@@ -228,6 +233,21 @@ class Run:
         """Session of a test, "" where the campaign declares none."""
         sessions = self.manifest.settings.sessions
         return ByName("test", sessions, sessions.__getitem__)[name]
+
+    @cached_property
+    def devices(self) -> tuple[str, ...]:
+        """Devices of the calibrated tests, each once; "" of tests that declare none."""
+        devices = self.manifest.settings.devices
+        return tuple(dict.fromkeys(devices[name] for name in self.tests))
+
+    def place(self, name: str) -> dict[str, Any]:
+        """Session, device and conditions of a test, as `predict` takes them."""
+        settings = self.manifest.settings
+        return {
+            "session": self.session(name),
+            "device": settings.devices[name],
+            "conditions": settings.conditions[name],
+        }
 
     @cached_property
     def predictor(self) -> Predictor:
@@ -273,6 +293,8 @@ class Run:
         draws: int = 500,
         seed: int = 0,
         session: str = "",
+        device: str = "",
+        conditions: Mapping[str, float] | None = None,
         test: str = "",
         whole: bool = False,
         explain: bool = False,
@@ -296,6 +318,11 @@ class Run:
         seed : int
         session : str
             Session of the test, where the campaign declares sessions.
+        device : str
+            Device of the test, where the campaign declares devices; by default a new one.
+        conditions : mapping of str to float, optional
+            Of the test, where quantities follow them: "date" in decimal years, "cycles",
+            "temperature" in °C.
         test : str
             Id of the calibrated test, for the kind `this_test`.
         whole : bool
@@ -323,7 +350,11 @@ class Run:
         check_flag("explain", explain)
         if given is not None:
             _check_given(test, after)
-        forecast = Forecast(kind, probability, draws, seed, session, whole, bool(explain))
+        forecast = Forecast(
+            *(kind, probability, draws, seed, session, whole, bool(explain)),
+            device=device,
+            conditions=conditions or {},
+        )
         if after:
             forecast = self.sequence.begun(forecast, trace, after)
         if given is not None:
@@ -336,13 +367,13 @@ class Run:
             departure.sentence(self.system, widened=not test)
             for departure in self.departures(trace, test)
         ]
-        remarks += self._remarks(session)
+        remarks += self._remarks(session, device)
         remarks += [NO_GAP] if after and forecast.before is None else []
         remarks += [*forecast.remarks, *band.remarks]
         return replace(band, remarks=tuple(remarks), extras=self.extras)
 
-    def _remarks(self, session: str) -> list[str]:
-        """Remarks of every band: an unusable run, a session that no test has."""
+    def _remarks(self, session: str, device: str = "") -> list[str]:
+        """Remarks of every band: an unusable run, a session or a device that no test has."""
         remarks = []
         if self.use == Use.NOT_USABLE:
             remarks.append(f"the run is not usable as it is: {self.verdict}")
@@ -353,6 +384,12 @@ class Run:
             remarks.append(
                 f"session {session!r} is taken for a new one, whose tests may differ: {has}"
             )
+        if device and device not in self.devices:
+            names = ", ".join(repr(name) for name in self.devices if name) or "without a name"
+            several = f"the run has {len(self.devices)} devices, {names}"
+            one = f"all its tests are of one device, {names}, and how devices differ is not known"
+            has = several if len(self.devices) > 1 else one
+            remarks.append(f"device {device!r} is taken for a new one: {has}")
         return remarks
 
     def _repeat(self, trace: Trace, forecast: Forecast, name: str) -> Band:

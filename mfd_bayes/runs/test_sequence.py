@@ -113,8 +113,14 @@ class TestSequence:
         if name not in self.motions:
             return None  # it could not be calibrated
         kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
-        session = self.manifest.settings.sessions[name]
-        own, trace = replace(forecast, kind=kind, session=session), self.motions[name]
+        settings, trace = self.manifest.settings, self.motions[name]
+        own = replace(
+            forecast,
+            kind=kind,
+            session=settings.sessions[name],
+            device=settings.devices[name],
+            conditions=settings.conditions[name],
+        )
         drawn = self.predictor.draw(trace, own, np.random.default_rng((forecast.seed, 2)))
         values = self.predictor.values(drawn)
         return replace(Ending.of(model, name, trace, values, drawn.scales or None), predicted=True)

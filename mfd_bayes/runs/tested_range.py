@@ -102,12 +102,11 @@ def conditions_of(trace: Trace) -> dict[str, float]:
     speeds = (trace.displacement[step:] - trace.displacement[:-step]) / (
         trace.time[step:] - trace.time[:-step]
     )
-    conditions = {
-        "stroke": float(np.ptp(trace.displacement)),
-        "speed": float(np.quantile(np.abs(speeds), FASTEST)),
-    }
+    conditions = {"stroke": float(np.ptp(trace.displacement))}
+    if trace.timed:
+        conditions["speed"] = float(np.quantile(np.abs(speeds), FASTEST))
     loops = find_loops(trace)
-    if loops.period.size:
+    if loops.period.size and trace.timed:
         conditions["frequency"] = float(1.0 / np.median(loops.period[loops.strong]))
     if np.isfinite(trace.reference_actuation):
         conditions["actuation"] = float(trace.reference_actuation)

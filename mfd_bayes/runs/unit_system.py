@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -10,9 +11,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfd_bayes.axes import DAMPER, UNITS, Axes, Axis, in_place_of
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import actuation_factor, convert, factor, in_digits
+from mfd_bayes.units import actuation_factor, convert, factor, has_angle, in_digits
 
 SMALL = 0.2
 """Devices whose largest force, kip, is below this are shown in lbf or N."""
@@ -22,6 +24,9 @@ PRESSURES = frozenset({"bar", "kPa"})
 
 _SET = {"ksi": "psi", "kip": "lbf"}  # in which an actuation is set in tests
 _WORD = re.compile(r"[A-Za-z]+")
+_CUSTOMARY = re.compile(
+    r"(?<![A-Za-z])(?:in|ft|lb|lbf|lbs|kips?|ksi|psi|psf|gal|gallon|gpm|inch)(?![A-Za-z])"
+)
 
 
 @dataclass(frozen=True)
@@ -34,16 +39,33 @@ class System:
     force: str
     pressure: str
     level: tuple[str, str] = ("", "")
+    axes: Axes = DAMPER
 
     @property
     def velocity(self) -> str:
         """Unit of velocities."""
-        return f"{self.length}/s"
+        return self.unit("in/s")
+
+    def label(self, name: str, internal: str = "") -> str:
+        """Label of an axis, "displacement, in": a name and an internal unit."""
+        name = self.axes.text(name)
+        unit = self.unit(internal).replace("*", "·") if internal else "1"
+        return name if unit == "1" else f"{name}, {unit}"
 
     @property
     def small(self) -> bool:
         """Whether forces are in lbf or N."""
         return self.force in (US_SMALL.force, SI_SMALL.force)
+
+    def column(self, name: str, internal: str) -> str:
+        """Head of a column of a table, "displacement_in": a name and an internal unit."""
+        unit = self.unit(internal).replace("/", "_per_")
+        name = self.axes.text(name).replace(" ", "_")
+        return name if unit == "1" else f"{name}_{unit}"
+
+    def text(self, words: str) -> str:
+        """A sentence about a damper in the names of the model's motion and response."""
+        return self.axes.text(words)
 
     def unit(self, internal: str) -> str:
         """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
@@ -51,6 +73,12 @@ class System:
         level, shown = self.level
         if level:
             units[level] = shown
+        if not self.axes.of_damper:
+            if internal == "s" and not self.axes.timed:
+                return "samples"
+            own = ((self.axes.motion, self.length), (self.axes.response, self.force))
+            units |= {axis.unit: unit for axis, unit in own if _WORD.fullmatch(axis.unit)}
+            return in_place_of(internal, units)
         text = _WORD.sub(lambda word: units.get(word[0], word[0]), internal)
         if "*" not in level:
             return text
@@ -58,7 +86,9 @@ class System:
 
     def factor(self, internal: str) -> float:
         """Factor from an internal unit to this system's."""
-        return _factor(internal, self.unit(internal))
+        if internal == "s" and not self.axes.timed:
+            return 1.0
+        return _factor(self.axes.unit(internal), self.unit(internal))
 
     def of_actuation(self, internal: str) -> tuple[float, str]:
         """Factor from an internal unit, and the unit, in which an actuation is said."""
@@ -77,10 +107,12 @@ class System:
         if actuation:
             by, unit = self.of_actuation(internal)
         shown = dict.fromkeys(in_digits(value * by, digits) for value in values)
-        return f"{' to '.join(shown)} {unit}"
+        return f"{' to '.join(shown)}{f' {unit}' if unit != '1' else ''}"
 
     def actuation(self, trace: Trace, unit: str) -> str:
-        """Actuation of a trace in words; `unit` is the internal one, such as "ksi"."""
+        """Actuation of a trace in words, "" of none; `unit` is the internal one, such as "ksi"."""
+        if not self.axes.actuated:
+            return ""
         text = self.words([trace.reference_actuation], unit, actuation=True)
         return f"{text} (mean of a history)" if trace.varying else text
 
@@ -95,7 +127,18 @@ SYSTEMS = (US, SI)
 def both_systems(own: System) -> tuple[System, System]:
     """Customary and metric system for the same device, one of which is `own`."""
     systems = (US_SMALL, SI_SMALL) if own.small else SYSTEMS
-    customary, metric = (replace(system, level=own.level) for system in systems)
+    customary, metric = (replace(system, level=own.level, axes=own.axes) for system in systems)
+    if not own.axes.of_damper:
+        of_axes = [(own.axes.motion, own.length), (own.axes.response, own.force)]
+        customary, metric = (
+            replace(system, title=" and ".join(u for u in units if u != "1"), length=x, force=y)
+            for system, units in zip(
+                (customary, metric),
+                zip(*(_in_both(axis, unit) for axis, unit in of_axes), strict=True),
+                strict=True,
+            )
+            for x, y in [units]
+        )
     return (customary, own) if own.name == metric.name else (customary, metric)
 
 
@@ -110,14 +153,26 @@ def named_system(name: str, own: System) -> System:
 
 
 def system_of(
-    lengths: Iterable[str], forces: Iterable[ArrayLike | None] = (), actuations: Iterable[str] = ()
+    lengths: Iterable[str],
+    forces: Iterable[ArrayLike | None] = (),
+    actuations: Iterable[str] = (),
+    axes: Axes = DAMPER,
+    responses: Iterable[str] = (),
 ) -> System:
-    """System of units that records were measured in, fit for the size of their forces."""
+    """System of units that records were measured in, fit for the size of their forces.
+
+    `axes` are the model's own quantities, and `responses` the units of their response.
+    """
+    of_motion = list(lengths)
     peaks = [float(np.max(np.abs(force))) for force in forces if force is not None]
-    metric = sum(1 if _is_metric(unit) else -1 for unit in lengths) > 0
+    metric = sum(1 if _is_metric(unit) else -1 for unit in of_motion) > 0
     small = 0.0 < max(peaks, default=0.0) < SMALL
     customary, si = (US_SMALL, SI_SMALL) if small else SYSTEMS
     system = si if metric else customary
+    if axes != DAMPER:
+        system = replace(system, axes=axes)
+    if not axes.of_damper:
+        system, metric = _own_system(axes, of_motion, list(responses))
     units = set(actuations)
     if len(units) != 1:
         return system
@@ -129,6 +184,31 @@ def system_of(
     except UnitError:
         return system
     return system if internal in _SET else replace(system, level=(internal, unit))
+
+
+def _own_system(axes: Axes, motions: list[str], responses: list[str]) -> tuple[System, bool]:
+    """System in the units that most records have, and whether it is a metric one."""
+    x, y = (
+        Counter(unit for unit in units if unit).most_common(1)[0][0] if any(units) else axis.unit
+        for axis, units in ((axes.motion, motions), (axes.response, responses))
+    )
+    metric = not any(_CUSTOMARY.search(unit) for unit in (x, y))
+    base = SI if metric else US
+    title = " and ".join(unit for unit in (y, x) if unit != "1")
+    return replace(base, title=title, length=x, force=y, axes=axes), metric
+
+
+def _in_both(axis: Axis, own: str) -> tuple[str, str]:
+    """Customary and metric unit of an axis, one of which is that of the records."""
+    customary = bool(_CUSTOMARY.search(own))
+    for pair in UNITS.values():
+        try:
+            convert(pair[0], axis.unit)
+        except UnitError:
+            continue
+        if has_angle(pair[0]) == has_angle(axis.unit) and pair[0] != pair[1]:
+            return (own, pair[1]) if customary else (pair[0], own)
+    return own, own
 
 
 @cache

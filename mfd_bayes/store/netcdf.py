@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -190,7 +190,7 @@ def _numbers(arrays: Mapping[str, Array]) -> dict[str, Array]:
 def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
     import xarray as xr
 
-    time = {"time": ("time", trace.time, {"units": "s"})}
+    time = {"time": ("time", trace.time, {"units": "s" if trace.timed else "1"})}
     constant = {
         "displacement": ("time", trace.displacement, {"units": "in"}),
         "velocity": ("time", trace.velocity, {"units": "in/s"}),
@@ -206,13 +206,15 @@ def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
 def _trace_of(groups: Mapping[str, Group]) -> Trace:
     constant = groups["constant_data"].arrays
     actuation = np.asarray(constant["actuation"])
-    return Trace.from_arrays(
-        groups["constant_data"].variables["time"][1],
+    _, time, about = groups["constant_data"].variables["time"]
+    trace = Trace.from_arrays(
+        time,
         constant["displacement"],
         actuation if actuation.ndim else (None if np.isnan(actuation) else float(actuation)),
         groups["observed_data"].arrays["force"],
         constant["velocity"],
     )
+    return replace(trace, timed=about.get("units") != "1")
 
 
 def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:

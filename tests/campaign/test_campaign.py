@@ -143,7 +143,7 @@ def test_the_unit_of_a_history_may_stand_in_the_files_row_of_units(folder):
         ('[campain]\ntitle = "x"\n' + TEST, "'campain'"),
         (TEST + 'rol = "validate"\n', "in [test 'p500_f0.05'] of"),
         ('[laws]\nFc_fw = "affine"\n' + TEST, "did you mean 'Fc_fwd'?"),
-        ("[dependence]\nFc = []\n" + TEST, "'Fc' in [dependence]"),
+        ("[dependence]\nFcc = []\n" + TEST, "'Fcc' in [dependence]"),
         ('[columns]\ntime = { nam = "t" }\n' + TEST, "'nam' in [columns.time]"),
         ('[columns]\nforce = { name = "f", minos_mass = "3 kg" }\n' + TEST, "'minus_mass'?"),
         (TEST.replace('"500 psi"', '{ nme = "p" }'), "did you mean 'name'?"),

@@ -3,8 +3,6 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-import pytest
-
 from mfd_bayes.cli.console import LINES, WIDTH, clean, print_checks, print_end
 from mfd_bayes.evaluation.views import Check, Judgement
 from mfd_bayes.messages import Message, Quantity
@@ -12,9 +10,8 @@ from mfd_bayes.runs.unit_system import SYSTEMS
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
+def test_text_has_no_commands_to_the_terminal():
+    for text, shown in [
         ("p500_f0.25", "p500_f0.25"),
         ("[red]stop[/red] [link=x]", "[red]stop[/red] [link=x]"),
         ("\x1b[2J\x1b[1;1Htop", "top"),
@@ -25,11 +22,9 @@ from mfd_bayes.runs.verdict import Finding, Use, Verdict
         ("\u202egnp.exe", " gnp.exe"),  # turns what follows around
         ("\udcff", " "),  # a file name that is no UTF-8
         ("γ², 95 % ± ü", "γ², 95 % ± ü"),
-    ],
-)
-def test_text_has_no_commands_to_the_terminal(text, shown):
-    assert clean(text) == shown
-    assert clean(clean(text)) == clean(text)
+    ]:
+        assert clean(text) == shown
+        assert clean(clean(text)) == clean(text)
 
 
 def test_a_table_shows_names_as_they_are(capsys):

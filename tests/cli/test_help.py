@@ -50,21 +50,24 @@ def examples_of(command):
     return lines[: next(others)]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_help_says_what_is_written_with_examples_that_are_valid_and_what_is_next(command):
-    lines = help_of(command)
-    assert any(re.search(r"\b[Ww]rites?\b", line) for line in lines)
-    frame = max(i for i, line in enumerate(lines) if line.startswith("╰"))
-    assert lines[frame + 1].startswith("Next: ")
-    examples = examples_of(command)
-    assert examples
-    for example in examples:
-        assert example.startswith(f"mfd-bayes {command} ")
-        assert "mfd-bayes" not in example[1:]  # two are not joined
-        _, name, *words = shlex.split(example.partition(" && ")[0])
-        COMMANDS[name].make_context(name, words)
-    texts = [COMMANDS[command].help, *(getattr(p, "help", "") for p in COMMANDS[command].params)]
-    assert [text for text in texts if re.search(r"\[[a-z\[/]", text or "")] == []  # as markup
+def test_a_help_says_what_is_written_with_examples_that_are_valid_and_what_is_next():
+    for command in COMMANDS:
+        lines = help_of(command)
+        assert any(re.search(r"\b[Ww]rites?\b", line) for line in lines)
+        frame = max(i for i, line in enumerate(lines) if line.startswith("╰"))
+        assert lines[frame + 1].startswith("Next: ")
+        examples = examples_of(command)
+        assert examples
+        for example in examples:
+            assert example.startswith(f"mfd-bayes {command} ")
+            assert "mfd-bayes" not in example[1:]  # two are not joined
+            _, name, *words = shlex.split(example.partition(" && ")[0])
+            COMMANDS[name].make_context(name, words)
+        texts = [
+            COMMANDS[command].help,
+            *(getattr(p, "help", "") for p in COMMANDS[command].params),
+        ]
+        assert [text for text in texts if re.search(r"\[[a-z\[/]", text or "")] == []  # as markup
 
 
 def test_commands_are_listed_in_the_order_of_work():
@@ -95,9 +98,8 @@ def test_it_runs_as_a_module_too():
 # --- typing errors
 
 
-@pytest.mark.parametrize(
-    ("words", "error"),
-    [
+def test_a_typing_error_is_named_in_the_last_line_with_a_suggestion():
+    for words, error in [
         ("predict out --kind nope", "'--kind': 'nope' is not one of 'device', 'new_test'"),
         ("respond out --draws -5", r"'--draws'.* 10\b"),
         ("predict", "Missing argument '(out|OUT)'"),
@@ -106,35 +108,30 @@ def test_it_runs_as_a_module_too():
         ("xyzzy", "No such command 'xyzzy'.$"),
         ("calibrate c.toml -o out --efort quick", "No such option.*--efort.*--effort"),
         ("--verson", "No such option.*--verson.*--version"),
-    ],
-)
-def test_a_typing_error_is_named_in_the_last_line_with_a_suggestion(words, error):
-    outcome = here(*words.split())
-    assert (outcome.exit_code, outcome.stdout) == (2, "")
-    *usage, last = [line for line in outcome.stderr.splitlines() if line]
-    assert not usage or usage[-1].startswith("Try 'mfd-bayes ")
-    assert last.startswith("Error: ")
-    assert re.search(error, last)  # typer's words differ from version to version
+    ]:
+        outcome = here(*words.split())
+        assert (outcome.exit_code, outcome.stdout) == (2, "")
+        *usage, last = [line for line in outcome.stderr.splitlines() if line]
+        assert not usage or usage[-1].startswith("Try 'mfd-bayes ")
+        assert last.startswith("Error: ")
+        assert re.search(error, last)  # typer's words differ from version to version
 
 
 # --- completion
 
 
-@pytest.mark.parametrize(
-    ("words", "offered"),
-    [
+def test_words_are_completed():
+    for words, offered in [
         ("c", {"calibrate", "check", "crossvalidate", "compare"}),
         ("calibrate --eff", {"--effort"}),
         ("calibrate c.toml --effort st", {"standard"}),
         ("nothing-like-this", set()),
-    ],
-)
-def test_words_are_completed(words, offered):
-    line, count = f"mfd-bayes {words}", str(len(words.split()))
-    bash = here(_MFD_BAYES_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=count)
-    assert set(bash.stdout.split()) == offered
-    zsh = here(_MFD_BAYES_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS=line)
-    assert all(name in zsh.stdout for name in offered)
+    ]:
+        line, count = f"mfd-bayes {words}", str(len(words.split()))
+        bash = here(_MFD_BAYES_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=count)
+        assert set(bash.stdout.split()) == offered
+        zsh = here(_MFD_BAYES_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS=line)
+        assert all(name in zsh.stdout for name in offered)
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")

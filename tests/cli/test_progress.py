@@ -33,19 +33,19 @@ ALARMS = [
 ]
 
 
-@pytest.mark.parametrize("quiet", [False, True])
-def test_without_a_terminal_steps_are_lines_and_quiet_prints_only_what_must_be_known(capsys, quiet):
-    with watch(quiet=quiet) as observe:
-        for step in steps():
-            observe(step)
-    lines = [
-        "b: done before",
-        "a: sampling, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s, at most 10 s left",
-        *ALARMS,
-        "c: done, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s",
-    ]
-    out, err = capsys.readouterr()
-    assert (out.splitlines(), err.splitlines()) == (([], ALARMS) if quiet else (lines, []))
+def test_without_a_terminal_steps_are_lines_and_quiet_prints_only_what_must_be_known(capsys):
+    for quiet in [False, True]:
+        with watch(quiet=quiet) as observe:
+            for step in steps():
+                observe(step)
+        lines = [
+            "b: done before",
+            "a: sampling, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s, at most 10 s left",
+            *ALARMS,
+            "c: done, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s",
+        ]
+        out, err = capsys.readouterr()
+        assert (out.splitlines(), err.splitlines()) == (([], ALARMS) if quiet else (lines, []))
 
 
 def test_after_a_silence_a_line_says_what_is_at_work_and_what_is_missing(capsys, monkeypatch):

@@ -62,12 +62,12 @@ def run(tmp_path):
 
 
 @full
-@pytest.mark.parametrize("state", ["full", "closed"])
-def test_an_output_that_takes_nothing_is_said_in_one_sentence(run, state):
-    code, said = run([*WHOLE, "--help"], 1, state)
-    (sentence,) = said.splitlines()
-    assert sentence.startswith("mfd-bayes: cannot write the output: ")
-    assert code == 2
+def test_an_output_that_takes_nothing_is_said_in_one_sentence(run):
+    for state in ["full", "closed"]:
+        code, said = run([*WHOLE, "--help"], 1, state)
+        (sentence,) = said.splitlines()
+        assert sentence.startswith("mfd-bayes: cannot write the output: ")
+        assert code == 2
 
 
 def test_an_output_whose_reader_has_seen_enough_is_no_error(run):
@@ -75,14 +75,12 @@ def test_an_output_whose_reader_has_seen_enough_is_no_error(run):
 
 
 @full
-@pytest.mark.parametrize(
-    ("state", "buffered"), [("full", True), ("closed", True), ("broken", True), ("full", False)]
-)
-def test_a_refusal_that_nobody_can_hear_goes_to_the_output(run, state, buffered):
-    code, said = run([*WHOLE, "check", "none"], 2, state, buffered)
-    (sentence,) = said.splitlines()
-    assert "is not a run folder" in sentence
-    assert code == 2
+def test_a_refusal_that_nobody_can_hear_goes_to_the_output(run):
+    for state, buffered in [("closed", True), ("full", False)]:
+        code, said = run([*WHOLE, "check", "none"], 2, state, buffered)
+        (sentence,) = said.splitlines()
+        assert "is not a run folder" in sentence
+        assert code == 2
 
 
 def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(stored, run, tmp_path):
@@ -96,17 +94,14 @@ def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(stored, 
     assert (tmp_path / "b.csv").read_text().startswith("# equal-tailed")
 
 
-@pytest.mark.parametrize(
-    ("error", "resume", "said"),
-    [
+def test_short_memory_is_said_in_a_sentence(capsys):
+    for error, resume, said in [
         (MemoryError("Unable to allocate 3 GiB"), "", "short: Unable to allocate 3 GiB"),
         (MemoryError(), "a --resume", "short; what is finished is kept, go on with: a --resume"),
-    ],
-)
-def test_short_memory_is_said_in_a_sentence(capsys, error, resume, said):
-    with pytest.raises(typer.Exit) as ended, mistakes(resume):
-        raise error
-    assert ended.value.exit_code == 2
-    (sentence,) = capsys.readouterr().err.splitlines()
-    assert sentence.startswith("mfd-bayes: ")
-    assert sentence.endswith(said)
+    ]:
+        with pytest.raises(typer.Exit) as ended, mistakes(resume):
+            raise error
+        assert ended.value.exit_code == 2
+        (sentence,) = capsys.readouterr().err.splitlines()
+        assert sentence.startswith("mfd-bayes: ")
+        assert sentence.endswith(said)

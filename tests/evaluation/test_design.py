@@ -40,7 +40,7 @@ def test_factors_are_relative_to_the_mean_of_the_mean_property():
     assert row["lambda_max"] == pytest.approx(1.45, abs=1e-3)
 
 
-def test_another_device_is_not_known_without_sessions_of_several():
+def test_another_device_is_not_known_from_tests_of_one():
     row = bounds()["slip_fwd", ANOTHER]
     assert np.isnan(row["upper"])
     assert row["note"] == NOT_KNOWN

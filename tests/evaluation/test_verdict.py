@@ -64,7 +64,7 @@ def test_the_verdict_of_a_run_with_a_swapped_sign_names_the_test_and_the_sign():
 
 def test_a_reader_of_metric_units_reads_metric_units():
     judged = judge(TESTS, CHECKS, [])
-    text = join(verdict_sentences(Manifest, CHECKS, judged), " ").to_text(SI.words)
+    text = join(verdict_sentences(Manifest, CHECKS, judged), " ").to_text(SI)
     assert "peak force forward 16.4 kN where 12.9 kN is expected" in text
 
 
@@ -152,7 +152,7 @@ def test_two_modes_ask_for_care_and_a_small_one_is_a_note(status, use):
     check = Check("a", MODES, "posterior (60 %, 40 % of the draws)", 2.0, 1.0, status)
     (judged,) = judge(["a"], [check], [])
     assert judged.use == use
-    assert "2 different sets of parameters explain it (60 %, 40 %" in judged.to_text(SI.words)
+    assert "2 different sets of parameters explain it (60 %, 40 %" in judged.to_text(SI)
 
 
 @pytest.mark.parametrize(
@@ -163,8 +163,8 @@ def test_a_test_whose_slip_force_is_not_the_measured_one_has_no_usable_parameter
     check = Check("a", LOOP_ESTIMATE, "Fc_fwd", 0.931, 0.083, Verdict.FAIL, "kip")
     (judged,) = judge(["a"], [check, *band("a", nearly=inside)], [])
     assert judged.use == Use.NOT_USABLE
-    assert f"{use}: a slip force is not the measured one" in judged.to_text(SI.words)
-    assert "Fc_fwd 0.369 kN, measured 4.14 kN" in judged.to_text(SI.words)
+    assert f"{use}: a slip force is not the measured one" in judged.to_text(SI)
+    assert "Fc_fwd 0.369 kN, measured 4.14 kN" in judged.to_text(SI)
 
 
 def test_a_test_that_was_not_calibrated_has_not_converged_and_one_not_shown_says_why():

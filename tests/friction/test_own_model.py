@@ -152,6 +152,9 @@ def test_other_quantities_have_their_own_units(folder):
         mb.Posterior(trace_of(FORCE), str(folder / "steel.toml"), "iid", "lugre")
     text += PRIORS[PRIORS.index("[parameters.offset]") :]
     (folder / "steel.toml").write_text(text)
+    with pytest.raises(mb.MfdError, match=r"offset.*'kip' cannot be given in 'MPa'"):
+        mb.Posterior(trace_of(FORCE), str(folder / "steel.toml"), "iid", model)
+    (folder / "steel.toml").write_text(text.replace("kip", "ksi"))
     posterior = mb.Posterior(trace_of(FORCE), str(folder / "steel.toml"), "iid", model)
     assert posterior.priors["E"].typical == pytest.approx(2e5)
     with pytest.raises(mb.MfdError, match="no step in time"):

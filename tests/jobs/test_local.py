@@ -71,17 +71,14 @@ def test_processes_of_the_caller_live_on_and_those_of_the_jobs_do_not(tmp_path):
         assert pool.submit(os.getpid).result() == theirs
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "sentence"),
-    [
+def test_a_full_disk_or_memory_is_said_in_a_sentence(tmp_path, capfd):
+    for name, kind, sentence in [
         ("disk", StoreError, "cannot store disk in /tmp/block.npz: No space left on device"),
         ("memory", FitError, r"memory is too short for memory \(Unable to .*\): give fewer --jobs"),
-    ],
-)
-def test_a_full_disk_or_memory_is_said_in_a_sentence(tmp_path, capfd, name, kind, sentence):
-    with pytest.raises(kind, match=sentence):
-        work(Work(name), out=tmp_path)
-    assert capfd.readouterr().err == ""
+    ]:
+        with pytest.raises(kind, match=sentence):
+            work(Work(name), out=tmp_path)
+        assert capfd.readouterr().err == ""
 
 
 # --- the server that processes are forked from

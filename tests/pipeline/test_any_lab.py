@@ -46,7 +46,7 @@ def test_init_and_inspect_read_a_device_of_any_size(tmp_path, number):
     assert stroke == pytest.approx(device.length * in_mm, rel=1e-3)
     found, records = inspect_campaign(campaign)
     system = system_of_records(records)
-    force = found[0].facts["slip force"].to_text(system.words)
+    force = found[0].facts["slip force"].to_text(system)
     assert f" {system.force} " in force
     assert 0.1 < float(force.split()[0]) < 3000.0  # to be read, whatever the device's size
 

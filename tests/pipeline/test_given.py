@@ -79,9 +79,8 @@ def test_the_force_outside_the_window_does_not_matter(ask, record, tmp_path):
     np.testing.assert_array_equal(bands[0].upper_kip, bands[1].upper_kip)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_what_cannot_be_is_one_sentence(ask, record, tmp_path):
+    for options, said in [
         (("--given", "soon"), "--given must be two times such as '0 s to 60 s', got 'soon'"),
         (("--given", "0 s to 60 s"), "must lie within the record, which goes from 0 s to"),
         (("--given", "0 s to 1 s", "--kind", "device"), "for the kinds new_test and observation"),
@@ -91,14 +90,12 @@ def test_the_force_outside_the_window_does_not_matter(ask, record, tmp_path):
             ("--given", "0 s to 1 s", "--test", "p500_f0.5", "--extrapolate"),
             "given cannot be combined with a calibrated test ('p500_f0.5')",
         ),
-    ],
-)
-def test_what_cannot_be_is_one_sentence(ask, record, tmp_path, options, said):
-    found = ask("--motion", record, *options)
-    assert found.exit_code == 2, found.output
-    (sentence,) = found.stderr.splitlines()
-    assert said in sentence
-    assert not (tmp_path / "bands.csv").exists()
+    ]:
+        found = ask("--motion", record, *options)
+        assert found.exit_code == 2, found.output
+        (sentence,) = found.stderr.splitlines()
+        assert said in sentence
+        assert not (tmp_path / "bands.csv").exists()
 
 
 def test_a_motion_without_a_force_is_refused(ask, tmp_path):

@@ -123,9 +123,8 @@ def test_the_goal_of_the_campaign_file_is_taken(out, finished_run, tmp_path):
     assert (given.goal.quantity, len(given)) == ("band", 2)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
+def test_a_bad_goal_is_found_when_the_campaign_is_read(finished_run, tmp_path):
+    for old, new, said in [
         ('"energy"', '"energie"', "goal.quantity in {}: unknown quantity 'energie'"),
         ("500|1000 psi", "500|1000", "goal.candidates in {}: a test reads"),
         ("quantity", "quantty", "unknown key 'quantty' in [goal] of {}; did you mean 'quantity'"),
@@ -134,14 +133,13 @@ def test_the_goal_of_the_campaign_file_is_taken(out, finished_run, tmp_path):
             'session = "2023"\nlimits',
             "goal.session in {}: no calibrated test has the session '2023'; they have no sessions",
         ),
-    ],
-)
-def test_a_bad_goal_is_found_when_the_campaign_is_read(finished_run, tmp_path, old, new, said):
-    folder = shutil.copytree(finished_run.campaign.parent, tmp_path / "campaign")
-    path = folder / "campaign.toml"
-    path.write_text(path.read_text() + GOAL)
-    assert load_campaign(path).tests  # the control
-    path.write_text(path.read_text().replace(GOAL, GOAL.replace(old, new)))
-    with pytest.raises(CampaignError) as caught:
-        load_campaign(path)
-    assert said.format(path) in str(caught.value)
+    ]:
+        folder = tmp_path / "campaign"
+        shutil.copytree(finished_run.campaign.parent, folder, dirs_exist_ok=True)
+        path = folder / "campaign.toml"
+        path.write_text(path.read_text() + GOAL)
+        assert load_campaign(path).tests  # the control
+        path.write_text(path.read_text().replace(GOAL, GOAL.replace(old, new)))
+        with pytest.raises(CampaignError) as caught:
+            load_campaign(path)
+        assert said.format(path) in str(caught.value)

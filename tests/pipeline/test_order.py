@@ -99,15 +99,12 @@ def test_a_motion_after_a_test_has_a_narrower_band_that_says_so(
     assert said in (tmp_path / "bands.csv").read_text()
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_what_cannot_be_followed_is_refused(ask, motion, tmp_path):
+    for options, said in [
         (("--after", "p5"), "after must be the id of a test of the run, one of"),
         (("--after", "p5", "--design"), "--design cannot be combined with --after"),
-    ],
-)
-def test_what_cannot_be_followed_is_refused(ask, motion, tmp_path, options, said):
-    found = ask("--motion", motion, *options)
-    assert found.exit_code == 2
-    assert said in " ".join(found.stderr.split())
-    assert not (tmp_path / "bands.csv").exists()
+    ]:
+        found = ask("--motion", motion, *options)
+        assert found.exit_code == 2
+        assert said in " ".join(found.stderr.split())
+        assert not (tmp_path / "bands.csv").exists()

@@ -78,26 +78,23 @@ def predict(home, bands, *options, motion="m.csv"):
     return here("predict", home / "out", *asked, *options)
 
 
-@pytest.mark.parametrize(
-    ("bands", "motion", "words"),
-    [
+def test_a_prediction_is_not_written_over_inputs_or_a_run(home):
+    for bands, motion, words in [
         ("m.csv", "m.csv", "is an input of this command"),
         ("x.csv", "x_derived.csv", "is an input of this command"),
         ("out/manifest", "m.csv", None),
         ("out/laws.csv", "m.csv", "is a file of the run"),
         ("out/population.nc", "m.csv", "is a file of the run"),
         ("..", "m.csv", "name of a file"),
-    ],
-)
-def test_a_prediction_is_not_written_over_inputs_or_a_run(home, bands, motion, words):
-    before = state(home)
-    outcome = predict(home, bands, "--force", motion=motion)
-    if words is None:  # a new file in a run folder loses nothing
-        assert outcome.exit_code == 0, outcome.output
-        assert all(state(home)[name] == content for name, content in before.items())
-    else:
-        refused(outcome, words)
-        assert state(home) == before
+    ]:
+        before = state(home)
+        outcome = predict(home, bands, "--force", motion=motion)
+        if words is None:  # a new file in a run folder loses nothing
+            assert outcome.exit_code == 0, outcome.output
+            assert all(state(home)[name] == content for name, content in before.items())
+        else:
+            refused(outcome, words)
+            assert state(home) == before
 
 
 @pytest.mark.parametrize(
@@ -180,42 +177,35 @@ def test_a_run_does_not_replace_a_pipe_or_a_link_out_of_its_folder(home, name):
     assert (home / "mine.csv").read_text() == "a,b\n1,2\n"
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
+    for arguments in [
         ("calibrate", "campaign.toml", "-o", ""),
         ("demo", ""),
         ("check", " "),
         ("predict", "out", "--motion", "", "--actuation", "1 ksi", "-o", "b.csv"),
         ("predict", "out", "--sine", "1 in", "--actuation", "1 ksi", "-o", "b.csv", "--given", ""),
         ("next", "out", "--goal", ""),
-    ],
-    ids=" ".join,
-)
-def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch, arguments):
-    monkeypatch.chdir(home)
-    before = state(home)
-    outcome = here(*arguments)
-    assert outcome.exit_code == 2, outcome.output
-    assert "got an empty text" in " ".join(outcome.stderr.split())
-    assert state(home) == before
+    ]:
+        monkeypatch.chdir(home)
+        before = state(home)
+        outcome = here(*arguments)
+        assert outcome.exit_code == 2, outcome.output
+        assert "got an empty text" in " ".join(outcome.stderr.split())
+        assert state(home) == before
 
 
-@pytest.mark.parametrize(
-    ("out", "options", "said"),
-    [
+def test_a_folder_that_cannot_be_used_is_refused_and_kept(home):
+    for out, options, said in [
         (".", ("--dry-run",), "exists: give --resume to finish it or --force"),
         ("out", ("--dry-run", "--resume", "--force"), "give either --resume or --force"),
         ("other", ("--resume",), "give another folder by -o"),
         ("other", ("--force",), "exists and"),
-    ],
-)
-def test_a_folder_that_cannot_be_used_is_refused_and_kept(home, out, options, said):
-    (home / "other").mkdir()
-    (home / "other" / "thesis.tex").write_text("x")
-    before = state(home)
-    refused(here("calibrate", home / "campaign.toml", "-o", home / out, *options), said)
-    assert state(home) == before
+    ]:
+        (home / "other").mkdir(exist_ok=True)
+        (home / "other" / "thesis.tex").write_text("x")
+        before = state(home)
+        refused(here("calibrate", home / "campaign.toml", "-o", home / out, *options), said)
+        assert state(home) == before
 
 
 def test_a_first_building_has_the_actuation_of_the_campaign_beside_it(home):

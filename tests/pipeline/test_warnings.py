@@ -120,16 +120,13 @@ def test_what_the_calibration_does_not_do_is_told(tmp_path):
     assert "laws" not in told
 
 
-@pytest.mark.parametrize(
-    ("laws", "lacking"),
-    [
+def test_a_law_that_the_model_lacks_is_told(tmp_path):
+    for laws, lacking in [
         ('sigma0 = "power"', "names sigma0, which the model bouc_wen does not"),
         ('Fy_fwd = "affine"', ""),
-    ],
-)
-def test_a_law_that_the_model_lacks_is_told(tmp_path, laws, lacking):
-    path = write_campaign(tmp_path, (1, 1), f"[laws]\n{laws}\n")
-    path.write_text(path.read_text().replace('"lugre"', '"bouc_wen"'))
-    printed = here("calibrate", path, "--dry-run").stdout
-    assert lacking in printed
-    assert ("warning: laws: [laws] names" in printed) == bool(lacking)
+    ]:
+        path = write_campaign(tmp_path, (1, 1), f"[laws]\n{laws}\n")
+        path.write_text(path.read_text().replace('"lugre"', '"bouc_wen"'))
+        printed = here("calibrate", path, "--dry-run").stdout
+        assert lacking in printed
+        assert ("warning: laws: [laws] names" in printed) == bool(lacking)

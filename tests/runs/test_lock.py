@@ -104,41 +104,41 @@ def test_an_owner_on_another_machine_is_refused_with_what_to_do(out):
     assert f"if it has ended, remove {out / OWNER}" in sentence
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
+def test_an_owners_file_that_cannot_be_read_or_of_a_dead_one_is_no_lock(out):
+    for content in [
         "[]",
         '{"host": "node7"}',
         {"pid": "1"},
         {"pid": 10**30},
-    ],
-)
-def test_an_owners_file_that_cannot_be_read_or_of_a_dead_one_is_no_lock(out, content):
-    leave(out, **(content if isinstance(content, dict) else {}))
-    if isinstance(content, str):
-        (out / OWNER).write_text(content)
-    with alone_in(out):
-        pass
-    leave(
-        out, host="container", boot=lock._BOOT.read_text().strip() if lock._BOOT.is_file() else "x"
-    )
-    if lock._BOOT.is_file():  # dead, in another container of this machine
+    ]:
+        leave(out, **(content if isinstance(content, dict) else {}))
+        if isinstance(content, str):
+            (out / OWNER).write_text(content)
         with alone_in(out):
             pass
+        leave(
+            out,
+            host="container",
+            boot=lock._BOOT.read_text().strip() if lock._BOOT.is_file() else "x",
+        )
+        if lock._BOOT.is_file():  # dead, in another container of this machine
+            with alone_in(out):
+                pass
 
 
-@pytest.mark.parametrize("alive", [True, False])
-def test_without_locks_only_a_living_owner_is_refused(out, monkeypatch, alive):
-    def fail(handle, operation):
-        raise OSError(errno.ENOLCK, "No locks available")
+def test_without_locks_only_a_living_owner_is_refused(out, monkeypatch):
+    for alive in [True, False]:
 
-    monkeypatch.setattr(fcntl, "flock", fail)
-    leave(out, pid=os.getppid() if alive else 2**22 + 1)
-    if alive:
-        assert f"process {os.getppid()} on" in refused(out)
-    else:
-        with alone_in(out):
-            pass
+        def fail(handle, operation):
+            raise OSError(errno.ENOLCK, "No locks available")
+
+        monkeypatch.setattr(fcntl, "flock", fail)
+        leave(out, pid=os.getppid() if alive else 2**22 + 1)
+        if alive:
+            assert f"process {os.getppid()} on" in refused(out)
+        else:
+            with alone_in(out):
+                pass
 
 
 # --- everything that writes into a run folder takes the lock; what reads notices a change
@@ -174,21 +174,18 @@ def run_folder(stored, tmp_path):
     return tmp_path / "lugre"
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_every_command_that_writes_into_a_run_takes_its_lock(run_folder, name):
+def test_every_command_that_writes_into_a_run_takes_its_lock(run_folder):
     home = run_folder.parent
     places = {"out": run_folder, "above": home, "campaign": home / "campaign.toml"}
-    before = {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()}
     with held(run_folder) as owner:
-        words = [word.format(**places) for word in WRITERS[name]]
-        outcome = CliRunner().invoke(app, words)
-        assert outcome.exit_code == 2, outcome.output
-        (sentence,) = outcome.stderr.splitlines()
-        assert "another process is working in" in sentence
-        assert f"process {owner.pid} " in sentence
-    after = {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()}
-    after.pop(run_folder / OWNER, None)  # of the owner, who was killed
-    assert after == before
+        before = {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()}
+        for name, words in WRITERS.items():
+            outcome = CliRunner().invoke(app, [word.format(**places) for word in words])
+            assert outcome.exit_code == 2, (name, outcome.output)
+            (sentence,) = outcome.stderr.splitlines()
+            assert "another process is working in" in sentence, name
+            assert f"process {owner.pid} " in sentence, name
+        assert {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()} == before
 
 
 def change(out):

@@ -36,10 +36,10 @@ def test_a_run_opens_and_predicts(run):
     assert np.mean(inside) > 0.8
 
 
-@pytest.mark.parametrize("folder", [None, b"out", "a\0b"])
-def test_a_run_is_opened_by_a_path(folder):
-    with pytest.raises(mb.MfdError, match="folder must be a path"):
-        mb.open_run(folder)
+def test_a_run_is_opened_by_a_path():
+    for folder in [None, b"out", "a\0b"]:
+        with pytest.raises(mb.MfdError, match="folder must be a path"):
+            mb.open_run(folder)
 
 
 def test_tests_are_a_mapping_that_cannot_be_changed(run):
@@ -72,9 +72,8 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
             run.tests[wrong]
 
 
-@pytest.mark.parametrize(
-    ("options", "name"),
-    [
+def test_options_of_a_prediction_are_checked(run, trace):
+    for options, name in [
         ({"whole": "no"}, "whole"),
         ({"explain": None}, "explain"),
         ({"session": ["a"]}, "session"),
@@ -86,22 +85,20 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
         ({"probability": "0.9"}, "probability must be a number between 0 and 1, got '0.9'"),
         ({"kind": "this_test", "test": "p500_f0.5", "session": "other"}, "session 'other' is for"),
         ({"given": (0.0, 1.0), "test": "p500_f0.5"}, "given cannot be combined with a calibr"),
-    ],
-)
-def test_options_of_a_prediction_are_checked(run, trace, options, name):
-    with pytest.raises(mb.MfdError, match=name):
-        run.predict(trace, draws=20, **options)
+    ]:
+        with pytest.raises(mb.MfdError, match=name):
+            run.predict(trace, draws=20, **options)
 
 
-@pytest.mark.parametrize(
-    ("units", "words"),
-    [("us", "made at 500 psi, .* nothing of 1000 psi"), ("si", "3.447 MPa, .* of 6.895 MPa")],
-)
-def test_another_actuation_of_a_test_is_refused_in_the_units_asked_for(run, trace, units, words):
-    with pytest.raises(mb.MfdError, match=words):
-        replace(run, units=units).predict(
-            replace(trace, actuation=1.0), kind="this_test", test="p500_f0.5"
-        )
+def test_another_actuation_of_a_test_is_refused_in_the_units_asked_for(run, trace):
+    for units, words in [
+        ("us", "made at 500 psi, .* nothing of 1000 psi"),
+        ("si", "3.447 MPa, .* of 6.895 MPa"),
+    ]:
+        with pytest.raises(mb.MfdError, match=words):
+            replace(run, units=units).predict(
+                replace(trace, actuation=1.0), kind="this_test", test="p500_f0.5"
+            )
 
 
 def test_a_session_that_no_test_has_is_said(run, trace):
@@ -124,30 +121,26 @@ def test_a_run_that_cannot_be_used_is_said(run, trace):
     assert run.caution == ""
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_what_is_asked_about_the_next_test_is_checked(run):
+    for options, words in [
         *(({"goal": goal}, "goal must be text") for goal in (5, b"band")),
         *(({"candidates": c}, "candidates must be") for c in ([None], Limits(1.0))),
         *(({"limits": limits}, "limits must be text") for limits in ((10, 6, 20),)),
         *(({name: "zz zz"}, f"^{name}: ") for name in ("goal", "candidates", "limits")),
-    ],
-)
-def test_what_is_asked_about_the_next_test_is_checked(run, options, words):
-    with pytest.raises(mb.MfdError, match=words):
-        run.next_test(**options)
+    ]:
+        with pytest.raises(mb.MfdError, match=words):
+            run.next_test(**options)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_options_of_a_response_are_checked(run):
+    for options, words in [
         ({"tolerance": "0.01"}, "tolerance must be a number between 0 and 1"),
         ({"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
         ({"observe": 5}, "observe must be a function"),
-    ],
-)
-def test_options_of_a_response_are_checked(run, options, words):
-    with pytest.raises(mb.MfdError, match=words):
-        run.respond("none.toml", "none.AT2", **options)
-    with pytest.raises(TypeError, match=r"respond\(\) got an unexpected keyword .*'probability'"):
-        run.respond("none.toml", "none.AT2", probability=0.9)
+    ]:
+        with pytest.raises(mb.MfdError, match=words):
+            run.respond("none.toml", "none.AT2", **options)
+        with pytest.raises(
+            TypeError, match=r"respond\(\) got an unexpected keyword .*'probability'"
+        ):
+            run.respond("none.toml", "none.AT2", probability=0.9)

@@ -78,11 +78,11 @@ def test_units_and_chains_are_there(session):
     assert session[0][-1] == "kip ['chain', 'draw']"
 
 
-@pytest.mark.parametrize("picture", ["trace", "forest"])
-def test_its_plots_are_drawn(session, picture):
-    path = session[1] / f"look_{picture}.png"
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert path.stat().st_size > 5000
+def test_its_plots_are_drawn(session):
+    for picture in ["trace", "forest"]:
+        path = session[1] / f"look_{picture}.png"
+        assert path.read_bytes().startswith(b"\x89PNG")
+        assert path.stat().st_size > 5000
 
 
 MEASURE = """\

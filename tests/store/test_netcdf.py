@@ -62,14 +62,14 @@ def test_a_test_comes_back_as_it_was_saved(tmp_path):
     )
 
 
-@pytest.mark.parametrize("actuation", [None, np.linspace(0, 1, TIME.size)])
-def test_every_kind_of_actuation_comes_back(tmp_path, actuation):
-    trace = Trace.from_arrays(TIME, MOTION, actuation, force=MOTION)
-    same_trace(load_test(save(tmp_path / "posterior.nc", trace)).trace, trace)
-    save_trace(tmp_path / "record.nc", trace, {"id": "a"})
-    got, facts = load_trace(tmp_path / "record.nc")
-    same_trace(got, trace)
-    assert facts == {"id": "a"}
+def test_every_kind_of_actuation_comes_back(tmp_path):
+    for actuation in [None, np.linspace(0, 1, TIME.size)]:
+        trace = Trace.from_arrays(TIME, MOTION, actuation, force=MOTION)
+        same_trace(load_test(save(tmp_path / "posterior.nc", trace)).trace, trace)
+        save_trace(tmp_path / "record.nc", trace, {"id": "a"})
+        got, facts = load_trace(tmp_path / "record.nc")
+        same_trace(got, trace)
+        assert facts == {"id": "a"}
 
 
 def test_arrays_of_any_dimension_come_back(tmp_path):
@@ -84,43 +84,43 @@ def test_arrays_of_any_dimension_come_back(tmp_path):
 
 # --- damaged files
 
-READERS = pytest.mark.parametrize("read", [load_test, load_trace, load_arrays])
+READERS = (load_test, load_trace, load_arrays)
 
 
-@READERS
-@pytest.mark.parametrize("content", [None, b"", b"time,force\n0,1\n"])
-def test_a_file_that_is_no_netcdf_is_named(tmp_path, read, content):
-    path = tmp_path / "posterior.nc"
-    if content is not None:
+def test_a_file_that_is_no_netcdf_is_named(tmp_path):
+    for read in READERS:
+        for content in [None, b"", b"time,force\n0,1\n"]:
+            path = tmp_path / "posterior.nc"
+            if content is not None:
+                path.write_bytes(content)
+            with pytest.raises(StoreError, match=r"posterior\.nc"):
+                read(path)
+
+
+def test_a_truncated_file_is_named(tmp_path):
+    for read in READERS:
+        for share in [0.5, 0.999]:
+            path = save(tmp_path / "posterior.nc")
+            content = path.read_bytes()
+            path.write_bytes(content[: int(share * len(content))])
+            with pytest.raises(StoreError, match=r"posterior\.nc"):
+                read(path)
+
+
+def test_a_file_with_a_damaged_part_is_named_or_still_read(tmp_path):
+    for twentieth in [1, 8]:
+        path = save(tmp_path / "posterior.nc")
+        content = bytearray(path.read_bytes())
+        begin, end = (len(content) * k // 20 for k in (twentieth, twentieth + 1))
+        content[begin:end] = b"\xff" * (end - begin)
         path.write_bytes(content)
-    with pytest.raises(StoreError, match=r"posterior\.nc"):
-        read(path)
+        try:
+            load_test(path)
+        except StoreError as error:
+            assert "posterior.nc" in str(error)  # noqa: PT017
 
 
-@READERS
-@pytest.mark.parametrize("share", [0.5, 0.999])
-def test_a_truncated_file_is_named(tmp_path, read, share):
-    path = save(tmp_path / "posterior.nc")
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(StoreError, match=r"posterior\.nc"):
-        read(path)
-
-
-@pytest.mark.parametrize("twentieth", [1, 8])
-def test_a_file_with_a_damaged_part_is_named_or_still_read(tmp_path, twentieth):
-    path = save(tmp_path / "posterior.nc")
-    content = bytearray(path.read_bytes())
-    begin, end = (len(content) * k // 20 for k in (twentieth, twentieth + 1))
-    content[begin:end] = b"\xff" * (end - begin)
-    path.write_bytes(content)
-    try:
-        load_test(path)
-    except StoreError as error:
-        assert "posterior.nc" in str(error)  # noqa: PT017
-
-
-@READERS
+@pytest.mark.parametrize("read", READERS)
 def test_netcdf_of_another_program_is_named(tmp_path, read):
     path = tmp_path / "other.nc"
     for group in ("posterior", "sample_stats", "observed_data", "constant_data"):
@@ -142,25 +142,25 @@ def pickled(group, secret):
     group["evil"] = np.void(pickle.dumps(print))
 
 
-@pytest.mark.parametrize("make", [external_link, packed, pickled])
-def test_a_file_reaches_nowhere_else_and_holds_plain_numbers_alone(tmp_path, make):
-    with h5py.File(tmp_path / "secret.h5", "w") as file:
-        file["time"] = np.arange(30.0)
-    path = tmp_path / "population.nc"
-    save_arrays(path, {"mu": np.zeros((2, 3))}, {})
-    with h5py.File(path, "a") as file:
-        make(file["posterior"], tmp_path / "secret.h5")
-    with pytest.raises(StoreError, match=r"population\.nc"):
-        load_arrays(path)
+def test_a_file_reaches_nowhere_else_and_holds_plain_numbers_alone(tmp_path):
+    for make in [external_link, packed, pickled]:
+        with h5py.File(tmp_path / "secret.h5", "w") as file:
+            file["time"] = np.arange(30.0)
+        path = tmp_path / "population.nc"
+        save_arrays(path, {"mu": np.zeros((2, 3))}, {})
+        with h5py.File(path, "a") as file:
+            make(file["posterior"], tmp_path / "secret.h5")
+        with pytest.raises(StoreError, match=r"population\.nc"):
+            load_arrays(path)
 
 
-@pytest.mark.parametrize(("at", "size"), [(8, 2**40), (24, 2**63), (24, 5000)])
-def test_a_heap_of_texts_that_is_never_read_to_its_end_is_refused(tmp_path, at, size):
-    path = tmp_path / "population.nc"
-    save_arrays(path, {"mu": np.zeros((2, 3))}, {})
-    content = bytearray(path.read_bytes())
-    begin = content.index(b"GCOL") + at
-    content[begin : begin + 8] = size.to_bytes(8, "little")
-    path.write_bytes(content)
-    with pytest.raises(StoreError, match=r"population\.nc.*heap"):
-        load_arrays(path)
+def test_a_heap_of_texts_that_is_never_read_to_its_end_is_refused(tmp_path):
+    for at, size in [(8, 2**40), (24, 2**63), (24, 5000)]:
+        path = tmp_path / "population.nc"
+        save_arrays(path, {"mu": np.zeros((2, 3))}, {})
+        content = bytearray(path.read_bytes())
+        begin = content.index(b"GCOL") + at
+        content[begin : begin + 8] = size.to_bytes(8, "little")
+        path.write_bytes(content)
+        with pytest.raises(StoreError, match=r"population\.nc.*heap"):
+            load_arrays(path)

@@ -16,7 +16,7 @@ from mfd_bayes.records.loops import Loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.figures.loops import POINTS, thinned
+from mfd_bayes.reporting.figures.loops import POINTS, clock, thinned
 from mfd_bayes.runs.unit_system import US, System
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
@@ -63,8 +63,8 @@ def _draw_loop(axes: Axes, trace: Trace, marked: list[Fault], system: System) ->
     step = max(1, trace.samples // (2 * POINTS))
     x, force = trace.displacement, np.asarray(trace.force)
     axes.plot(x[::step], force[::step], color=colours.DATA, linewidth=0.5)
-    axes.set(xlabel=f"displacement, {system.length}", ylabel=f"force, {system.force}")
-    axes.set_title("Force–displacement")
+    axes.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
+    axes.set_title(system.text("Force–displacement"))
     _mark(axes, x, force, marked)
 
 
@@ -72,7 +72,7 @@ def _draw_displacement(axes: Axes, trace: Trace, marked: list[Fault], system: Sy
     axes.plot(*thinned(trace.time, trace.displacement), color="#555555", linewidth=0.8)
     turns = trace.turning_points
     axes.plot(trace.time[turns], trace.displacement[turns], ".", color="#999999", markersize=3)
-    axes.set(ylabel=f"displacement, {system.length}", xlabel="time, s")
+    axes.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
     axes.set_title(f"Displacement, {turns.size} turning points")
     axes.margins(x=0.01, y=0.12)  # space for the marks at the turns
     _mark(axes, trace.time, trace.displacement, marked)
@@ -81,14 +81,14 @@ def _draw_displacement(axes: Axes, trace: Trace, marked: list[Fault], system: Sy
 def _draw_force(axes: Axes, trace: Trace, marked: list[Fault], system: System) -> None:
     force = np.asarray(trace.force)
     axes.plot(*thinned(trace.time, force), color=colours.DATA, linewidth=0.6)
-    axes.set(xlabel="time, s", ylabel=f"force, {system.force}")
+    axes.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
     axes.set_title("Force")
     _mark(axes, trace.time, force, marked)
 
 
 def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
     """Energy of each loop; loops of a ramp, with a shorter stroke, are hollow."""
-    axes.set(xlabel="loop", ylabel=f"energy, {system.force}·{system.length}")
+    axes.set(xlabel="loop", ylabel=system.label("energy", "kip*in"))
     axes.set_title("Energy per full loop (hollow: shorter stroke)")
     axes.axhline(0.0, color="#999999", linewidth=0.7)
     if loops.energy is None or not loops.energy.size:

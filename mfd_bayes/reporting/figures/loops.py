@@ -67,14 +67,15 @@ def draw_loops(
     Trace and fans are in the units of `system`.
     """
     figure = look.new_figure(10, 4.3, title)
-    left, right = figure.subplots(1, 2, sharey=True)
+    left, *others = figure.subplots(1, 2 if trace.timed else 1, sharey=True, squeeze=False)[0]
     _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
-    span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
-    _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
     left.set(xlabel=symbols.motion(system), ylabel=symbols.response(system))
-    left.set_title("Force–displacement")
-    right.set(xlabel=f"velocity, {system.velocity}", ylabel=symbols.response(system))
-    right.set_title("Force–velocity")
+    left.set_title(system.text("Force–displacement"))
+    for right in others:
+        span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
+        _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
+        right.set(xlabel=system.label("velocity", "in/s"), ylabel=symbols.response(system))
+        right.set_title(system.text("Force–velocity"))
     _legend(figure, fans, measured=trace.force is not None)
     return figure
 
@@ -114,10 +115,10 @@ def draw_history(
                 column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
             _mark(axes, trace.time, window, marks)
-        column[-1].set_xlabel("time, s")
+        column[-1].set_xlabel(clock(trace))
         column[-1].margins(x=0.005)
     below = symbols.response(system), symbols.response(system, "residual")
-    names = (f"displ., {system.length}", *below)
+    names = (system.label("displ.", "in"), *below)
     for axes, name in zip(grid[:, 0], names, strict=False):
         axes.set_ylabel(name)
     if len(windows) > 1:
@@ -207,7 +208,8 @@ def draw_band(axes: Any, fan: Fan, time: Array, displacement: Array | None, syst
     else:
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
         _draw_loop(axes, [fan], displacement, turns)
-    below = "time, s" if displacement is None else NAMES.motion(system)
+    timed = "time, s" if system.axes.timed else "sample"
+    below = timed if displacement is None else NAMES.motion(system)
     return _labelled(axes, below, fan, system)
 
 
@@ -216,6 +218,11 @@ def draw_measured(axes: Any, trace: Trace, fan: Fan, system: System) -> Axes:
     axes = _checked_axes(axes)
     _draw_loop(axes, [fan], trace.displacement, trace.turning_points, trace.force)
     return _labelled(axes, NAMES.motion(system), fan, system)
+
+
+def clock(trace: Trace) -> str:
+    """Label of an axis of time, or of numbered samples."""
+    return "time, s" if trace.timed else "sample"
 
 
 def _checked_axes(axes: Any) -> Axes:

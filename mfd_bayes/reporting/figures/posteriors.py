@@ -239,7 +239,7 @@ def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols)
     left.set_ylabel(residual_label)
     where, below = test.trace.displacement, symbols.motion(system)
     if test.travel is not None:
-        where, below = test.travel, f"travel since the last slip or turn, {system.length}"
+        where, below = test.travel, system.label("travel since the last slip or turn", "in")
     _draw_along(middle, where[kept], residual, half)
     middle.set(xlabel=below, ylabel=residual_label)
     _draw_autocorrelation(right, residual)

@@ -75,17 +75,17 @@ if (explorer && window.Bokeh) {
       stage: [...test.stage].map((number) => STAGES[number]),
     };
     model.get_model_by_name("samples").data = data;
-    const labels = {x: `displacement, ${system.length}`, t: "time, s"};
+    const [motion, response] = system.names;
     for (const along of ["x", "t"]) {
       const plot = model.get_model_by_name(`plot-${along}`);
       show(plot.x_range, data[along]);
       show(plot.y_range, data.lower, data.upper, data.force);
-      plot.below[0].axis_label = labels[along];
-      plot.left[0].axis_label = `force, ${system.force}`;
+      plot.below[0].axis_label = system.labels[along];
+      plot.left[0].axis_label = system.labels.y;
       model.get_model_by_name(`hover-${along}`).tooltips = [
-        ["time", "@t{0.000} s"],
-        ["displacement", `@x{0.000} ${system.length}`],
-        ["force", `@force{0.000} ${system.force}`],
+        system.labels.t === "sample" ? ["sample", "@t{0}"] : ["time", "@t{0.000} s"],
+        [motion, `@x{0.000[000]} ${system.length}`],
+        [response, `@force{0.000} ${system.force}`],
         ["predicted", `@median{0.000} ${system.force} (@lower{0.000} to @upper{0.000})`],
         ["stage", "@stage"],
       ];

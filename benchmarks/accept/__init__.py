@@ -1,0 +1,1 @@
+"""Is this device like the others: rates of false alarms, and power."""

@@ -1,0 +1,547 @@
+"""Is this device like the others? Its records against the population of the calibrated tests.
+
+A quantity q of the loop (slip force, energy, gap, …) of a record is
+
+    ln q = ln (nominal value at this motion and actuation) + device + test
+
+The nominal value and the scatter of tests have draws of the population. The posterior of the
+device's level under a flat prior is the measured value over these draws. Against limits there are
+two one-sided tests (Schuirmann, 1987): a device is accepted where the interval of its level lies
+within the limits. A difference is one that the scatter of tests does not explain; its p-value is
+adjusted over the quantities by the distribution of the largest one (Westfall and Young, 1993), and
+over the devices of a batch by Benjamini and Hochberg (1995).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import special
+
+from mfd_bayes.errors import CampaignError, RecordError
+from mfd_bayes.evaluation.properties import (
+    NO_FACTOR,
+    Peaks,
+    measured_of,
+    measured_properties,
+    peaks_of,
+    properties_of,
+)
+from mfd_bayes.evaluation.views import Fan, Interval
+from mfd_bayes.population.bands import Band
+from mfd_bayes.records.loops import UNITS, MeasuredCycles, measured_cycles
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.tested_range import far_sentences
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+ALPHA = 0.05  # stated rate of false alarms, and of each of the two one-sided tests
+DRAWS = 1000
+FEW, MOST = 200, 16  # draws of each calibrated test, and most tests, whose scatter is looked at
+FREEDOM = 4  # tests that the expected scatter is worth beside what the calibrated tests show
+RESOLVED = ("build_up_slope", "gap")  # read off a line through few samples: depends on their rate
+DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
+"""Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
+
+QUANTITIES: Mapping[str, tuple[str, str, str, str]] = {
+    "slip_fwd": ("slip", "slip force", "forward", UNITS["slip_fwd"]),
+    "slip_bwd": ("slip", "slip force", "backward", UNITS["slip_bwd"]),
+    "build_up_slope": ("build_up", "stiffness of the build-up", "", UNITS["build_up_slope"]),
+    "gap": ("gap", "gap", "", UNITS["gap"]),
+    "peak_fwd": ("peak", "peak force", "forward", UNITS["peak_fwd"]),
+    "peak_bwd": ("peak", "peak force", "backward", UNITS["peak_bwd"]),
+    "energy_per_cycle": ("energy", "energy of a cycle", "", UNITS["energy"]),
+    "effective_stiffness": ("stiffness", "effective stiffness", "", UNITS["effective_stiffness"]),
+    "effective_damping": ("damping", "effective damping", "", UNITS["effective_damping"]),
+    "loop": ("loop", "whole loop, rms from the nominal one", "", "kip"),
+}
+"""Name of the limit, words, direction and unit of each quantity, in the order of tables."""
+
+LIMITS = tuple(dict.fromkeys(name for name, *_ in QUANTITIES.values() if name != "loop"))
+CAUSES = ("slip_fwd", "slip_bwd", "build_up_slope", "gap")
+"""Quantities that make the others differ: one of them is named where one differs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What the population expects of a record of a device under a motion.
+
+    Attributes
+    ----------
+    nominal : mapping of str to (n,)
+        Draws of the nominal value of each quantity.
+    device, among : mapping of str to (n,)
+        Draws of a record of a device at the nominal value, and of any device. They are the same
+        where tests of one device are all that is known.
+    fan : Fan
+        Band of a record of any device.
+    remarks : tuple of str
+    """
+
+    nominal: Mapping[str, Array]
+    device: Mapping[str, Array]
+    among: Mapping[str, Array]
+    fan: Fan
+    remarks: tuple[str, ...]
+
+    def widened(self, surprises: Mapping[str, Array]) -> Expected:
+        """As the calibrated tests show it: where they lie, and how far they scatter about it.
+
+        Mean and variance of their standardised values are estimated with a prior of 0 and 1 that
+        is worth `FREEDOM` tests. How well the scatter is known is in the draws already.
+        """
+        scale, shift = {}, {}
+        for name in self.device:
+            u = surprises.get(name, np.empty(0))
+            shift[name] = float(u.sum()) / (FREEDOM + u.size)
+            squares = FREEDOM + float(np.sum((u - shift[name]) ** 2))
+            scale[name] = np.sqrt(squares / (FREEDOM + u.size))
+
+        def wider(draws: Mapping[str, Array]) -> dict[str, Array]:
+            found = {}
+            for name, value in draws.items():
+                log, sd = np.log(value), np.nanstd(np.log(self.device[name]))
+                middle = np.nanmean(log)
+                off = scale[name] * (log - middle)
+                found[name] = np.exp(middle + shift[name] * sd + off)
+            return found
+
+        return replace(self, device=wider(self.device), among=wider(self.among))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """One record, and what was expected of it.
+
+    Attributes
+    ----------
+    record : Record
+    trace : Trace
+        With its force, at the rate of the calibrated tests.
+    measured : mapping of str to float
+        Value of each quantity that the record shows.
+    expected : Expected
+    """
+
+    record: Record
+    trace: Trace
+    measured: Mapping[str, float]
+    expected: Expected
+
+
+@dataclass(frozen=True, eq=False)
+class Acceptance:
+    """A device, compared with the others.
+
+    Attributes
+    ----------
+    device : str
+    verdict : {"accepted", "rejected", "cannot tell"}
+    sentence : str
+        The verdict with its reason, and the power.
+    p_value, p_batch : float
+        That tests of one device scatter so much, over all quantities; and over the whole batch.
+    named : str
+        The quantity that differs most; "" where none does.
+    rows : DataFrame
+        A row for each quantity.
+    comparisons : tuple of Comparison
+        One for each record.
+    """
+
+    device: str
+    verdict: str
+    sentence: str
+    p_value: float
+    p_batch: float
+    named: str
+    rows: pd.DataFrame
+    comparisons: tuple[Comparison, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Reasons to trust the answer less."""
+        return tuple(dict.fromkeys(r for c in self.comparisons for r in c.expected.remarks))
+
+
+def accept(
+    run: Run,
+    records: Record | Sequence[Record],
+    *,
+    device: str | Sequence[str] = "",
+    limits: Mapping[str, float] | None = None,
+    session: str = "",
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> tuple[Acceptance, ...]:
+    """Whether devices are like the others, from a record or several of each.
+
+    Parameters
+    ----------
+    run : Run
+    records : Record or sequence of Record
+        With force and actuation.
+    device : str or sequence of str, optional
+        Device of all records, or of each. By default every record is one of another device, named
+        by its file. A device that the run knows is compared with itself.
+    limits : mapping of str to float, optional
+        Largest deviation from the nominal value, as a share, by a name of `LIMITS` or "all". By
+        default those of the campaign, else 15 % of all.
+    session : str, optional
+        Session in which the records were made.
+    draws, seed : int
+
+    Raises
+    ------
+    MfdError
+        When a record has no force or no actuation, or lies far outside of what was tested, or a
+        limit is unknown.
+    """
+    records = [records] if isinstance(records, Record) else list(records)
+    if not records:
+        raise CampaignError("accept needs one record or more")
+    if isinstance(device, str):
+        names = [device or record.path.stem for record in records]
+    else:
+        names = list(device)
+    if len(names) != len(records):
+        raise CampaignError(
+            f"give one device for all records, or one for each: there are {len(records)} records "
+            f"and {len(names)} devices"
+        )
+    allowed = complete_limits(limits or run.manifest.settings.limits or DEFAULT_LIMITS)
+    groups, sizes = dict[str, list[Comparison]](), surprises(run)
+    for name, record in zip(names, records, strict=True):
+        trace = trace_of(run, record)
+        expected = expect(run, trace, name, session=session, draws=draws, seed=seed)
+        expected = expected.widened(sizes)
+        groups.setdefault(name, []).append(compare_record(record, trace, expected))
+    independent = not any(run.manifest.settings.sessions.values())
+    levels = [Level.of(group, independent=independent) for group in groups.values()]
+    batch = false_discovery([level.p_value for level in levels])
+    return tuple(
+        judge(name, tuple(group), level, p, allowed)
+        for (name, group), level, p in zip(groups.items(), levels, batch, strict=True)
+    )
+
+
+def complete_limits(given: Mapping[str, float]) -> dict[str, float]:
+    """Limit of each quantity that has one, by the quantity's name."""
+    for name, value in given.items():
+        if name not in (*LIMITS, "all"):
+            raise CampaignError(f"no limit {name!r}: there are {', '.join(LIMITS)} and all")
+        if not 0.0 < value < 1.0:
+            raise CampaignError(f"the limit of {name} must be above 0 and below 100 %, got {value}")
+    each = {name: given.get(kind, given.get("all")) for name, (kind, *_) in QUANTITIES.items()}
+    return {name: value for name, value in each.items() if value is not None and name != "loop"}
+
+
+def trace_of(run: Run, record: Record) -> Trace:
+    """Trace of a record at the rate of the calibrated tests."""
+    if record.force is None:
+        raise RecordError(f"{record.path} has no force, which is to be compared")
+    gap = run.priors.gap if run.model.has_gap else None
+    trace = record.trace(run.manifest.settings.campaign.rate, gap=gap)
+    if not np.isfinite(trace.reference_actuation):
+        raise RecordError(f"{record.path} needs an actuation")
+    if far := far_sentences(run.departures(trace), run.system):
+        raise RecordError(f"{record.path}: {far}")
+    return trace
+
+
+def surprises(run: Run) -> dict[str, Array]:
+    """By how much calibrated tests lie off what is expected of such tests, (J,) by quantity.
+
+    In standard deviations of the logarithm. Laws and scatter were learned from these very tests;
+    but quantities that are the same in all tests of the model may differ in truth.
+    """
+    names = list(run.tests)
+    names = [names[i] for i in np.unique(np.linspace(0, len(names) - 1, MOST).astype(np.intp))]
+    found: dict[str, list[float]] = {name: [] for name in QUANTITIES}
+    for name in names:
+        trace, place = run.tests[name].trace, run.place(name)
+        motion, how = replace(trace, force=None), {**place, "draws": FEW}
+        seen = run.predict(motion, "observation", **how)
+        expected = _tests(motion, seen, run.predict(motion, "new_test", **how), peaks_of(run))
+        measured = _measured(measured_of(run.manifest, name), trace, seen.median)
+        for quantity, draws in expected.items():
+            logs = np.log(draws[np.isfinite(draws)])
+            if logs.size > FEW // 2 and measured[quantity] > 0.0:
+                off = np.log(measured[quantity]) - logs.mean()
+                found[quantity].append(float(off / max(logs.std(), 1e-9)))
+    return {quantity: np.array(values) for quantity, values in found.items()}
+
+
+def _tests(trace: Trace, seen: Band, test: Band, peaks: Peaks) -> dict[str, Array]:
+    """Draws of the quantities of a measurement; `test` is the same without noise and offset."""
+    values = _quantities(trace, seen, test, peaks)
+    return values | {"loop": np.sqrt(np.mean((seen.draws - seen.median) ** 2, axis=1))}
+
+
+def expect(
+    run: Run, trace: Trace, device: str, *, session: str = "", draws: int = DRAWS, seed: int = 0
+) -> Expected:
+    """What the population expects of a record of a device under a motion and an actuation."""
+    motion, peaks = replace(trace, force=None), peaks_of(run)
+
+    def predict(kind: str, of: str) -> Band:
+        how: dict[str, Any] = {"session": session, "device": of, "draws": draws, "seed": seed}
+        return run.predict(motion, kind, 1.0 - ALPHA, **how)
+
+    def nominal_of(of: str) -> dict[str, Array]:
+        band = predict("device", of)
+        values = _quantities(motion, band, band)
+        by = {f"peak_{side}": factor.expected for side, factor in peaks.items()}
+        return {name: value * by.get(name, 1.0) for name, value in values.items()}
+
+    known = [name for name in run.devices if name]
+    nominal, seen = nominal_of(device), predict("observation", device)
+    among = own = _tests(motion, seen, predict("new_test", device), peaks)
+    if device not in known and len(run.devices) > 1:  # tests of a known one scatter as its own do
+        one, itself = known[0], nominal_of(known[0])
+        own = _tests(motion, predict("observation", one), predict("new_test", one), peaks)
+        own = {n: v * nominal[n] / itself[n] if n in nominal else v for n, v in own.items()}
+    band = Interval(1.0 - ALPHA, seen.lower, seen.upper)
+    return Expected(nominal, own, among, Fan("observation", seen.median, (band,)), seen.remarks)
+
+
+def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparison:
+    """A record with what was expected of it."""
+    cycles = measured_cycles(record)
+    assert cycles is not None  # a trace with a force has them
+    measured = _measured(cycles, trace, expected.fan.median)
+    shown = {
+        name: measured[name]
+        for name in QUANTITIES
+        if np.isfinite(measured.get(name, np.nan))
+        and np.isfinite(expected.device[name]).mean() > 0.5
+    }
+    if wrong := [name for name, value in shown.items() if not value > 0.0]:
+        words = " ".join(QUANTITIES[wrong[0]][1:3]).strip()
+        raise RecordError(
+            f"{record.path}: the {words} is {shown[wrong[0]]:.3g}, and must be above zero; is a "
+            "sign swapped? See mfd-bayes inspect"
+        )
+    return Comparison(record, trace, shown, expected)
+
+
+def _measured(cycles: MeasuredCycles, trace: Trace, middle: Array) -> dict[str, float]:
+    """Measured values: of the record's own samples, but for what depends on their rate."""
+    thinned = measured_cycles(trace)
+    assert thinned is not None
+    own = thinned.of_test()
+    loop = float(np.sqrt(np.mean((np.asarray(trace.force) - middle) ** 2)))
+    return measured_properties(cycles) | {name: own[name] for name in RESOLVED} | {"loop": loop}
+
+
+def _quantities(
+    trace: Trace, band: Band, smooth: Band, peaks: Peaks = NO_FACTOR
+) -> dict[str, Array]:
+    """Draws of the quantities of a band; `smooth` is the same without noise, for its peaks."""
+    force = smooth.draws
+    if band.kind == "observation":
+        force = force + np.asarray(smooth.values["offset"])[:, None]
+    values = properties_of(trace, band.draws, peaks, smooth=force)
+    with np.errstate(invalid="ignore"):
+        return {n: np.where(values[n] > 0.0, values[n], np.nan) for n in QUANTITIES if n in values}
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Level of one device over its records, in logarithms, of K quantities.
+
+    Attributes
+    ----------
+    names : tuple of str
+    measured : (K,)
+        Mean over the records.
+    device, among : (n, K)
+        Draws of this mean for a device at the nominal value, and for any device.
+    p_values : (K,)
+        Two-sided, adjusted over the quantities; of the loop for a larger distance.
+    sizes : (K,)
+        Differences in standard deviations.
+    critical : float
+        Number of standard deviations that counts as a difference.
+    """
+
+    names: tuple[str, ...]
+    measured: Array
+    device: Array
+    among: Array
+    p_values: Array
+    sizes: Array
+    critical: float
+
+    @property
+    def p_value(self) -> float:
+        """Of the device: the smallest of its quantities."""
+        return float(self.p_values.min())
+
+    @classmethod
+    def of(cls, group: Sequence[Comparison], *, independent: bool) -> Level:
+        """From the records of one device; the scatter of their tests is `independent` or shared."""
+        names = tuple(name for name in QUANTITIES if all(name in c.measured for c in group))
+        if not names:
+            raise RecordError(f"{group[0].record.path} shows no quantity that can be compared")
+        rng = np.random.default_rng(0)
+        measured = np.mean([[np.log(c.measured[n]) for n in names] for c in group], axis=0)
+
+        def level(which: str) -> Array:
+            each = [
+                _logs(c.expected, which, names, rng if i and independent else None)
+                for i, c in enumerate(group)
+            ]
+            return np.asarray(np.mean(each, axis=0))
+
+        device, among = level("device"), level("among")
+        size, own = _standard(device, measured, names)
+        largest = size.max(axis=1)
+        p = (1.0 + np.sum(largest[:, None] >= own, axis=0)) / (1.0 + len(largest))
+        critical = float(np.quantile(largest, 1.0 - ALPHA))
+        return cls(names, measured, device, among, p, own, critical)
+
+
+def _logs(
+    expected: Expected, which: str, names: Sequence[str], rng: np.random.Generator | None
+) -> Array:
+    """Logarithms of draws, (n, K); with `rng`, of tests that scatter by themselves."""
+    columns, draws = [], getattr(expected, which)
+    order = None if rng is None else rng.permutation(len(draws["loop"]))
+    for name in names:
+        nominal = np.log(expected.nominal.get(name, np.ones(len(draws[name]))))
+        nominal = np.where(np.isfinite(nominal), nominal, np.nanmean(nominal))
+        scatter = np.log(draws[name]) - nominal
+        scatter = np.where(np.isfinite(scatter), scatter, np.nanmean(scatter))
+        columns.append(nominal + (scatter if order is None else scatter[order]))
+    return np.stack(columns, axis=1)
+
+
+def _standard(draws: Array, measured: Array, names: Sequence[str]) -> tuple[Array, Array]:
+    """Sizes of standardised draws (n, K) and measured values (K,); a near loop is none."""
+    mean, sd = draws.mean(axis=0), np.maximum(draws.std(axis=0), 1e-9)
+    size, own = (draws - mean) / sd, (measured - mean) / sd
+    two = np.array([name != "loop" for name in names])
+    return np.where(two, np.abs(size), size), np.where(two, np.abs(own), own)
+
+
+def false_discovery(p_values: Sequence[float]) -> Array:
+    """P-values of a batch, adjusted by Benjamini and Hochberg."""
+    from scipy import stats  # which takes long to import
+
+    return np.asarray(stats.false_discovery_control(np.clip(p_values, 0.0, 1.0)))
+
+
+def judge(
+    device: str,
+    group: tuple[Comparison, ...],
+    level: Level,
+    p_batch: float,
+    limits: Mapping[str, float],
+) -> Acceptance:
+    """Verdict of a device: two one-sided tests against limits, and what tests scatter."""
+    rows: dict[str, Row] = {}
+    for k, name in enumerate(level.names):
+        _, words, direction, unit = QUANTITIES[name]
+        effect = level.measured[k] - level.device[:, k]
+        among, sd = np.exp(level.among[:, k]), float(effect.std())
+        nominal = float(np.exp(np.median(level.device[:, k])))
+        low, middle, high = np.expm1(np.quantile(effect, [ALPHA, 0.5, 1.0 - ALPHA]))
+        row: Row = {
+            "quantity": words,
+            "direction": direction,
+            "unit": unit,
+            "measured": float(np.exp(level.measured[k])),
+            "nominal": nominal,
+            "lower": float(np.quantile(among, 0.5 * ALPHA)),
+            "upper": float(np.quantile(among, 1.0 - 0.5 * ALPHA)),
+            "percentile": 100.0 * float(np.mean(level.among[:, k] < level.measured[k])),
+            "effect": 100.0 * float(middle),
+            "effect_lower": 100.0 * float(low),
+            "effect_upper": 100.0 * float(high),
+            "limit": np.nan,
+            "beyond_limit": np.nan,
+            "p_value": float(level.p_values[k]),
+            "detectable": 100.0 * float(np.expm1((level.critical + special.ndtri(0.8)) * sd)),
+            "power": np.nan,
+            "verdict": "differs" if _differs(level.p_values[k], p_batch) else "like the others",
+        }
+        if name == "loop":
+            row |= dict.fromkeys(("effect", "effect_lower", "effect_upper", "detectable"), np.nan)
+        limit = limits.get(name)
+        if limit is not None:
+            beyond = float(np.mean(np.abs(np.expm1(effect)) > limit))
+            row |= {"limit": 100.0 * limit, "beyond_limit": beyond}
+            row["power"] = float(special.ndtr(np.log1p(limit) / sd - level.critical))
+            if beyond <= ALPHA:
+                row["verdict"] = "within the limit"
+            elif beyond > 0.5 and _differs(level.p_values[k], p_batch):
+                row["verdict"] = "beyond the limit"
+            else:
+                row["verdict"] = "cannot tell"
+        rows[name] = row
+    differing = [name for name, row in rows.items() if _differs(row["p_value"], p_batch)]
+    size = dict(zip(level.names, level.sizes, strict=True))
+    causes = [name for name in differing if name in CAUSES] or differing
+    if "build_up_slope" in causes:  # along a softer line the gap ends later too
+        causes = [name for name in causes if name != "gap"]
+    named = max(causes, key=lambda name: size[name], default="")
+    verdict = _verdict(rows)
+    table = pd.DataFrame(list(rows.values()), index=pd.Index(level.names, name="name"))
+    sentence = _sentence(verdict, rows, named)
+    return Acceptance(device, verdict, sentence, level.p_value, p_batch, named, table, group)
+
+
+def _differs(p_value: float, p_batch: float) -> bool:
+    return p_value < ALPHA and p_batch < ALPHA
+
+
+def _verdict(rows: Mapping[str, Row]) -> str:
+    verdicts = [row["verdict"] for row in rows.values() if np.isfinite(row["limit"])]
+    if "beyond the limit" in verdicts:
+        return "rejected"
+    return "accepted" if {*verdicts} == {"within the limit"} else "cannot tell"
+
+
+def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:
+    """The verdict with its reason, and the power of the records."""
+    limited = {name: row for name, row in rows.items() if np.isfinite(row["limit"])}
+    if not limited:
+        return "Cannot tell: the record shows no quantity that has a limit."
+
+    def words(row: Row) -> str:
+        return f"{row['quantity']} {row['direction']}".strip()
+
+    def those(verdict: str) -> str:
+        return ", ".join(words(row) for row in limited.values() if row["verdict"] == verdict)
+
+    first = {
+        "accepted": f"Accepted: all {len(limited)} quantities with a limit lie within it.",
+        "rejected": f"Rejected: beyond the limit: {those('beyond the limit')}.",
+        "cannot tell": f"Cannot tell with this record: {those('cannot tell')}.",
+    }[verdict]
+    about, row = "", rows.get(named)
+    if row is not None:
+        much = (
+            ""
+            if named == "loop"
+            else (
+                f", {row['effect']:+.0f} % ({100 - 200 * ALPHA:.0f} % interval "
+                f"{row['effect_lower']:+.0f} to {row['effect_upper']:+.0f} %)"
+            )
+        )
+        about = f" It differs from the others, most in {words(row)}{much}."
+    worst = min(limited.values(), key=lambda row: row["power"])
+    return (
+        f"{first}{about} Power: a deviation of the size of its limit would be found with a "
+        f"probability of {worst['power']:.2f} in {words(worst)}, and of more in all others; there "
+        f"{worst['detectable']:.0f} % would be found with 0.80."
+    )

@@ -1,0 +1,132 @@
+"""The page, the table and the picture of devices that are compared with the others."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from mfd_bayes.evaluation.acceptance import Acceptance
+from mfd_bayes.reporting.conversion import convert_fan, convert_trace, to_units
+from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures.loops import draw_loops
+from mfd_bayes.reporting.page import environment, policy_of
+from mfd_bayes.reporting.symbols import plain, unit_text
+from mfd_bayes.runs.unit_system import System
+from mfd_bayes.units import in_digits
+
+LOOPS = 2  # most loops on the page of a device
+_MARKS = {"accepted": "#2e7d32", "rejected": "#c62828", "cannot tell": "#b8860b"}
+
+
+def acceptance_table(devices: Sequence[Acceptance], system: System) -> pd.DataFrame:
+    """A row for each device and quantity, in the units of a system."""
+    parts = []
+    for each in devices:
+        head = {
+            "device": each.device,
+            "records": "; ".join(c.record.path.name for c in each.comparisons),
+            "device_verdict": each.verdict,
+            "device_p_value": each.p_value,
+            "device_p_batch": each.p_batch,
+        }
+        rows = each.rows.rename(columns={"p_value": "p_adjusted"})
+        parts.append(pd.DataFrame([head] * len(rows)).join(rows.reset_index(names="name")))
+    return to_units(pd.concat(parts, ignore_index=True), system)
+
+
+def acceptance_page(
+    device: Acceptance, about: Mapping[str, str], today: str, batch: int, system: System
+) -> str:
+    """HTML of the page of a device, which prints on one sheet of A4."""
+    from mfd_bayes.reporting.figures import to_png
+
+    pictures = []
+    for comparison in device.comparisons[:LOOPS]:
+        fan = convert_fan(comparison.expected.fan, system.factor("kip"))
+        trace = convert_trace(comparison.trace, system)
+        png = to_png(draw_loops(comparison.record.path.name, trace, [fan], system))
+        pictures.append(f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}")
+    return (
+        environment()
+        .get_template("acceptance.html.j2")
+        .render(
+            device=device.device,
+            verdict=device.verdict,
+            sentence=device.sentence,
+            about=list(about.items()),
+            rows=[_shown(row) for _, row in to_units(device.rows, system).iterrows()],
+            pictures=pictures,
+            remarks=device.remarks,
+            batch=batch,
+            today=today,
+            policy=policy_of(),
+        )
+    )
+
+
+def _shown(row: pd.Series) -> dict[str, str]:
+    """A row of the page's table, as text."""
+
+    def number(name: str, digits: int = 3, form: str = "") -> str:
+        value = float(row[name])
+        if not np.isfinite(value):
+            return ""
+        return f"{value:{form}}" if form else in_digits(value, digits)
+
+    low, high = number("effect_lower", form="+.1f"), number("effect_upper", form="+.1f")
+    verdict = str(row["verdict"])
+    mark = {"beyond the limit": "bad", "differs": "bad", "cannot tell": "open"}.get(verdict, "")
+    return {
+        "quantity": str(row["quantity"]),
+        "direction": str(row["direction"]),
+        "unit": unit_text(str(row["unit"])),
+        "measured": number("measured"),
+        "nominal": number("nominal"),
+        "bounds": f"{number('lower')} to {number('upper')}",
+        "percentile": number("percentile", form=".1f"),
+        "effect": number("effect", form="+.1f"),
+        "interval": f"{low} to {high}" if low else "",
+        "limit": f"±{number('limit', form='.3g')}" if number("limit") else "",
+        "p_value": number("p_value", form=".3f"),
+        "verdict": verdict,
+        "mark": mark,
+    }
+
+
+@look.style()
+def draw_batch(devices: Sequence[Acceptance]) -> Figure:
+    """Effect of every quantity of every device, with its interval and the limits."""
+    names = list(dict.fromkeys(name for d in devices for name in d.rows.index if name != "loop"))
+    width = min(2.0 + 1.15 * len(names), 14.0)
+    figure = look.new_figure(width, 1.6 + 0.24 * len(devices), "Devices against the others")
+    grid = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axes, name in zip(grid, names, strict=True):
+        for place, device in enumerate(devices):
+            if name not in device.rows.index:
+                continue
+            row = device.rows.loc[name]
+            colour = _MARKS[
+                "rejected"
+                if row["verdict"] in ("beyond the limit", "differs")
+                else "accepted"
+                if row["verdict"] == "within the limit"
+                else "cannot tell"
+            ]
+            axes.plot([row["effect_lower"], row["effect_upper"]], [place, place], color=colour)
+            axes.plot(row["effect"], place, "o", markersize=4, color=colour)
+        limits = [d.rows.loc[name, "limit"] for d in devices if name in d.rows.index]
+        for limit in (limits[0], -limits[0]) if np.isfinite(limits[0]) else ():
+            axes.axvline(limit, color="#666666", linestyle="--", linewidth=0.8)
+        axes.axvline(0.0, color="#666666", linewidth=0.6)
+        row = next(d.rows.loc[name] for d in devices if name in d.rows.index)
+        axes.set_title(f"{row['quantity']}\n{row['direction']}", fontsize=7)
+        axes.set_xlabel("%", fontsize=7)
+        axes.tick_params(labelsize=7)
+    grid[0].set_yticks(range(len(devices)))
+    grid[0].set_yticklabels([plain(f"{d.device}: {d.verdict}") for d in devices])
+    grid[0].set_ylim(len(devices) - 0.5, -0.5)
+    return figure

@@ -1,0 +1,279 @@
+"""Models of stress over strain, moment over rotation, pressure over flow; with and without time."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import mfd_bayes as mb
+from mfd_bayes.cli.commands import app
+from mfd_bayes.friction.models import find_model
+
+STEEL = """
+import numpy as np
+import mfd_bayes as mb
+
+
+class Steel(mb.Model):
+    name = "steel"
+    motion = "strain"
+    response = "stress, MPa"
+    rate_independent = True
+    parameters = (
+        mb.Parameter("E", "GPa", meaning="stiffness at rest"),
+        mb.Parameter("strength", "MPa"),
+    )
+
+    def force(self, theta, trace):
+        E, strength = 1e3 * theta[:, :1], theta[:, 1:]
+        return strength * np.tanh(E * trace.displacement / strength)
+"""
+PRIORS = """
+[parameters]
+E = { family = "lognormal", median = "30000 ksi", spread = 0.3 }
+strength = { family = "lognormal", median = "400 MPa", spread = 0.3 }
+offset = { family = "normal", mean = "0 MPa", sd = "1 MPa" }
+noise_sd = { family = "half_normal", sd = "20 MPa" }
+
+[scatter]
+steel = { parameters = ["E", "strength", "noise_sd"], sd = 0.05 }
+offset = { parameters = ["offset"], sd = "1 MPa" }
+"""
+CAMPAIGN = """
+[campaign]
+model = "steel.py:Steel"
+noise = "iid"
+priors = "own.toml"
+
+[columns]
+strain = { name = "eps", unit = "%" }
+stress = { name = "sig_ksi" }
+"""
+KSI = 6.894757
+NOT_ITS_WORDS = r"(?i)\b(forces?|displacements?|velocit\w+|strokes?|slip|kip|kN|Hz|gap|actuation)\b"
+
+
+def write(folder, seed, samples=60, cycles=2.0):
+    rng = np.random.default_rng(seed)
+    strain = 0.01 * np.sin(np.linspace(0, 2 * np.pi * cycles, samples)) * (1 + 0.1 * seed)
+    stress = 420 * np.exp(0.02 * rng.normal()) * np.tanh(200e3 * strain / 420)
+    stress += 4 * rng.normal(size=samples)
+    table = pd.DataFrame({"eps": 100 * strain, "sig_ksi": stress / KSI})
+    table.to_csv(folder / f"bar{seed}.csv", index=False)
+    return stress
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return written(tmp_path)
+
+
+def written(folder):
+    text = CAMPAIGN
+    for seed in range(1, 5):
+        write(folder, seed)
+        role = '\nrole = "validate"' if seed == 4 else ""
+        text += f'\n[[test]]\nid = "bar{seed}"\nfile = "bar{seed}.csv"{role}\n'
+    for name, content in {"steel.py": STEEL, "own.toml": PRIORS, "all.toml": text}.items():
+        (folder / name).write_text(content, encoding="utf-8")
+    return folder
+
+
+def said(*words, code=0):
+    outcome = CliRunner().invoke(app, [str(word) for word in words])
+    assert outcome.exit_code == code, outcome.output
+    return " ".join(outcome.output.split())
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = written(tmp_path_factory.mktemp("steel"))
+    options = ("--effort", "quick", "--jobs", "1")
+    words = said("calibrate", folder / "all.toml", "-o", folder / "out", *options)
+    return folder, words
+
+
+def test_a_record_without_time_is_fitted_and_the_truth_is_inside(finished):
+    folder, words = finished
+    assert not re.search(NOT_ITS_WORDS, words.replace("steel.py", ""))
+    run = mb.open_run(folder / "out")
+    for test in run.tests.values():
+        middle, low, high = test.intervals["E"]
+        assert abs(middle - 200.0) < 2.0 * (high - low)
+        assert not test.trace.timed
+    strain = 0.012 * np.sin(np.linspace(0, 10, 300))
+    band = run.predict(mb.Trace.from_arrays(None, strain, 100.0), draws=200)
+    truth = 420 * np.tanh(200e3 * strain / 420)
+    assert np.mean((band.lower <= truth) & (truth <= band.upper)) > 0.9
+
+
+def test_tables_and_pages_speak_of_stress_in_the_unit_of_the_records(finished):
+    out = finished[0] / "out"
+    record = pd.read_csv(out / "tests" / "bar1" / "record.csv")
+    assert list(record.columns[:3]) == ["sample", "strain_%", "stress_ksi"]
+    given = pd.read_csv(finished[0] / "bar1.csv")
+    np.testing.assert_allclose(record["strain_%"], given["eps"], rtol=1e-4)
+    np.testing.assert_allclose(record["stress_ksi"], given["sig_ksi"], rtol=1e-4)
+    units = pd.read_csv(out / "parameters.csv").groupby("parameter")["unit"].first()
+    assert dict(units[["E", "strength", "offset"]]) == {
+        "E": "GPa",
+        "strength": "ksi",
+        "offset": "ksi",
+    }
+    for path in [*out.glob("*.csv"), *out.glob("tests/*/*.csv")]:
+        assert not re.search(NOT_ITS_WORDS, path.read_text().replace("_", " ")), path.name
+    for path in [*out.glob("*.html"), *out.glob("tests/*/*.html")]:
+        page = re.sub(r"<(script|style).*?</\1>|<[^>]*>", " ", path.read_text(), flags=re.DOTALL)
+        assert "stress" in page
+        found = {match[0] for match in re.finditer(NOT_ITS_WORDS, page)}
+        assert not found & {
+            "force",
+            "Force",
+            "forces",
+            "displacement",
+            "kip",
+            "kN",
+            "Hz",
+            "velocity",
+        }
+    derived = set(pd.read_csv(out / "derived.csv")["quantity"])
+    assert {"peak_fwd", "energy_per_cycle"} <= derived
+    assert not derived & {"slip_fwd", "c_eq", "gap", "build_up_slope"}
+
+
+def test_every_command_takes_it(finished, tmp_path):
+    folder, out = finished[0], finished[0] / "out"
+    look = said("inspect", folder / "all.toml", "-o", tmp_path)
+    assert "strain: eps [%], stress: sig_ksi [ksi]" in look
+    assert not re.search(NOT_ITS_WORDS, look)
+    said("check", out)
+    plain = ("--no-figures", "-o", tmp_path / "sine.csv")
+    words = said("predict", out, "--sine", "1 %, 3 cycles", "--design", *plain)
+    assert "peak_fwd" in words
+    assert "sample,strain_%,lower_ksi" in (tmp_path / "sine.csv").read_text()
+    write(tmp_path, 3)
+    words = said(
+        "predict", out, "--motion", tmp_path / "bar3.csv", "--compare", "-o", tmp_path / "b.csv"
+    )
+    assert "ksi" in words
+    assert "narrow" in said("next", out, "-o", tmp_path / "next.csv")
+    assert "Hz" not in (tmp_path / "next.csv").read_text()
+    assert "--actuation" in said(
+        "predict", out, "--sine", "1 %, 3 cycles", "--actuation", "5 psi", *plain, "--force", code=2
+    )
+    for sine in ("1 %, 0.5 Hz, 3 cycles", "1 in, 3 cycles", "1 deg, 3 cycles"):
+        assert "strain" in said("predict", out, "--sine", sine, *plain, "--force", code=2)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("all.toml", 'unit = "%"', 'unit = "mm"', ("bar1.csv", "'mm'", "strain")),
+        ("all.toml", 'unit = "%"', 'unit = "deg"', ("bar1.csv", "'deg'", "strain")),
+        ("all.toml", 'unit = "%"', 'unit = "foo"', ("bar1.csv", "'foo'", "unknown")),
+        ("all.toml", ', unit = "%"', "", ("bar1.csv", "'eps'", "no unit", "strain")),
+        ("all.toml", '"sig_ksi"', '"sig_ksi", unit = "kN"', ("bar1.csv", "'kN'", "stress")),
+        ("all.toml", "strain =", "displacement =", ("all.toml", "'displacement'", "strain")),
+        ("all.toml", "strain =", "strian =", ("all.toml", "'strian'")),
+        ("all.toml", '"iid"', '"iid"\nrate = "64 Hz"', ("all.toml", "rate", "rate-independent")),
+        ("all.toml", 'file = "bar1', 'fit = "0 s to 2 s"\nfile = "bar1', ("bar1", "0 to 300")),
+        ("all.toml", 'file = "bar1', 'actuation = "5 psi"\nfile = "bar1', ("bar2", "in all tests")),
+        ("steel.py", "rate_independent = True", "", ("bar1.csv", "no column for time", "rate")),
+        ("steel.py", '"stress, MPa"', '"stress, mm"', ("steel.py", "Steel", "response", "'mm'")),
+        ("steel.py", '"stress, MPa"', '"tension"', ("steel.py", "Steel", "response", "unit")),
+        ("steel.py", '"strain"', '"strain, MPaa"', ("steel.py", "Steel", "motion", "MPaa")),
+        ("steel.py", "= True", '= "yes"', ("steel.py", "Steel", "rate_independent")),
+        ("own.toml", '"1 MPa"', '"1 kip"', ("own.toml", "offset", "'kip'")),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_one_sentence(folder, tmp_path, file, old, new, words):
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+    sentence = said("calibrate", folder / "all.toml", "-o", tmp_path / "out", code=2)
+    assert "Traceback" not in sentence
+    for word in words:
+        assert word in sentence
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_part_of_the_samples_is_fitted(folder):
+    text = (folder / "all.toml").read_text()
+    (folder / "all.toml").write_text(text.replace('"bar1.csv"', '"bar1.csv"\nfit = "10 to 49"'))
+    assert "bar1 (40 samples)" in said("calibrate", folder / "all.toml", "-o", "o", "--dry-run")
+
+
+HINGE = """
+import numpy as np
+import mfd_bayes as mb
+
+
+class Hinge(mb.Model):
+    name = "hinge"
+    motion = "{motion}"
+    response = "{response}"
+    parameters = (mb.Parameter("c", "{unit}", follows_actuation=True), mb.Parameter("arm", "in"))
+
+    def force(self, theta, trace, scales):
+        return theta[:, :1] * scales["c"] * np.tanh(trace.velocity / 0.01) + 0 * theta[:, 1:]
+"""
+
+
+@pytest.mark.parametrize(
+    ("motion", "response", "unit", "heads", "scale", "energy"),
+    [
+        ("rotation", "moment", "kN*m", ("rot_deg", "M_kip-in"), (57.29578, 8.850746), True),
+        ("rotation", "torque, N*m", "N*m", ("rot_mrad", "T_kNm"), (1e3, 1e-3), True),
+        ("flow", "pressure, kPa", "kPa", ("Q_gpm", "p_bar"), (0.26417205, 0.01), False),
+        ("flow, m^3/s", "pressure", "MPa", ("Q [L/min]", "p (psi)"), (6e4, 145.03774), False),
+        ("curvature, 1/m", "moment", "kN*m", ("k (1/mm)", "M (kN-m)"), (1e-3, 1.0), True),
+    ],
+)
+def test_each_quantity_is_read_in_any_of_its_units(
+    tmp_path, motion, response, unit, heads, scale, energy
+):
+    code = HINGE.format(motion=motion, response=response, unit=unit)
+    (tmp_path / "hinge.py").write_text(code)
+    names = [text.partition(",")[0] for text in (motion, response)]
+    time = np.arange(0, 8, 0.02)
+    x, y = 0.02 * np.sin(2 * time), 5 * np.tanh(4 * np.cos(2 * time))
+    table = {"time_s": time, heads[0]: scale[0] * x, heads[1]: scale[1] * y}
+    pd.DataFrame(table).to_csv(tmp_path / "a.csv", index=False)
+    columns = "\n".join(f'{n} = {{ name = "{h}" }}' for n, h in zip(names, heads, strict=True))
+    test = '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "3 A"\n'
+    (tmp_path / "c.toml").write_text(
+        f'[campaign]\nmodel = "hinge.py:Hinge"\npriors = "p.toml"\nnoise = "iid"\n[columns]\n'
+        f'time = {{ name = "time_s" }}\n{columns}\n{test}'
+    )
+    (tmp_path / "p.toml").write_text(
+        f'[parameters]\nc = {{ family = "lognormal", median = "5 {unit}", spread = 0.5 }}\n'
+        'arm = { family = "lognormal", median = "100 mm", spread = 0.1 }\n'
+        f'offset = {{ family = "normal", mean = "0 {unit}", sd = "1 {unit}" }}\n'
+        f'noise_sd = {{ family = "half_normal", sd = "1 {unit}" }}\n'
+        '[scatter]\nall = { parameters = ["c", "arm", "noise_sd"], sd = 0.1 }\n'
+        f'offset = {{ parameters = ["offset"], sd = "1 {unit}" }}\n'
+    )
+    model = find_model("hinge.py:Hinge", tmp_path)
+    record = mb.read_record(
+        tmp_path / "a.csv",
+        dict(zip(names, heads, strict=True)) | {"time": "time_s"},
+        axes=model.axes,
+    )
+    np.testing.assert_allclose(record.displacement, x, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(record.force, y, rtol=1e-6)
+    look = said("inspect", tmp_path / "c.toml", "-o", tmp_path)
+    assert f"peak {names[1]}" in look
+    assert ("energy per cycle" in look) == energy
+    assert "slip force" not in look
+    assert "a (" in said("calibrate", tmp_path / "c.toml", "-o", tmp_path / "out", "--dry-run")
+
+
+def test_a_model_that_needs_time_refuses_a_trace_without(tmp_path):
+    (tmp_path / "steel.py").write_text(STEEL.replace("rate_independent = True", ""))
+    trace = mb.Trace.from_arrays(None, 0.01 * np.sin(np.arange(50)))
+    np.testing.assert_array_equal(trace.time, np.arange(50))
+
+    with pytest.raises(mb.MfdError, match="steel needs the time"):
+        find_model("steel.py:Steel", tmp_path).force([[200.0, 400.0]], trace)
