@@ -120,17 +120,3 @@ def of_walk(trace, p):
         return speeds[np.searchsorted(time, middle) - 1]
 
     return integrated(time, time, velocity, p) + p["sigma2"] * trace.velocity
-
-
-def stepped(batch, trace, reference=None, scales=None, start=None):
-    """Force step by step, (n, T)."""
-    state = MODEL.start(batch, start, reference_actuation=reference)
-    forces = []
-    for i in range(trace.samples):
-        level = trace.actuation[i] if trace.varying else None
-        factors = None if scales is None else {name: s[:, i] for name, s in scales.items()}
-        dt = trace.time[i] - trace.time[i - 1] if i else 0.0
-        motion = trace.displacement[i], trace.velocity[i]
-        force, state = MODEL.step(state, *motion, dt, level, scales=factors)
-        forces.append(force)
-    return np.array(forces).T

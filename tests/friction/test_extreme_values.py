@@ -20,17 +20,17 @@ def some_theta(model):
     return model.theta({"gamma1": np.ones(3), **drawn})
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_a_force_is_a_number_or_refused(name):
-    model, trace = MODELS[name], mb.Trace.from_arrays(TIME, MOTION, 0.5)
-    rng, theta = np.random.default_rng(2), some_theta(model)
-    powers = [0, 0, 0, -300, -38, -9, 9, 38, 300]
-    finite = []
-    for factors in [1e300, *(10.0 ** rng.choice(powers, size=(120, theta.shape[1])))]:
-        with contextlib.suppress(FitError):
-            finite.append(np.isfinite(model.force(factors * theta, trace)).all())
-    assert len(finite) > 5
-    assert all(finite)
+def test_a_force_is_a_number_or_refused():
+    for name in MODELS:
+        model, trace = MODELS[name], mb.Trace.from_arrays(TIME, MOTION, 0.5)
+        rng, theta = np.random.default_rng(2), some_theta(model)
+        powers = [0, 0, 0, -300, -38, -9, 9, 38, 300]
+        finite = []
+        for factors in [1e300, *(10.0 ** rng.choice(powers, size=(60, theta.shape[1])))]:
+            with contextlib.suppress(FitError):
+                finite.append(np.isfinite(model.force(factors * theta, trace)).all())
+        assert len(finite) > 5, name
+        assert all(finite), name
 
 
 def test_batches_are_real_numbers_and_may_be_empty():
@@ -46,14 +46,3 @@ def test_batches_are_real_numbers_and_may_be_empty():
     for seed in (-1, 0.5, "x", [1, -2], None):
         with pytest.raises(FitError, match="seed"):
             mb.sample(posterior, "quick", seed)
-
-
-@pytest.mark.parametrize("dt", [-0.1, np.nan, np.inf])
-def test_a_step_of_no_time_is_refused_from_the_first_sample_on(dt):
-    model = mb.ThreeStage()
-    state = model.start(some_theta(model))
-    with pytest.raises(FitError, match="dt"):
-        model.step(state, 0.0, 1.0, dt)
-    _, state = model.step(state, 0.0, 1.0, 0.0)
-    with pytest.raises(FitError, match="dt"):
-        model.step(state, 0.1, 1.0, dt)

@@ -33,40 +33,40 @@ def stribeck(velocity, values=VALUES):
     return kinetic + (static - kinetic) * np.exp(-((velocity / values["v_s"]) ** 2))
 
 
-@pytest.mark.parametrize("velocities", [(0.3, -0.3), (3.0, -1.0, 0.2), (-0.05, 0.4, -4.0)])
-def test_exact_step_equals_a_stiff_solver_while_the_velocity_is_constant(velocities):
-    rate, samples = 50.0, 20
-    time, motion, states = [0.0], [0.0], [0.0]
-    for v in velocities:
-        span = np.arange(1, samples + 1) / rate
-        level = stribeck(v)
+def test_exact_step_equals_a_stiff_solver_while_the_velocity_is_constant():
+    for velocities in [(0.3, -0.3), (3.0, -1.0, 0.2), (-0.05, 0.4, -4.0)]:
+        rate, samples = 50.0, 20
+        time, motion, states = [0.0], [0.0], [0.0]
+        for v in velocities:
+            span = np.arange(1, samples + 1) / rate
+            level = stribeck(v)
 
-        def slope(_, z, v=v, level=level):
-            return v - VALUES["sigma0"] * abs(v) * z / level
+            def slope(_, z, v=v, level=level):
+                return v - VALUES["sigma0"] * abs(v) * z / level
 
-        leg = solve_ivp(
-            slope,
-            (0, span[-1]),
-            [states[-1]],
-            method="Radau",
-            t_eval=span,
-            rtol=1e-11,
-            atol=1e-14,
-        )
-        time.extend(time[-1] + span)
-        motion.extend(motion[-1] + v * span)
-        states.extend(leg.y[0])
-    bristles = theta(sigma1=0.0, sigma2=0.0)
-    force = LuGre().force(bristles, Trace.from_arrays(time, motion))[0]
-    np.testing.assert_allclose(force, VALUES["sigma0"] * np.array(states), rtol=1e-7, atol=1e-9)
+            leg = solve_ivp(
+                slope,
+                (0, span[-1]),
+                [states[-1]],
+                method="Radau",
+                t_eval=span,
+                rtol=1e-11,
+                atol=1e-14,
+            )
+            time.extend(time[-1] + span)
+            motion.extend(motion[-1] + v * span)
+            states.extend(leg.y[0])
+        bristles = theta(sigma1=0.0, sigma2=0.0)
+        force = LuGre().force(bristles, Trace.from_arrays(time, motion))[0]
+        np.testing.assert_allclose(force, VALUES["sigma0"] * np.array(states), rtol=1e-7, atol=1e-9)
 
 
-@pytest.mark.parametrize("velocity", [0.01, 0.3, 0.5, 5.0, -0.01, -0.3, -5.0])
-def test_steady_slip_follows_the_stribeck_curve(velocity):
-    trace = ramp(velocity, seconds=max(2.0, 2.0 / abs(velocity)))
-    expected = np.sign(velocity) * stribeck(velocity) + VALUES["sigma2"] * velocity
-    force = LuGre().force(theta(), trace)[0]
-    assert force[-1] == pytest.approx(expected, rel=1e-10)
+def test_steady_slip_follows_the_stribeck_curve():
+    for velocity in [0.01, 0.3, 0.5, 5.0, -0.01, -0.3, -5.0]:
+        trace = ramp(velocity, seconds=max(2.0, 2.0 / abs(velocity)))
+        expected = np.sign(velocity) * stribeck(velocity) + VALUES["sigma2"] * velocity
+        force = LuGre().force(theta(), trace)[0]
+        assert force[-1] == pytest.approx(expected, rel=1e-10)
 
 
 def test_small_motion_is_elastic_with_the_bristles_stiffness():
@@ -84,28 +84,28 @@ def test_micro_damping_acts_only_while_the_bristles_deflect():
     assert with_damping[-1] == pytest.approx(without[-1], rel=1e-6)
 
 
-@pytest.mark.parametrize("stiffness", [1e-6, 1.0, 1e3, 1e9])
-def test_force_stays_bounded_at_any_stiffness_and_step(stiffness):
-    time = np.arange(0, 20, 0.25)
-    trace = Trace.from_arrays(time, 2 * np.sin(2.1 * time))
-    force = LuGre().force(theta(sigma0=stiffness, sigma1=0.0, sigma2=0.0), trace)
-    assert np.all(np.isfinite(force))
-    assert np.max(np.abs(force)) <= VALUES["Fs_fwd"] * (1 + 1e-12)
+def test_force_stays_bounded_at_any_stiffness_and_step():
+    for stiffness in [1e-6, 1.0, 1e3, 1e9]:
+        time = np.arange(0, 20, 0.25)
+        trace = Trace.from_arrays(time, 2 * np.sin(2.1 * time))
+        force = LuGre().force(theta(sigma0=stiffness, sigma1=0.0, sigma2=0.0), trace)
+        assert np.all(np.isfinite(force))
+        assert np.max(np.abs(force)) <= VALUES["Fs_fwd"] * (1 + 1e-12)
 
 
-@pytest.mark.parametrize("velocity", [0.2, -0.2])
-@pytest.mark.parametrize("way", [0.02, -0.02])
-def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms(way, velocity):
-    # forward or backward, then at the same place with a velocity that is still measured
-    time = np.array([0.0, 0.1, 0.2])
-    trace = Trace.from_arrays(time, [0.0, way, way], velocity=[0.0, 0.0, velocity])
-    elastic, force = (
-        LuGre().force(theta(sigma1=sigma1, sigma2=0.0), trace)[0] for sigma1 in (0.0, 0.03)
-    )
-    assert elastic[2] == elastic[1]
-    z = elastic[1] / VALUES["sigma0"]
-    rate = velocity - VALUES["sigma0"] * abs(velocity) * z / VALUES["Fs_fwd"]
-    assert force[2] == pytest.approx(elastic[2] + 0.03 * rate, rel=1e-9)
+def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms():
+    for velocity in [0.2, -0.2]:
+        for way in [0.02, -0.02]:
+            # forward or backward, then at the same place with a velocity that is still measured
+            time = np.array([0.0, 0.1, 0.2])
+            trace = Trace.from_arrays(time, [0.0, way, way], velocity=[0.0, 0.0, velocity])
+            elastic, force = (
+                LuGre().force(theta(sigma1=sigma1, sigma2=0.0), trace)[0] for sigma1 in (0.0, 0.03)
+            )
+            assert elastic[2] == elastic[1]
+            z = elastic[1] / VALUES["sigma0"]
+            rate = velocity - VALUES["sigma0"] * abs(velocity) * z / VALUES["Fs_fwd"]
+            assert force[2] == pytest.approx(elastic[2] + 0.03 * rate, rel=1e-9)
 
 
 def test_lugre_takes_its_own_from_all_of_the_papers_parameters():
