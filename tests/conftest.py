@@ -20,6 +20,9 @@ from hypothesis.configuration import set_hypothesis_home_dir
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+# Processes that tests start read what tests define. Last, so that the installed package is tested.
+sys.path.append(str(Path(__file__).parents[1]))
+
 # The tests run in a folder of their own, and a path is meant from where they were started.
 for variable in {"MFD_BAYES_DATA", "MFD_BAYES_FINISHED_RUN"} & set(os.environ):
     os.environ[variable] = str(Path(os.environ[variable]).absolute())
