@@ -215,7 +215,7 @@ def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, rep
 
 
 def test_names_from_files_run_nothing(chromium, campaign, images, tmp_path, write):
-    rows = tuple(replace(row, note=HOSTILE) for row in campaign.tests[0].rows)
+    rows = tuple(row | {"note": HOSTILE} for row in campaign.tests[0].rows)
     test = replace(campaign.tests[0], rows=rows)
     view = replace(campaign, title=HOSTILE, tests=(test, campaign.tests[1]))
     view = replace(view, provenance={HOSTILE: HOSTILE}, remarks=(HOSTILE,))
@@ -262,7 +262,7 @@ def test_fifty_tests_stay_small_and_readable(chromium, campaign, draw, write, tm
     tests = []
     for at in range(50):
         name, noise = f"t{at:02d}", 0.05 * rng.standard_normal(some.trace.samples)
-        rows = tuple(replace(row, subject=name) for row in some.rows)
+        rows = tuple(row | {"test": name} for row in some.rows)
         trace = replace(some.trace, force=np.asarray(some.trace.force) + noise)
         tests.append(replace(some, id=name, rows=rows, trace=trace))
     drawn = draw(replace(campaign, tests=(some,)))
