@@ -56,9 +56,9 @@ def test_defaults_on_the_page_are_those_of_python(package):
         for parameter, shown in shown_defaults(package, path).items():
             real = inspect.signature(function).parameters[parameter].default
             if shown is not None:
-                    named = vars(importlib.import_module(function.__module__)).get(str(shown))
-                    said = str(shown).strip("'\"") if named is None else str(named)
-                    assert said == str(real), f"{path}: {parameter}"
+                named = vars(importlib.import_module(function.__module__)).get(str(shown))
+                said = str(shown).strip("'\"") if named is None else str(named)
+                assert said == str(real), f"{path}: {parameter}"
 
 
 def test_a_first_choice_that_is_no_default_would_be_seen():
