@@ -312,12 +312,19 @@ def _alternatives(
     many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
     considered = design.considered(COMPARE) if many else ("affine", "power")
     named = [design.laws[n] for n in slips if design.laws[n] != COMPARE]
-    laws = list(dict.fromkeys([*named, *considered]))
+    laws = {
+        law: replace(design, laws={**design.laws, **dict.fromkeys(slips, law)})
+        for law in dict.fromkeys([*named, *considered])
+    }
+    # a test without actuation informs some laws alone, so that these have other effects of levels
+    sizes = {law: under.quantity.size for law, under in laws.items()}
+    size = design.quantity.size if design.quantity.size in sizes.values() else max(sizes.values())
+    usable = [law for law in laws if sizes[law] == size]
     found, weight = [], []
-    for law, w in zip(laws, extrapolation_weights(gaussians, slips, laws), strict=True):
+    for law, w in zip(usable, extrapolation_weights(gaussians, slips, usable), strict=True):
         if w == 0.0:
             continue
-        under = replace(design, laws={**design.laws, **dict.fromkeys(slips, law)})
+        under = laws[law]
         other = MixedModel(under, mixed.y, mixed.p, mixed.weight)
         choice = _choices(under, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
         n = max(int(np.ceil(ALTERNATIVES * w)), 20)
