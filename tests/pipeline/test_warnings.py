@@ -87,7 +87,7 @@ def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path
     assert outcome.stdout.index(f"warning: {WORDS}") < outcome.stdout.index("finding modes")
     assert "NOT USABLE: Something is wrong with 1 of 3 tests. t1: " in outcome.stdout
     manifest = json.loads((out / "manifest.json").read_text())
-    assert [w["subject"] for w in manifest["warnings"]] == ["t1"]
+    assert manifest["warnings"][0]["subject"] == "t1"
     assert manifest["verdicts"]["t1"] == manifest["verdicts"]["campaign"] == "not usable"
     page = (out / "report.html").read_text()
     assert WORDS in page[: page.index('<nav aria-label="Contents">')]
