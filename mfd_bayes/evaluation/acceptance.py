@@ -197,7 +197,8 @@ def accept(
         default those of the campaign, else 15 % of all.
     session : str, optional
         Session in which the records were made.
-    draws, seed : int
+    draws : int
+    seed : int
 
     Raises
     ------
