@@ -195,7 +195,7 @@ def in_place_of(unit: str, units: Mapping[str, str]) -> str:
 
     def replaced(match: re.Match[str]) -> str:
         other = units.get(match[2], match[2])
-        compound = re.search(r"[*/]", other) and match[1] in ("/",)
+        compound = match[1] == "/" and re.search(r"[*/]", other)
         return f"{match[1]}({other})" if compound else f"{match[1]}{other}"
 
     text = re.sub(r"([*/]?)([A-Za-z%]+)", replaced, unit)

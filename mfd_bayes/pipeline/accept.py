@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from mfd_bayes.errors import CampaignError, UnitError
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.acceptance import DRAWS, LIMITS, Acceptance, accept
 from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.records.record import read_record
@@ -17,7 +17,6 @@ from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
-from mfd_bayes.units import actuation_kind, parse_actuation
 
 _LIMIT = re.compile(r"\s*(\w+)\s*=\s*(\d+(?:\.\d+)?)\s*(%?)\s*")
 
@@ -94,12 +93,7 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
     run = open_run(out)
     if wish.units:
         run = replace(run, units=wish.units)
-    _, unit = parse_actuation(wish.actuation, of="--actuation")
-    if unit != run.actuation_unit:
-        raise UnitError(
-            f"--actuation {wish.actuation!r} must be {actuation_kind(run.actuation_unit)}, as in "
-            "the campaign"
-        )
+    run.level_of(wish.actuation)
     records = [read_record(path, actuation=wish.actuation) for path in wish.records]
     device = wish.device[0] if len(wish.device) == 1 else wish.device or ""
     how = {"session": wish.session, "draws": wish.draws, "seed": wish.seed}

@@ -19,7 +19,6 @@ from mfd_bayes.runs.paths import POPULATION
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span, departures, far_sentences
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
-from mfd_bayes.units import actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]
 
@@ -50,12 +49,7 @@ def export(out: Path, request: Export) -> tuple[list[str], list[str]]:
     run = open_run(out)
     level = float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
     if request.actuation:
-        level, unit = parse_actuation(request.actuation, of="--actuation")
-        if unit != run.actuation_unit:
-            kind = actuation_kind(run.actuation_unit)
-            raise CampaignError(
-                f"--actuation {request.actuation!r} must be {kind}, as in the campaign"
-            )
+        level = run.level_of(request.actuation)
     outside = departures(run.tested, [Span("actuation", run.actuation_unit, level, level)])
     far = far_sentences(outside, run.system)
     if far and not request.extrapolate:

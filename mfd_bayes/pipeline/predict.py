@@ -32,7 +32,7 @@ from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
-from mfd_bayes.units import actuation_kind, parse_actuation, parse_quantity
+from mfd_bayes.units import actuation_kind, parse_quantity
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""
@@ -116,12 +116,7 @@ def predict(out: Path, question: Question) -> Answer:
     if question.units:
         run, *others = (replace(each, units=question.units) for each in (run, *others))
     source = ModelAverage((run, *others)) if others else run
-    level, unit = parse_actuation(question.actuation, of="--actuation")
-    if unit != run.actuation_unit:
-        raise CampaignError(
-            f"--actuation {question.actuation!r} must be {actuation_kind(run.actuation_unit)}, as "
-            "in the campaign"
-        )
+    level = run.level_of(question.actuation)
     motion, remarks, record = _motion_of(question, run.manifest.settings, run.system.axes)
     measured = replace(motion, actuation=level)  # with its force, if the file has one
     trace = replace(measured, force=None)

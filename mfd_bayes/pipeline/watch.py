@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.errors import CampaignError, MfdError, RecordError
+from mfd_bayes.errors import MfdError, RecordError
 from mfd_bayes.population.given import Forecaster
 from mfd_bayes.population.stopping import NARROWING, Estimate, is_enough
 from mfd_bayes.records.record import read_record
@@ -18,7 +18,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import System
-from mfd_bayes.units import parse_actuation, parse_quantity
+from mfd_bayes.units import parse_quantity
 
 POLL = 1.0  # seconds between two looks at the file
 SAMPLES = 64  # of the next cycle, of which the band is computed
@@ -105,12 +105,7 @@ def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
         cycle when it ends.
     """
     run = open_run(out)
-    level, unit = parse_actuation(watched.actuation, of="--actuation")
-    if unit != run.actuation_unit:
-        raise CampaignError(
-            f"--actuation {watched.actuation!r} must be in a unit such as {run.actuation_unit}, "
-            "as in the campaign"
-        )
+    level = run.level_of(watched.actuation)
     narrowing = parse_quantity(watched.narrowing, "dimensionless", of="--narrowing")
     wait = parse_quantity(watched.wait, "time", of="--wait")
     follower: Forecaster | None = None

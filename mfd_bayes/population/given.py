@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -368,16 +369,9 @@ class Forecaster:
         self._waiting, self._rows = np.empty((4, 0)), np.empty((4, 0))
         self._first, self._last, self._resting, self._size = np.nan, np.nan, 0, 0
         psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
-        p = self._test.draw(forecast.draws, self._rng)
-        self._begin(p)
+        self._new_tests = self._test.draw(forecast.draws, self._rng)
+        self._begin(self._new_tests)
         self._conditioned: Conditioned | None = None
-        self._most_noise = float(np.quantile(self._values["noise_sd"], 0.99))
-        typical = predictor.values(self._test.drawn(p, _at_rest(self._level), scatter=False))
-        self._stopping = Stopping(
-            properties(model, self._values),
-            properties(model, typical),
-            {**units(model), "gap_width": "in"},
-        )
 
     @property
     def time(self) -> float:
@@ -479,10 +473,15 @@ class Forecaster:
     def _begin(self, p: Particles) -> None:
         """Particles before the first sample, of even weights."""
         self._particles, self._log_prior = p, np.zeros(len(p.draw))
-        self._values = self._predictor.values(self._test.drawn(p, _at_rest(self._level)))
+        self._values = self._values_of(p)
         self._state: Any = None
         none = np.empty((len(p.draw), 0))
         self._sums = Sums(none[0], none, none)
+
+    def _values_of(self, p: Particles, *, scatter: bool = True) -> dict[str, Array]:
+        """Quantities of particles by name, (n,) each."""
+        still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
+        return self._predictor.values(self._test.drawn(p, still, scatter=scatter))
 
     def _advance(self, begin: int) -> None:
         """Step the particles along the means from `begin` on, and add up what their force says."""
@@ -521,6 +520,14 @@ class Forecaster:
         """Smoothed log weights of the particles, (n,), and Pareto k."""
         return smoothed(self._log_prior + self._log_likelihood())
 
+    def _trusted_weights(self) -> tuple[Array, float]:
+        """The same, after `refresh` where they cannot be trusted and it is allowed."""
+        log_weights, k = self._weights()
+        if k > LARGEST_K and self._may_refresh:
+            self.refresh()
+            log_weights, k = self._weights()
+        return log_weights, k
+
     def _log_likelihood(self) -> Array:
         """Log likelihood of the force so far, (n,)."""
         return self._sums.log_likelihood(self._values["noise_sd"], self._residual.stroke_share)
@@ -544,10 +551,18 @@ class Forecaster:
 
         Then the force is not that of such a test, and neither estimates nor bands are reliable.
         """
-        noise = self._values["noise_sd"]
-        weights = np.exp(self._weights()[0])
-        middle = quantiles(noise, weights, (0.5,))[0]
-        return middle > self._most_noise
+        (middle,) = quantiles(self._values["noise_sd"], np.exp(self._weights()[0]), (0.5,))
+        most = np.quantile(self._values_of(self._new_tests)["noise_sd"], 0.99)
+        return bool(middle > most)
+
+    @cached_property
+    def _stopping(self) -> Stopping:
+        """What new tests of the device would have, with their scatter and without."""
+        own, typical = (
+            properties(self._model, self._values_of(self._new_tests, scatter=scatter))
+            for scatter in (True, False)
+        )
+        return Stopping(own, typical, {**units(self._model), "gap_width": "in"})
 
     @property
     def scatter(self) -> dict[str, float]:
@@ -561,10 +576,7 @@ class Forecaster:
         what one more cycle is expected to tell; `stopping.is_enough` says when to stop. Where the
         weights cannot be trusted, `refresh` comes first.
         """
-        log_weights, k = self._weights()
-        if k > LARGEST_K and self._may_refresh:
-            self.refresh()
-            log_weights, _ = self._weights()
+        log_weights, _ = self._trusted_weights()
         weights = np.exp(log_weights - log_weights.max())
         return self._stopping.estimates(self._properties(), weights, cycles)
 
@@ -617,10 +629,7 @@ class Forecaster:
                 f"{trace.time[0]:g} s"
             )
         self._check_actuation(np.nan_to_num(np.asarray(trace.actuation)))
-        log_weights, k = self._weights()
-        if k > LARGEST_K and self._may_refresh:
-            self.refresh()
-            log_weights, k = self._weights()
+        log_weights, k = self._trusted_weights()
         forecast, residual, rng = self._forecast, self._residual, self._rng
         actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
         planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
@@ -647,11 +656,6 @@ class Forecaster:
         shown = self._predictor.shown(values)
         band = Band.of(joined.time[last], force, forecast, source, shown)
         return self.complete(replace(band, given=given, remarks=given.remarks), joined)
-
-
-def _at_rest(level: float) -> Trace:
-    """A trace without motion."""
-    return Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), level, np.zeros(3))
 
 
 def _trace(rows: Array) -> Trace:

@@ -121,8 +121,8 @@ class Stopping:
     def _narrowing(self, name: str, sd: float, cycles: int) -> float:
         """Expected narrowing of a property's interval by one more cycle."""
         now, before, scatter = sd**2, self.sd[name] ** 2, self.scatter[name] ** 2
-        if now <= 0.0 or cycles < 1:
-            return 0.0 if cycles else 1.0
+        if now <= 0.0:
+            return 0.0
         each = max(1.0 / now - 1.0 / before, 0.0) / cycles if before > 0.0 else 0.0
         after = 1.0 / (1.0 / now + each)
         return float(1.0 - np.sqrt((after + scatter) / (now + scatter)))

@@ -13,7 +13,7 @@ import numpy as np
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
-from mfd_bayes.errors import FitError, NotThereError, StoreError
+from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
@@ -44,6 +44,7 @@ from mfd_bayes.runs.unit_system import System, named_system
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
+from mfd_bayes.units import actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
@@ -204,6 +205,20 @@ class Run:
     def actuation_unit(self) -> str:
         """The internal unit of actuation, such as "ksi" or "kip"."""
         return self.manifest.settings.actuation_unit
+
+    def level_of(self, text: str, *, of: str = "--actuation") -> float:
+        """Level of an actuation such as "1000 psi", in `actuation_unit`.
+
+        Raises
+        ------
+        UnitError, CampaignError
+            When the text is no actuation, or one of another kind than the tests had.
+        """
+        level, unit = parse_actuation(text, of=of)
+        if unit != self.actuation_unit:
+            kind = actuation_kind(self.actuation_unit)
+            raise CampaignError(f"{of} {text!r} must be {kind}, as in the campaign")
+        return level
 
     @cached_property
     def system(self) -> System:
