@@ -8,6 +8,7 @@ import pytest
 from mfd_bayes import open_run
 from mfd_bayes.errors import MfdError
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
+from tests.run_folders import FORCE, MOTION, write_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"
 
@@ -46,6 +47,32 @@ def test_it_says_what_was_tested_and_what_is_not_known(sheet):
     assert "2 calibrated, 1 held out" in str(sheet.tested["tests"])
     assert "actuation" in sheet.tested
     assert any("Temperature" in str(message) for message in sheet.not_known)
+
+
+def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(tmp_path):
+    write_run(tmp_path / "out")
+    sheet = datasheet(open_run(tmp_path / "out"))
+    rows = sheet.rows
+    levels = ["500 psi", "700 psi", "1000 psi"]  # of tests a, c, which is held out, and b
+    assert list(dict.fromkeys(rows["condition"])) == [f"{level}, 1 in, 1 Hz" for level in levels]
+    assert rows["tested"].all()
+    area = np.sum(0.5 * (FORCE[1:41] + FORCE[:40]) * np.diff(MOTION[:41])) / 2  # two periods
+    expected = {"slip_force": 2.0, "peak_force": 2.0, "effective_stiffness": 2.0, "energy": area}
+    expected["effective_damping"] = area / (2 * np.pi * 2.0)
+    for condition, part in rows.groupby("condition"):
+        for quantity, value in expected.items():
+            own = part[part["quantity"] == quantity]
+            for column in ("measured_low", "measured", "measured_high"):
+                np.testing.assert_allclose(own[column], value, rtol=0.02, err_msg=quantity)
+            outside = (own["measured"] < own["lower"]) | (own["measured"] > own["upper"])
+            assert (own["n_outside"] == own["n_cycles"] * outside).all(), (condition, quantity)
+        energy = part[part["quantity"] == "energy"]
+        assert energy["cycle"].tolist() == [0, 1, 2]
+        assert energy["n_cycles"].tolist() == [2, 1, 1]
+    whole = rows[rows["cycle"] == 0]
+    outside, cycles = whole["n_outside"].sum(), whole["n_cycles"].sum()
+    assert 0 < outside < cycles
+    assert str(sheet.verdict[1]).startswith(f"{outside} of {cycles} measured values")
 
 
 @pytest.mark.parametrize(
