@@ -39,6 +39,9 @@ def pytest_configure(config):
     def other(seed=None):
         if isinstance(seed, int | np.integer | list | tuple | np.ndarray):
             seed = [*np.atleast_1d(np.asarray(seed, dtype=object)).ravel().tolist(), number]
+        elif isinstance(seed, np.random.SeedSequence):
+            words = [*np.atleast_1d(seed.entropy).tolist(), number]
+            seed = np.random.SeedSequence(words, spawn_key=seed.spawn_key)
         return plain(seed)
 
     np.random.default_rng = other
