@@ -5,11 +5,10 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.cli.commands import app
 from mfd_bayes.friction.models import find_model
+from tests.pipeline.command_line import said
 
 STEEL = """
 import numpy as np
@@ -79,12 +78,6 @@ def written(folder):
     for name, content in {"steel.py": STEEL, "own.toml": PRIORS, "all.toml": text}.items():
         (folder / name).write_text(content, encoding="utf-8")
     return folder
-
-
-def said(*words, code=0):
-    outcome = CliRunner().invoke(app, [str(word) for word in words])
-    assert outcome.exit_code == code, outcome.output
-    return " ".join(outcome.output.split())
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,9 @@ import shutil
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.cli.commands import app
+from tests.pipeline.command_line import said
 
 VISCOUS = r"""
 import numpy as np
@@ -106,12 +105,6 @@ def written(folder):
     for name, content in {"my_damper.py": VISCOUS, "own.toml": PRIORS, "all.toml": text}.items():
         (folder / name).write_text(content, encoding="utf-8")
     return folder
-
-
-def said(*words, code=0):
-    outcome = CliRunner().invoke(app, [str(word) for word in words])
-    assert outcome.exit_code == code, outcome.output
-    return " ".join(outcome.output.split())
 
 
 @pytest.fixture(scope="module")
