@@ -32,13 +32,14 @@ SEED, SECONDS = 52, 300.0
 BITS = re.compile(r"Operator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(Bit|[LR]Shift)")
 CONTEXT = re.compile(r"(.+?)(?:\|| \()(setup|run|call|teardown)\)?", re.DOTALL)
 OURS = ["-o", "addopts=", "--import-mode=importlib", "-p", "no:cacheprovider"]
-COVERAGE = """[run]
+COVERAGE = f"""[run]
+data_file = {Path.cwd()}/.coverage
 source_pkgs = mfd_bayes
 parallel = true
 patch = subprocess
 sigterm = true
 concurrency = multiprocessing,thread
-context = ${PYTEST_CURRENT_TEST-}
+context = ${{PYTEST_CURRENT_TEST-}}
 disable_warnings = no-data-collected, module-not-measured, module-not-imported, already-imported
 """
 seconds: Counter[str] = Counter()
