@@ -6,6 +6,7 @@ tests are columns, numbers are in internal units.
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import math
@@ -85,12 +86,17 @@ _COLUMNS = {
 """Columns of each table, as "column", or "key:column" where the rows call it otherwise."""
 
 
+def _columns(table: str) -> dict[str, str]:
+    """Column of each key of a table's rows."""
+    pairs = (word.partition(":") for word in _COLUMNS[table].split())
+    return {key: column or key for key, _, column in pairs}
+
+
 def frame_of(table: str, rows: Iterable[Any], system: System = US) -> pd.DataFrame:
     """A table of `_COLUMNS` with a line for each of its rows, dicts or dataclasses."""
     import pandas as pd
 
-    pairs = (word.partition(":") for word in _COLUMNS[table].split())
-    columns = {key: column or key for key, _, column in pairs}
+    columns = _columns(table)
     records = [row if isinstance(row, dict) else vars(row) for row in rows]
     return to_units(pd.DataFrame(records, columns=list(columns)).rename(columns=columns), system)
 
@@ -149,6 +155,17 @@ def _safe(frame: pd.DataFrame) -> pd.DataFrame:
         if frame[name].dtype.kind not in "fiu":
             shown[name] = frame[name].astype(object).map(safe)
     return shown
+
+
+def _csv(about: Iterable[str], columns: Mapping[str, Iterable[Any]], digits: int = 6) -> str:
+    """CSV of columns without pandas, which takes long to import."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        cells = (f"{c:.{digits}g}" if isinstance(c, float) else c for c in row)
+        table.writerow("" if cell == "nan" else cell for cell in cells)
+    return _comments(about) + text.getvalue()
 
 
 def to_json(title: str, name: str, frame: pd.DataFrame) -> str:
@@ -519,6 +536,10 @@ def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
     return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
 
 
+def _by_column(table: str, rows: Rows) -> dict[str, list[Any]]:
+    return {name: [row[key] for row in rows] for key, name in _columns(table).items()}
+
+
 def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "force") -> str:
     """Derived quantities of a prediction, with intervals of this probability."""
     about = (
@@ -527,7 +548,7 @@ def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "
         f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
         "as it is",
     )
-    return to_csv(frame_of("prediction", rows), about)
+    return _csv(about, _by_column("prediction", rows))
 
 
 def design_csv(rows: Rows, actuation: str, probability: float) -> str:
@@ -538,7 +559,7 @@ def design_csv(rows: Rows, actuation: str, probability: float) -> str:
         "lambda: bound over the nominal value, which is the mean of the mean property",
         *([f"actuation {actuation}"] if actuation else []),
     )
-    return to_csv(frame_of("design", rows), about)
+    return _csv(about, _by_column("design", rows))
 
 
 def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
@@ -547,8 +568,6 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     `about` are lines of its head, besides what the band is; the columns are in the units of
     `system`.
     """
-    import pandas as pd
-
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
     forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
     columns: dict[str, Any] = {
@@ -570,9 +589,7 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
         columns["given"] = band.given.holds(trace.time).astype(int)
         head.append(system.text("given: 1 where the force was given, 0 elsewhere"))
     head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(about)
-    frame = pd.DataFrame(columns)
-    text = frame.to_csv(index=False, float_format="%.8g", lineterminator="\n")
-    return _comments(head) + text
+    return _csv(head, columns, 8)
 
 
 # --- tables behind the figures
