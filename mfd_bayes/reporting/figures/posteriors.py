@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
-from scipy import stats
 
 from mfd_bayes.evaluation.checks import INFORMED
 from mfd_bayes.evaluation.views import Array, Marginal, Rows, TestView
@@ -219,7 +218,8 @@ def _draw_along(axes: Axes, where: Array, residual: Array, half: Array) -> None:
     axes.plot(where[::step], residual[::step], ".", color=colours.DATA, markersize=1.6, alpha=0.6)
     edges = np.unique(np.quantile(where, np.linspace(0, 1, 41)))
     if edges.size > 1:
-        mean = stats.binned_statistic(where, half, "mean", edges).statistic
+        sums = np.histogram(where, edges, weights=half)[0]
+        mean = sums / np.maximum(np.histogram(where, edges)[0], 1)
         lines = np.column_stack([-mean, mean])
         axes.plot(0.5 * (edges[1:] + edges[:-1]), lines, color=colours.VERMILLION, linestyle="--")
     axes.set_title("Along the gap", fontsize=8)
