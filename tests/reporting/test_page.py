@@ -31,7 +31,8 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures, page, tables
 from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary, render
-from mfd_bayes.reporting.tables import report_tables
+from mfd_bayes.reporting.symbols import Symbols
+from mfd_bayes.reporting.tables import paper_sheets, report_frames, to_csv, to_json, to_latex
 from mfd_bayes.runs.scores import Comparison, ComparisonRow
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
@@ -74,6 +75,15 @@ def seen(text):
     body = re.sub(r"<(script|style).*?</\1>", "", text, flags=re.DOTALL)
     body = re.sub(r"</(td|th|li|p|h\d)>", " ", body)
     return " ".join(unescape(re.sub(r"<[^>]+>", "", body)).split())
+
+
+def report_tables(view):
+    """The texts of a report's tables, by the names of their files."""
+    frames, names = report_frames(view), ("parameters", "laws")
+    texts = {f"{name}.csv": to_csv(frame) for name, frame in frames.items()}
+    texts |= {f"{name}.json": to_json(view.title, name, frames[name]) for name in names}
+    sheets = zip(names, paper_sheets(view, Symbols()), strict=True)
+    return texts | {f"{name}.tex": to_latex(name, sheet, Symbols()) for name, sheet in sheets}
 
 
 def first(view, images=None, sheet=None):

@@ -11,12 +11,13 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.reporting.figures import style, to_png
 from mfd_bayes.reporting.response import (
     ResponseView,
-    peaks_csv,
+    peaks_frame,
     render_response,
     response_json,
-    sweep_csv,
+    sweep_frame,
     sweep_sentence,
 )
+from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.response.result import Passing, Row
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.tested_range import Span
@@ -39,7 +40,7 @@ LIMITS = [
 @pytest.mark.parametrize("system", [US, SI])
 def test_json_and_csv_of_peaks_say_the_same(system):
     told = json.loads(response_json(ROWS, LIMITS, {"title": "t"}, system))
-    table = list(csv.DictReader(io.StringIO(peaks_csv(ROWS, system))))
+    table = list(csv.DictReader(io.StringIO(to_csv(peaks_frame(ROWS, system)))))
     for row, one in zip(table, told["peaks"], strict=True):
         assert row["unit"] == one["unit"]
         assert float(row["median"]) == pytest.approx(one["median"], rel=1e-5)
@@ -72,7 +73,7 @@ def test_the_actuation_of_a_sweep_is_in_the_units_of_its_system(unit, system, na
     levels = np.array([0.5, 1.0])
     values = dict.fromkeys(("drift", "acceleration"), np.ones((2, 3, 1)))
     sweep = Sweep(levels, unit, values, "drift", "mean", np.ones(2), 0.5, (0.5, 1.0))
-    rows = list(csv.DictReader(io.StringIO(sweep_csv(sweep, system))))
+    rows = list(csv.DictReader(io.StringIO(to_csv(sweep_frame(sweep, system)))))
     assert [float(row[name]) for row in rows] == pytest.approx(by * levels, rel=1e-5)
 
 
