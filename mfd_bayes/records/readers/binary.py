@@ -183,7 +183,7 @@ def read_excel(path: Path) -> Table:
             doubts = (
                 f"{best.sheet} is read; not read, with the same columns: {', '.join(alike[:4])}",
             )
-    return best.table(layout, doubts=doubts)[0]
+    return best.table(layout, doubts=doubts)
 
 
 def _sheets(path: Path) -> Content:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -55,12 +55,9 @@ class Layout:
 
 def kinds(row: Row) -> str:
     """Of each cell, whether it is a number, "n", a text, "t", or empty, "-"."""
-    match = NUMBER.fullmatch
     return "".join(
-        [
-            "-" if c is None or c == "" else "t" if isinstance(c, str) and not match(c) else "n"
-            for c in row
-        ]
+        "-" if c in (None, "") else "t" if isinstance(c, str) and not NUMBER.fullmatch(c) else "n"
+        for c in row
     )
 
 
@@ -80,13 +77,13 @@ def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
     for at in range(len(rows) - 1):
         if numbers[at] or filled[at] < 2:
             continue
-        units = at + 1 if not numbers[at + 1] and gives_units(rows[at + 1], rows[at]) else None
-        data = at + 1 if units is None else at + 2
+        has_units = not numbers[at + 1] and gives_units(rows[at + 1], rows[at])
+        data = at + 1 + has_units
         end = numbers.index(0, data) if 0 in numbers[data:] else len(rows)
-        width = len(kind[data].rstrip("-")) if exact and data < len(rows) else 0
-        if end > data and len(kind[at].rstrip("-")) >= width:
+        if end > data and (not exact or len(_cells(rows[at])) >= len(_cells(rows[data]))):
             count = sum(numbers[data:end])
-            tables.append(Layout(at, units, data, count / sum(filled[data:end]), count))
+            share = count / sum(filled[data:end])
+            tables.append(Layout(at, at + 1 if has_units else None, data, share, count))
     if tables:
         best = max(tables, key=lambda table: (table.weight, table.count))
         return next(t for t in tables if rows[t.names or 0] == rows[best.names or 0])
@@ -121,14 +118,14 @@ class Grid:
     word: str = "line"
     sheet: str = ""
 
-    @property
-    def of(self) -> str:
-        """What it is, for messages."""
-        return f"{self.sheet} of {self.path}" if self.sheet else str(self.path)
-
     def place(self, row: int) -> str:
         """Name of a row: "line 17"."""
         return f"{self.word} {self.numbers[row]}"
+
+    def refusal(self, what: str) -> RecordError:
+        """Error for a grid that may hold more than one table."""
+        of = f"{self.sheet} of {self.path}" if self.sheet else self.path
+        return RecordError(f"{of} holds more than one table: {what}: keep one table in a file")
 
     def table(
         self,
@@ -136,8 +133,8 @@ class Grid:
         heading: tuple[Sequence[str], Row] | None = None,
         columns: Sequence[Column] | None = None,
         **more: Any,
-    ) -> tuple[Table, Sequence[int]]:
-        """Table of a layout, and its rows of numbers; `more` goes to the table.
+    ) -> Table:
+        """Table of a layout; `more` goes to the table.
 
         `heading` are names and units that do not stand in the layout's rows; `columns` are all
         numbers, where nothing stands between them.
@@ -148,32 +145,25 @@ class Grid:
             names, units = heading
             at = list(range(len(names)))
         else:
-            title: Row = () if layout.names is None else rows[layout.names]
+            title: Row = () if layout.names is None else _cells(rows[layout.names])
             units = () if layout.units is None else rows[layout.units]
-            filled, kind = len(kinds(title).rstrip("-")), kinds(first)
+            kind = kinds(first)
             at = [
                 k
-                for k in range(max(filled, len(kind)))
-                if (k < filled and title[k] is not None)
+                for k in range(max(len(title), len(kind)))
+                if (k < len(title) and title[k] is not None)
                 or kind[k : k + 1] == "n"
                 or (not title and kind[k : k + 1] == "t")
             ]
             texts = [" ".join(str(title[k] or "").split()) if k < len(title) else "" for k in at]
             names = labels(texts, [k + 1 for k in at])
         headed = heading is not None or layout.names is not None
+        notes = self._above(data, names, headed=headed)
         body: Sequence[int] = range(data, len(self.numbers))
         blocks: dict[int, str] = {}
-        footer: list[int] = []
         if columns is None:
             body, blocks, footer = self._body(layout, len(names))
-        notes = self._above(data, names, headed=headed)
-        if len(footer) >= TABLE:
-            raise RecordError(
-                f"{self.of} holds more than one table: from {self.place(footer[0])}, rows begin "
-                "with words"
-            )
-        if footer:
-            notes.append(f"{self.place(footer[0])} and below: numbers below the table, not used")
+            notes += footer
         blank = "" if self.word == "line" else None  # of a short row
         cells: dict[str, Column] = {}
         given = {}
@@ -191,7 +181,7 @@ class Grid:
             " ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in row if c is not None)
             for row in rows[:data]
         )
-        table = Table(
+        return Table(
             self.path,
             cells,
             [self.numbers[row] for row in body],
@@ -203,51 +193,44 @@ class Grid:
             notes=tuple(notes),
             **{**more, "head": more.get("head") or head},
         )
-        return table, body
 
-    def _body(self, layout: Layout, width: int) -> tuple[list[int], dict[int, str], list[int]]:
-        """Rows of numbers; the first below a repeated heading, to its place; and the footer.
+    def _body(self, layout: Layout, width: int) -> tuple[list[int], dict[int, str], list[str]]:
+        """Rows of numbers; the first below a repeated heading, to its place; a note on a footer.
 
-        Rows of text that stand together are a heading where they hold the row of names, or begin
-        as the rows above the table do; below the names, only the same row of units may stand. All
-        others are kept, and refused once a column of them is read.
+        Rows that hold words where the first has its first number, and that stand together, are a
+        heading where they hold the row of names, with no other than the same row of units below
+        it. Others are kept, and refused once a column of them is read.
         """
         rows, data = self.rows, layout.data
-        names, units = (
-            None if k is None else _cells(rows[k]) for k in (layout.names, layout.units)
-        )
-        beginnings = {_beginning(row) for row in rows[: layout.names or 0]}
+        names = None if layout.names is None else _cells(rows[layout.names])
+        units = None if layout.units is None else _cells(rows[layout.units])
         first = rows[data] if data < len(rows) else ()
         numbers = (k for k, cell in enumerate(first) if kinds([cell]) == "n" or is_stamp(cell))
         column = next(numbers, 0)
         words = [at for at in range(data, len(rows)) if _is_text(rows[at], column)]
         dropped: set[int] = set()
-        below: dict[int, str] = {}  # row below a repeated heading, to the heading's place
-        footer: list[int] = []
+        below: dict[int, str] = {}
+        notes = []
         for _, pairs in groupby(enumerate(words), lambda pair: pair[1] - pair[0]):
             group = [at for _, at in pairs]
             if _goes_on(rows, group[0], data):
                 continue
             texts, end = [_cells(rows[at]) for at in group], group[-1] + 1
             again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
-            if end == len(rows):
-                dropped.update(group)
-                if names not in texts and any("n" in kinds(text) for text in texts):
-                    footer = group
-            elif again or all(
-                _beginning(t) in beginnings and _shared(t, names) == 0 for t in texts
-            ):
+            if end == len(rows) or again:
                 dropped.update(group)
                 below[end] = self.place(group[0])
             elif any(_shared(text, names) >= 2 for text in texts):
-                raise RecordError(
-                    f"{self.of} has another heading at {self.place(group[0])}, with other units, "
-                    "or with its names in another order: keep one table in a file"
-                )
+                what = "has other units, or the names in another order"
+                raise self.refusal(f"the heading at {self.place(group[0])} {what}")
+            if end == len(rows) and names not in texts and "n" in "".join(map(kinds, texts)):
+                if len(group) >= TABLE:
+                    raise self.refusal(f"from {self.place(group[0])}, rows begin with words")
+                notes = [f"{self.place(group[0])} and below: numbers below the table, not used"]
         kept = [at for at in range(data, len(rows)) if at not in dropped]
         while kept and len(rows[kept[-1]]) != width and "n" not in kinds(rows[kept[-1]]):
             kept.pop()  # other text below the numbers
-        return kept, {n: below[at] for n, at in enumerate(kept) if at in below}, footer
+        return kept, {n: below[at] for n, at in enumerate(kept) if at in below}, notes
 
     def _above(self, data: int, names: Row, *, headed: bool) -> list[str]:
         """Sentences on rows of numbers above a table, which are not used.
@@ -257,27 +240,24 @@ class Grid:
         notes = []
         kind = [kinds(row) for row in self.rows[:data]]
         for has_numbers, group in groupby(range(data), lambda at: kind[at].count("n") >= 2):
-            members = list(group)
             if not has_numbers:
                 continue
+            members = list(group)
             first, last = members[0], members[-1]
             where = self.place(first)
             if last > first:
                 where = f"{self.word}s {self.numbers[first]} to {self.numbers[last]}"
-            before = range(max(first - 2, 0), first)
-            titles = [self.rows[at] for at in before if len(kind[at].strip("-")) > 1]
-            plain = all("t" not in kind[at] for at in members)
+            above = range(max(first - 2, 0), first)
+            titles = [self.rows[at] for at in above if len(kind[at].strip("-")) > 1]
+            bare = "t" not in "".join(kind[first : last + 1])
             alike = len(members) > 2 and len(kind[first].rstrip("-")) == len(names)
             if (
                 len(members) >= TABLE
-                or (plain and not titles and (alike or not headed))
+                or (bare and not titles and (alike or not headed))
                 or any(_shared(row, names) >= 2 for row in titles)
             ):
-                raise RecordError(
-                    f"{self.of} holds more than one table: {where} hold numbers, and others begin "
-                    f"at {self.place(data)}: keep one table in a file"
-                )
-            if plain or len(members) > 2:
+                raise self.refusal(f"{where} hold numbers, and others begin at {self.place(data)}")
+            if bare or len(members) > 2:
                 notes.append(f"{where}: numbers above the table, not used")
         return notes
 
@@ -290,16 +270,20 @@ def _is_text(row: Row, column: int) -> bool:
     return _is_word(cell) or (kinds([cell]) == "t" and any(map(_is_word, row[:column])))
 
 
+def _is_word(cell: Cell) -> bool:
+    """Whether a cell holds words, and no mark of a number that is missing, nor a time stamp."""
+    text = cell.strip().lower() if isinstance(cell, str) else ""
+    return bool(re.match(r"[^\W\d_]|[*%]", text)) and text not in _MISSING and not is_stamp(text)
+
+
 def _goes_on(rows: Sequence[Row], at: int, start: int) -> bool:
     """Whether a column counts on into a row by the step of those above: it is a measurement."""
     if at < start + STEPS:
         return False
     for column in zip(*rows[at - STEPS : at + 1], strict=False):
-        values = parse([str(cell).replace(",", ".") for cell in column])
-        if np.all(np.isfinite(values)):
-            steps = [float(b - a) for a, b in pairwise(values)]
-            if 0.0 < max(steps) < 2.0 * min(steps):
-                return True
+        steps = np.diff(parse([str(cell).replace(",", ".") for cell in column]))
+        if np.all(np.isfinite(steps)) and 0.0 < steps.max() < 2.0 * steps.min():
+            return True
     return False
 
 
@@ -308,17 +292,6 @@ def _shared(row: Row, names: Row | None) -> int:
     return sum(cell not in (None, "") and cell in names for cell in row) if names else 0
 
 
-def _is_word(cell: Cell) -> bool:
-    """Whether a cell holds words, and no mark of a number that is missing, nor a time stamp."""
-    text = cell.strip().lower() if isinstance(cell, str) else ""
-    return bool(re.match(r"[^\W\d_]|[*%]", text)) and text not in _MISSING and not is_stamp(text)
-
-
 def _cells(row: Row) -> list[Cell]:
     """Cells of a row, without empty ones at its end."""
     return list(row[: len(kinds(row).rstrip("-"))])
-
-
-def _beginning(row: Row) -> str:
-    """First words of a row, without their numbers."""
-    return re.sub(r"\d+", "", str(next((cell for cell in row if cell not in (None, "")), "")))
