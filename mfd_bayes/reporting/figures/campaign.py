@@ -200,32 +200,14 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     for row in advice:
         place = row.candidate.actuation * by, row.candidate.frequency
         gains[place] = max(gains.get(place, 0.0), 100.0 * row.reduction)
-    shown = left.scatter(
-        *np.array(list(gains)).T,
-        c=list(gains.values()),
-        s=130,
-        cmap="YlGnBu",
-        vmin=0.0,
-        edgecolors="#888888",
-        linewidths=0.5,
-    )
-    best: dict[str, Any] = {
-        "s": 240,
-        "facecolors": "none",
-        "edgecolors": colours.DATA,
-        "linewidths": 1.6,
-    }
+    look_of: dict[str, Any] = {"s": 130, "cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
+    places = np.array(list(gains)).T
+    shown = left.scatter(*places, c=list(gains.values()), linewidths=0.5, **look_of)
     first = advice[0].candidate
-    left.scatter([first.actuation * by], [first.frequency], label="best", **best)
-    levels = [test.actuation * by for test in advice.tests]
-    made: dict[str, Any] = {
-        "marker": "x",
-        "s": 28,
-        "color": "#c0392b",
-        "zorder": 4,
-        "label": "tests made",
-    }
-    left.scatter(levels, [test.frequency for test in advice.tests], **made)
+    ring: dict[str, Any] = {"mfc": "none", "mec": colours.DATA, "mew": 1.6, "ms": 15}
+    left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
+    made = [(test.actuation * by, test.frequency) for test in advice.tests]
+    left.plot(*np.reshape(made, (-1, 2)).T, "x", color="#c0392b", ms=5, label="tests made")
     left.set_yscale("log")
     left.yaxis.set_major_formatter(ScalarFormatter())
     left.yaxis.set_minor_formatter(ScalarFormatter())
