@@ -189,6 +189,8 @@ class Table:
         cell = self.align({each: self.cells[each] for each in names})[name][row]
         text = "" if cell is None else str(cell).strip()
         shown = repr(text[:60]) if text else "an empty cell"
+        if not text and self.path.suffix.lower() == ".xlsx":
+            shown += ", or a formula without a stored value: save it in Excel"
         if any(np.isfinite(parse([cell], sign)[0]) for sign in self.decimals):
             shown += (
                 ", and others with the other sign: the file holds both points and commas; expected "
