@@ -22,7 +22,6 @@ from mfd_bayes.reporting.figures.campaign import (
     spread,
 )
 from mfd_bayes.reporting.figures.loops import (
-    Marks,
     draw_history,
     draw_loops,
     draw_overview,
@@ -193,7 +192,7 @@ def test_every_kind_of_band_a_motion_without_force_and_odd_names_are_drawn(test_
 
 def test_long_records_show_the_strongest_motion(test_view):
     test = test_view("a", samples=12_000)
-    figure = draw_history("a", test.trace, [test.observation], marks=Marks(test.first))
+    figure = draw_history("a", test.trace, [test.observation], first=test.first)
     assert len(figure.axes) == 6
     assert all(len(line.get_xdata()) <= 4500 for axes in figure.axes for line in axes.lines)
 

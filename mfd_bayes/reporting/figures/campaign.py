@@ -19,7 +19,7 @@ from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test
 from mfd_bayes.reporting.figures import posteriors
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
@@ -105,7 +105,7 @@ OF_TEST: Mapping[str, Draw] = MappingProxyType(
     {
         "loops": lambda t, s, names: draw_loops(_title(t), t.trace, _fans(t), s, names),
         "history": lambda t, s, names: draw_history(
-            _title(t), t.trace, _fans(t), s, Marks(t.first), names
+            _title(t), t.trace, _fans(t), s, names, t.first
         ),
         "residuals": lambda t, s, names: posteriors.draw_residuals(
             _title(t, ": residuals"), t, s, names
