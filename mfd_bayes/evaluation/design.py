@@ -79,31 +79,39 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
 def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
     """Bounds of draws (n,) by basis and property; "device" has the nominal values.
 
-    A basis of `BASES` that is missing is not known, and its bounds are NaN. `lambda_min` and
-    `lambda_max` are the bounds over the nominal value. The `note` is of another device.
+    A basis of `BASES` that is missing is not known, and its bounds are NaN. The `note` is of
+    another device.
     """
-    tail, rows = 0.5 * (1.0 - probability), []
+    rows = []
     for name, mean in drawn["device"].items():
-        finite = mean[np.isfinite(mean)]
-        if not finite.size:  # the motion has no full cycle
+        if not np.any(np.isfinite(mean)):  # the motion has no full cycle
             continue
-        nominal = float(np.mean(finite))
         for basis in BASES:
-            lower = upper = np.nan
-            if basis in drawn:
-                values = drawn[basis].get(name, np.empty(0))
-                values = values[np.isfinite(values)]
-                if not values.size:
-                    continue
-                lower, upper = np.quantile(values, [tail, 1.0 - tail]).tolist()
+            values = drawn.get(basis, {}).get(name, np.empty(0))
+            if basis in drawn and not np.any(np.isfinite(values)):
+                continue
+            about = note if basis == ANOTHER else ""
             rows.append(
                 {"name": name, "unit": UNITS[name], "basis": basis, "of": BASES[basis]}
-                | {"nominal": nominal, "lower": lower, "upper": upper}
-                | {"lambda_min": lower / nominal if nominal else np.nan}
-                | {"lambda_max": upper / nominal if nominal else np.nan}
-                | {"note": (note if basis == ANOTHER else "") if basis in drawn else NOT_KNOWN}
+                | bounds(mean, values, probability)
+                | {"note": about if basis in drawn else NOT_KNOWN}
             )
     return tuple(rows)
+
+
+def bounds(mean: Array, drawn: Array, probability: float) -> dict[str, float]:
+    """Nominal value, the mean of draws of any shape; equal-tailed bounds of others, and factors.
+
+    `lambda_min` and `lambda_max` are the bounds over the nominal value. What is not finite is left
+    out, and NaN where nothing remains.
+    """
+    mean, drawn = mean[np.isfinite(mean)], drawn[np.isfinite(drawn)]
+    tail, nan = 0.5 * (1.0 - probability), float("nan")
+    nominal = float(mean.mean()) if mean.size else nan
+    lower, upper = np.quantile(drawn, [tail, 1.0 - tail]).tolist() if drawn.size else (nan, nan)
+    factors = [bound / nominal if nominal else nan for bound in (lower, upper)]
+    names = ("nominal", "lower", "upper", "lambda_min", "lambda_max")
+    return dict(zip(names, (nominal, lower, upper, *factors), strict=True))
 
 
 def design_warnings(run: Run) -> tuple[str, ...]:

@@ -23,7 +23,6 @@ from mfd_bayes.evaluation.properties import peaks_of
 from mfd_bayes.evaluation.test_summary import (
     calibrated_view,
     held_out_view,
-    sharing_priors,
     with_joint,
 )
 from mfd_bayes.evaluation.verdict import judge, remarks, use_of, verdict_sentences
@@ -72,7 +71,7 @@ def views_of_tests(
     with several_processes(views, jobs) as in_processes:
         made = list((in_processes or in_turn(views))(tests))
     all_tests = {
-        name: sharing_priors(with_joint(run, view)) if isinstance(view, TestView) else view
+        name: with_joint(run, view) if isinstance(view, TestView) else view
         for name, view in zip(run.tests, made, strict=True)
     } | {name: view() for name, view in others.items()}
     shown, lost = [], {}

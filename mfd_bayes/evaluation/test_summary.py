@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
-from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +47,6 @@ HELD_OUT_DRAWS = 800
 
 FAR_APART = 0.25
 """A median alone and one in the joint posterior that differ by less, a share, do not disagree."""
-
-_ALIKE: WeakValueDictionary[bytes, Array] = WeakValueDictionary()
-"""Draws by their bytes, as long as a view holds them: the prior is the same in many tests."""
 
 _CORNER = (
     *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
@@ -211,13 +207,6 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
     if len(kept) < 2 or len(values) != len(shares):
         return ()
     return tuple({**values[k], "share": float(shares[k])} for k in kept)
-
-
-def sharing_priors(view: TestView) -> TestView:
-    """A test that another process has made, with the prior draws that others of this one hold."""
-    alike = (_ALIKE.setdefault(m.prior.tobytes(), m.prior) for m in view.marginals)
-    pairs = zip(view.marginals, alike, strict=True)
-    return replace(view, marginals=tuple(replace(m, prior=prior) for m, prior in pairs))
 
 
 def _some(draws: Array, most: int) -> Array:

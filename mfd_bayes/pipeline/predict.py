@@ -268,22 +268,21 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
         remove_file(question.picture)
         remove_file(question.beside("history.png"))
         return
-    from mfd_bayes.reporting.figures import Marks, draw_history, draw_loops, to_png
+    from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
     intervals = [Interval(band.probability, band.lower, band.upper)]
     if band.whole_lower is not None and band.whole_upper is not None:
         bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
         intervals.append(Interval(band.probability, *bounds, whole=True))
     fan = convert_fan(Fan(band.kind, band.median, tuple(intervals)), system.factor("kip"))
-    marks = Marks(given=None)
+    given = band.given.window if band.given else None
     history = drawn
     if band.given is not None:
         title += f", given {question.given}"
-        marks = Marks(given=band.given.window)
         if drawn.force is None:  # the force of the given part alone
             known = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
             history = replace(drawn, force=known)
     loops = draw_loops(title, convert_trace(drawn, system), [fan], system)
     write_bytes(question.picture, to_png(loops))
-    figure = draw_history(title, convert_trace(history, system), [fan], system, marks)
+    figure = draw_history(title, convert_trace(history, system), [fan], system, given=given)
     write_bytes(question.beside("history.png"), to_png(figure))

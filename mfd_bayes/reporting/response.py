@@ -80,7 +80,7 @@ class ResponseView:
 def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:
     """HTML of the page; `images` are PNGs by "profile_us", "profile_si" and so on."""
     units = Units(SYSTEMS, view.metric, _factor_and_name)
-    pictures = {name: Picture.embedded(name, png) for name, png in images.items()}
+    pictures = {name: Picture.of(name, png) for name, png in images.items()}
     return render_page("response.html.j2", units, view=view, pictures=pictures)
 
 
