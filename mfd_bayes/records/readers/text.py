@@ -14,23 +14,21 @@ import numpy as np
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.numbers import why_invalid
-from mfd_bayes.records.readers.grid import (
-    SEARCHED,
-    Grid,
-    Layout,
-    Row,
-    find_table,
-    gives_units,
-    kinds,
-)
 from mfd_bayes.records.readers.table import (
+    SEARCHED,
     SURELY_DECIMAL,
     Array,
     Column,
+    Grid,
+    Layout,
+    Row,
     Table,
     bare_unit,
     check_names,
+    find_table,
+    gives_units,
     is_stamp,
+    kinds,
     labels,
 )
 
