@@ -30,8 +30,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, check_session
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.records.channels import NO_ACTUATION, Source
-from mfd_bayes.records.columns import header_unit
+from mfd_bayes.records.channels import NO_ACTUATION, Source, header_unit
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record, Window, read_record

@@ -17,10 +17,8 @@ from mfd_bayes.records.loops import (
     find_loops,
     loop_estimate,
 )
-from mfd_bayes.records.motion import Array
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.spikes import without_spikes
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Array, Trace, without_spikes
 from mfd_bayes.units import actuation_factor, factor
 
 STEADY = 3  # fewest loops at full stroke of a record that is compared

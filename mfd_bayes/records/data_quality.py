@@ -10,10 +10,17 @@ from numpy.typing import NDArray
 
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops, loop_estimate
-from mfd_bayes.records.motion import Array, sensor_noise
-from mfd_bayes.records.spikes import force_spikes, interpolated, runs, spikes_of, without_spikes
 from mfd_bayes.records.time_axis import crossing_times
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import (
+    Array,
+    Trace,
+    force_spikes,
+    interpolated,
+    runs,
+    sensor_noise,
+    spikes_of,
+    without_spikes,
+)
 
 Samples = NDArray[np.intp]
 

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from mfd_bayes.records.columns import ROLES, header_unit, stated_unit
+from mfd_bayes.records.channels import ROLES, header_unit, stated_unit
 from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.readers.table import own_name

@@ -18,10 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.motion import Array, turning_points
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.spikes import without_spikes
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Array, Trace, turning_points, without_spikes
 
 STRONG = 0.95  # a loop is strong from this share of the largest amplitude; others ramp in or out
 TURN = 0.1  # for shapes a motion turns when it goes back by this share of its range

@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.channels import Source, part_for, signals_of, sources_of, used_columns
-from mfd_bayes.records.columns import ROLES
-from mfd_bayes.records.motion import Array, smallest_turn, turning_points
+from mfd_bayes.records.channels import ROLES, Source, part_for, signals_of, sources_of, used_columns
 from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import hash_file, path_of
-from mfd_bayes.records.spikes import mended
 from mfd_bayes.records.time_axis import (
     JITTER,
     SAMPLES,
@@ -33,7 +30,7 @@ from mfd_bayes.records.time_axis import (
     longest_piece,
     parse_window,
 )
-from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.records.trace import Array, Trace, check_trace, mended, smallest_turn, turning_points
 from mfd_bayes.units import ActuationUnit, parse_actuation
 
 Window = tuple[float, float]

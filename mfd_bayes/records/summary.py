@@ -11,10 +11,8 @@ from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.file_name_check import contradictions
 from mfd_bayes.records.loops import Loops, find_loops, measured_cycles
-from mfd_bayes.records.motion import Array
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.spikes import without_spikes
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Array, Trace, without_spikes
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.motion import Array
 from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.readers import Table
+from mfd_bayes.records.trace import Array
 from mfd_bayes.units import parse_quantity
 
 SAMPLES = 20  # fewest samples that a record, or a window of it, may have

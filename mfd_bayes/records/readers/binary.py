@@ -30,8 +30,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.grid import Grid, Layout, find_table
-from mfd_bayes.records.readers.table import COLUMNS, Cell, Column, Table, bare_unit
+from mfd_bayes.records.readers.table import (
+    COLUMNS,
+    Cell,
+    Column,
+    Grid,
+    Layout,
+    Table,
+    bare_unit,
+    find_table,
+)
 from mfd_bayes.units import factor, measure
 
 Content = tuple[dict[str, Any], Mapping[str, NDArray[np.generic]]]
@@ -183,7 +191,7 @@ def read_excel(path: Path) -> Table:
             doubts = (
                 f"{best.sheet} is read; not read, with the same columns: {', '.join(alike[:4])}",
             )
-    return best.table(layout, doubts=doubts)[0]
+    return best.table(layout, doubts=doubts)
 
 
 def _sheets(path: Path) -> Content:

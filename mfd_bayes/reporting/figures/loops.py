@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import Array, Fan, TestView
 from mfd_bayes.population.settings import SAME_LEVEL
-from mfd_bayes.records.motion import HYSTERESIS, turning_points
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import Symbols, plain
