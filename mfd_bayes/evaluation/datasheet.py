@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.evaluation.design import NEW, bounds, places_of, sessions_of
-from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
+from mfd_bayes.evaluation.properties import (
+    NEW,
+    Peaks,
+    bounds,
+    cycles_of,
+    measured_of,
+    peaks_of,
+    places_of,
+    sessions_of,
+)
 from mfd_bayes.messages import Message
 from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles

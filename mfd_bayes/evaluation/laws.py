@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
-from mfd_bayes.evaluation.design import sessions_of
+from mfd_bayes.evaluation.properties import sessions_of
 from mfd_bayes.evaluation.scores import fan_of, spread_of
 from mfd_bayes.evaluation.views import Fan, LawView, Row, Rows
 from mfd_bayes.population.law_scores import LARGEST_K, LawScore

@@ -11,8 +11,7 @@ import numpy as np
 from mfd_bayes.axes import Axes
 from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.design import design_rows, design_warnings, n_draws
-from mfd_bayes.evaluation.properties import predicted_rows
+from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs

@@ -20,7 +20,7 @@ from mfd_bayes.evaluation.checks import (
     notes,
     slip_checks,
 )
-from mfd_bayes.evaluation.test_summary import noise_rows
+from mfd_bayes.evaluation.summary import noise_rows
 from mfd_bayes.evaluation.views import (
     DIRECTIONS,
     IDENTIFIABILITY,

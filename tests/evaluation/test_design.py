@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.design import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
+from mfd_bayes.evaluation.properties import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
 from mfd_bayes.population.settings import KIND_NAMES, KINDS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BAND_NAMES, BANDS
