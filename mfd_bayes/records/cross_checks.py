@@ -423,7 +423,9 @@ def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         ratio, names = away[test.id]
         if abs(ratio) < np.log(UNLIKE):
             continue
-        why = "its load cell or its actuation is probably wrong, or the file is of another test"
+        why = (
+            "its load cell or its actuation is probably wrong, or the file is that of another test"
+        )
         same = [t for t in others if _same_level(t, test)]
         if len(same) == 1 and abs(away[same[0].id][0]) >= np.log(UNLIKE):  # which of the two is it?
             rest = [t for t in others if t is not same[0]]
@@ -433,7 +435,7 @@ def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
             if own == its:
                 why = f"one of the two is wrong; {why}"
         fault = Fault.of(
-            "slip force",
+            "force",
             f"its slip force, {{slip}}, is {np.exp(ratio):.2g} times the one of about {{expected}} "
             "of its neighbours in actuation ({names}): {why}",
             slip=(test.plateau, "kip"),
