@@ -176,7 +176,7 @@ def to_json(title: str, name: str, frame: pd.DataFrame) -> str:
         "table": name,
         "interval": {"kind": "equal-tailed", "probability": 0.95, "bounds": ["lower", "upper"]},
         "null": "not defined, or not finite",
-        "rows": json.loads(frame.to_json(orient="records")),
+        "rows": json.loads(frame.to_json(orient="records", double_precision=15)),
     }
     return json.dumps(content, indent=1) + "\n"
 
@@ -468,7 +468,7 @@ def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: System = US) -> 
             label=f"tab:{name}-{at}",
         )
         below = "".join(rf"$^{{{i}}}$ {escape_tex(note)}.\par" "\n" for note, i in notes.items())
-        texts.append(f"{{\\footnotesize\n{table}{below}}}\n")
+        texts.append(f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}{below}}}\n")
     return "".join(texts)
 
 
