@@ -2,7 +2,6 @@
 
 import json
 import os
-import struct
 import subprocess
 import sys
 import zlib
@@ -61,9 +60,9 @@ def deflated(size):
     return b"".join(packer.compress(zeros) for _ in range(size >> 20)) + packer.flush()
 
 
-def matlab_v73(path, **options):
+def matlab_v73(path):
     with h5py.File(path, "w", userblock_size=512) as file:
-        file.create_dataset("force", (HUGE,), "f8", **options)
+        file.create_dataset("force", (HUGE,), "f8")
 
 
 def unpacking_piece(path):
@@ -72,50 +71,11 @@ def unpacking_piece(path):
         data.id.write_direct_chunk((0,), deflated(2**29))
 
 
-def declared_v5(path):
-    savemat(path, {"force": np.arange(30.0)})
-    content = bytearray(path.read_bytes())
-    at = content.index((30).to_bytes(4, "little"))
-    content[at : at + 4] = (2**31 - 1).to_bytes(4, "little")
-    path.write_bytes(content)
-
-
 def unpacking_v5(path):
     savemat(path, {"force": np.arange(30.0)})
     packed = deflated(2**30)
     tag = (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little")
     path.write_bytes(path.read_bytes()[:128] + tag + packed)
-
-
-def v5_element(kind, content):
-    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
-
-
-def v5_head(kind, *shape):
-    """Begin of a variable without a name: its class and its shape."""
-    flags = v5_element(6, struct.pack("<II", kind, 0))
-    return flags + v5_element(5, struct.pack(f"<{len(shape)}i", *shape)) + v5_element(1, b"")
-
-
-def struct_of(path, content):
-    """File of a struct with one field, whose element is given."""
-    fields = v5_element(5, struct.pack("<i", 8)) + v5_element(1, b"force".ljust(8, b"\0"))
-    variable = v5_element(14, v5_head(2, 1, 1) + fields + content)
-    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + variable)
-
-
-def nested_v5(path):
-    """Cells in cells, which end the process of scipy's loadmat."""
-    head, pieces, size = v5_head(1, 1, 1), [], 0
-    for _ in range(100_000):
-        pieces.append(struct.pack("<II", 14, len(head) + size) + head)
-        size += len(pieces[-1])
-    struct_of(path, b"".join(reversed(pieces)))
-
-
-def cells_v5(path):
-    """Cells that are declared and not there, for which loadmat takes 1.6 GB."""
-    struct_of(path, v5_element(14, v5_head(1, 1, 200_000_000)))
 
 
 def netcdf(path):
@@ -144,13 +104,9 @@ def objects_of_different_keys(path):
 
 TEST = '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "1 psi"\n'
 BOMBS = {
-    "record:unallocated.mat": (lambda p: matlab_v73(p), "needs more than 2 GB"),
-    "record:chunked.mat": (lambda p: matlab_v73(p, chunks=(1000,)), "needs more than 2 GB"),
+    "record:unallocated.mat": (matlab_v73, "needs more than 2 GB"),
     "record:piece.mat": (unpacking_piece, "{'force': 1000}"),
-    "record:declared_v5.mat": (declared_v5, "not a MATLAB file"),
     "record:unpacking_v5.mat": (unpacking_v5, "not a MATLAB file"),
-    "record:nested_v5.mat": (nested_v5, "not a MATLAB file"),
-    "record:cells_v5.mat": (cells_v5, "needs more than 2 GB"),
     "run:declared.nc": (netcdf, "larger than the file"),
     "record:line.csv": (long_line, "line 2 of"),
     "record:columns.csv": (many_columns, "line 1 of"),
@@ -161,14 +117,11 @@ BOMBS = {
     "record:keys.json": (objects_of_different_keys, "200,000 columns"),
     "record:integer.json": (text('{"a": [' + "9" * 10_000 + "]}"), "not valid JSON"),
     "record:exponent.json": (text('{"a": [1e999]}'), "expected a finite number"),
-    "record:long_integer.json": (text('{"a": [1' + "0" * 400 + "]}"), "expected a finite number"),
-    "record:exponent.csv": (text("a,b\n1,1e999999999999\n"), "expected a finite number"),
     "record:integer.csv": (text("a,b\n1," + "9" * 5000 + "\n"), "expected a finite number"),
     "json:nested.json": (text('{"a":' * 100_000), "not valid JSON"),
     "campaign:arrays.toml": (text("a = " + "[" * 100_000), "not valid TOML"),
     "campaign:tables.toml": (text("a = " + "{a = " * 100_000), "not valid TOML"),
     "campaign:keys.toml": (text("a" + ".a" * 100_000 + " = 1"), "200 dots"),
-    "campaign:integer.toml": (text("a = " + "9" * 10_000), "not valid TOML"),
     "campaign:exponent.toml": (text("[campaign]\narea = 1e999\n" + TEST), "finite"),
     "campaign:large.toml": (text("#" * 2**21), "larger than 1 MB"),
     "campaign:tests.toml": (text('[[test]]\nid = "."\n' * 50_000), "and more"),

@@ -13,7 +13,6 @@ import struct
 import sys
 import threading
 import time
-import tracemalloc
 from pathlib import Path
 
 import h5py
@@ -499,9 +498,8 @@ TEN = np.arange(10.0).tobytes()
 def test_a_file_that_is_cut_off_or_declares_what_it_has_not_is_refused(tmp_path, capfd):
     path = tdms(("G", "x", TIME))(tmp_path)
     assert "holds 390" in refusal(put(tmp_path, path.read_bytes()[:-80], "a.tdms"), ["x"])
-    for samples, follows in ((11, None), (10**12, 10**15), (2**63, 2**64 - 1)):
-        content = tdms_part(samples, TEN, follows=follows)
-        assert "holds 10" in refusal(put(tmp_path, content, "a.tdms"), ["x"])
+    content = tdms_part(2**63, TEN, follows=2**64 - 1)
+    assert "holds 10" in refusal(put(tmp_path, content, "a.tdms"), ["x"])
     whole = put(tmp_path, tdms_part(5, TEN, follows=2**64 - 1), "a.tdms")  # never closed
     np.testing.assert_array_equal(read_table(whole).columns(["x"])["x"], np.arange(10))
     for content in (b"hello world" * 9, b"TDSm" + bytes(90), b"TDSh" + bytes(90)):
@@ -510,21 +508,6 @@ def test_a_file_that_is_cut_off_or_declares_what_it_has_not_is_refused(tmp_path,
         writer.write_segment([RootObject({"operator": "x"})])
     assert "no channel" in refusal(path)
     assert capfd.readouterr().err == ""
-
-
-def test_samples_and_texts_of_gigabytes_are_not_asked_for(tmp_path):
-    path = put(tmp_path, tdms_part(10**8, follows=len(tdms_part(1)) - 28 + 8 * 10**8), "a.tdms")
-    with path.open("ab") as file:
-        file.truncate(path.stat().st_size + 8 * 10**8)  # without taking room on the disk
-    assert "50,000,000 samples" in refusal(path, ["x"])
-    listed = struct.pack("<LL", 1, 8) + b"/'G'/'x'" + struct.pack("<L", 0xFFFFFFFF)
-    listed += struct.pack("<LL", 1, 0xFFFFFFF0) + b"unit"
-    head = struct.pack("<4sLLQQ", b"TDSm", 14, 4713, len(listed), len(listed))
-    tracemalloc.start()
-    refusal(put(tmp_path, head + listed, "a.tdms"))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 50e6
 
 
 def test_the_file_itself_is_read_and_not_an_index_beside_it(tmp_path):
