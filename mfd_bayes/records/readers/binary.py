@@ -359,17 +359,19 @@ def read_tdms(path: Path) -> Table:
         raise RecordError(f"{path} holds no channel with data")
     columns: dict[str, Column] = {name: arrays[str(k)] for k, name in enumerate(channels)}
     starts = [c["began"] for c in channels.values() if c["began"] is not None]
-    clocks: dict[str, _Clock] = {}
     units = {name: c["unit"] for name, c in channels.items() if c["unit"]}
-    timed = set()  # channels that are a time by their kind, their name or their unit
-    for name, c in channels.items():
-        is_time = "time" in c["name"].lower() or measure(c["unit"]) == "time"
-        if c["numeric"] and is_time:
-            timed.add(name)
-        if c["numeric"] and c["step"] is not None:
-            began = None if c["began"] is None else c["began"] - min(starts)
-            begin = c["offset"] + (began or 0.0)
-            clocks[name] = _Clock(c["step"], begin, columns[name].size, began is not None)  # type: ignore[union-attr]
+    numeric = {name: c for name, c in channels.items() if c["numeric"]}
+    timed = {  # channels that are a time by their kind, their name or their unit
+        name
+        for name, c in numeric.items()
+        if "time" in c["name"].lower() or measure(c["unit"]) == "time"
+    }
+    clocks: dict[str, _Clock] = {}
+    for name, c in numeric.items():
+        if c["step"] is not None:
+            began = 0.0 if c["began"] is None else c["began"] - min(starts)
+            dated = c["began"] is not None
+            clocks[name] = _Clock(c["step"], began + c["offset"], len(columns[name]), dated)
     times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
     for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
         inside = [clock for name, clock in clocks.items() if channels[name]["group"] == group]
@@ -383,7 +385,7 @@ def read_tdms(path: Path) -> Table:
     values: dict[str, Column] = {
         name: clock.begin + clock.step * np.arange(clock.samples) for name, clock in times.items()
     }
-    texts = {name for name, c in channels.items() if not c["numeric"]}
+    texts = channels.keys() - numeric.keys()
     return Table(
         path,
         values | columns,
@@ -457,22 +459,20 @@ def _moment(value: Any) -> float | None:
 
 
 def _differences(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
-    """Sentence on channels that do not begin, end or step as the first of them does."""
-    texts = []
+    """Sentence on a channel that does not begin, end or step as the first of them does."""
     first = min(clocks, key=lambda name: clocks[name].begin, default="")
     for name, clock in clocks.items():
         earliest = clocks[first]
-        if clock.begin >= earliest.end:
-            continue  # of another test
+        if clock.begin >= earliest.end or (clock[1:3] == earliest[1:3] and clock.even(earliest)):
+            continue  # of another test, or no difference
         if not clock.even(earliest):
             steps = f"{first} has a step of {earliest.step:g}, {name} of {clock.step:g}"
             return (f"{steps}: they cannot be used together",)
+        what = f"{name} has {clock.samples} samples, {first} {earliest.samples}"
         if clock.begin > earliest.begin:
-            texts.append(f"{name} begins {clock.begin - earliest.begin:.6g} s after {first}")
-        elif clock.samples != earliest.samples:
-            texts.append(f"{name} has {clock.samples} samples, {first} {earliest.samples}")
-    more = f", and {len(texts) - 3} more" if len(texts) > 3 else ""
-    return (f"{', '.join(texts[:3])}{more}: only what channels share is used",) if texts else ()
+            what = f"{name} begins {clock.begin - earliest.begin:.6g} s after {first}"
+        return (f"{what}: only what channels share is used",)
+    return ()
 
 
 def _align(
