@@ -17,11 +17,10 @@ from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES
-from mfd_bayes.records.channels import NO_ACTUATION
+from mfd_bayes.records.channels import NO_ACTUATION, parse_window
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.sine import parse_sine
-from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv

@@ -1,16 +1,19 @@
-"""Faults of a record that would spoil its fit: of the sensors, the clock and the units."""
+"""Faults of a record: of its sensors, clock and units, and what contradicts its file's name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.records.channels import ROLES, crossing_times, header_unit, stated_unit
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops, loop_estimate
-from mfd_bayes.records.time_axis import crossing_times
+from mfd_bayes.records.readers.table import own_name
+from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import (
     Array,
     Trace,
@@ -20,6 +23,15 @@ from mfd_bayes.records.trace import (
     sensor_noise,
     spikes_of,
     without_spikes,
+)
+from mfd_bayes.units import (
+    actuation_factor,
+    factor,
+    force_meant,
+    may_mean,
+    measure,
+    parse_actuation,
+    same_unit,
 )
 
 Samples = NDArray[np.intp]
@@ -558,3 +570,177 @@ def estimate_lag(trace: Trace) -> tuple[float, Samples] | None:
         return None
     fine = coarse[best] + np.linspace(-1.0, 1.0, 9) * (coarse[1] - coarse[0])
     return float(fine[np.argmin(misfits(fine))]), turns
+
+
+TOLERANCE = 0.1  # most difference of a record from its name, as a share of the name's value
+SLOW_RATE, SLOW_PERIOD = 5.0, 3600.0
+"""Where no unit of time is stated, a slower rate (Hz) with longer cycles (s) is not of a time in s:
+qualification tests take a sample each few seconds, and up to an hour."""
+
+NUMBER = (
+    r"(?<![\d.])(?<!\d[eE])(?<![A-Za-z]\d,)"  # no part of 1.5e3, nor of "seal3,5bar"
+    r"(0,\d+(?![\d.,])|(?<![A-Za-z])\d{1,3},\d{1,2}(?![\d.,])"
+    r"|(?!(?<=\d,)\d{3}(?!\d))"  # no part of 1,200
+    r"(?:\d+[.p]\d+(?!\d)|\d+(?!\d|[.p]\d)))"  # whole: Python 3.11.2 misreads (\d++)?+
+)
+"""Number in a name: ``0.5``, ``0p5``, ``0,5``. Of ``1,200`` it is not known which it is, and commas
+may stand between words too, as in ``2022,36lb,0.25Hz``.
+"""
+
+_ALONE = rf"(?<![A-Za-z]){NUMBER}"
+_FREQUENCY = re.compile(rf"{NUMBER}[ _-]?hz(?![a-z])", re.IGNORECASE)
+_LENGTH = re.compile(rf"{_ALONE}(in|inch|mm)(?![a-z])", re.IGNORECASE)
+_ACTUATION = re.compile(
+    rf"{_ALONE}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
+)
+_HALF = re.compile(r"(?<![a-z])amp(?:l|litude)?(?![a-z])", re.IGNORECASE)
+_FULL = re.compile(
+    r"(?<![a-z])(?:stroke|pp|p2p|pk-?pk|peak[ _-]?to[ _-]?peak)(?![a-z])", re.IGNORECASE
+)
+_SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
+
+
+def contradictions(
+    record: Record, trace: Trace | None = None, *, roles: Collection[str] = ROLES
+) -> tuple[Fault, ...]:
+    """Gaps in time, and units in columns' names or figures in a file's that its record has not.
+
+    Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
+    stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
+    ``pp``); a rate may also be that of the samples. Of several it is enough that one agrees. Only
+    roles whose unit is known, `roles`, are compared.
+    """
+    trace = record.trace() if trace is None else trace
+    faults = [Fault.of("rows not used", "{rows}", rows=doubt) for doubt in record.doubts]
+    if "time" in roles and record.gap:
+        faults.insert(0, Fault.of("gap in time", "{gap}", gap=record.gap))
+    faults += _of_columns(record, roles)
+    if "time" in roles:
+        faults += _of_time(record, trace)
+    return (*faults, *_of_name(record, trace, roles))
+
+
+def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
+    """Columns that are read in another unit than the file says, or whose own is not known."""
+    for role, (name, unit) in record.columns.items():
+        if role in record.derived or (role not in roles and role != "actuation"):
+            continue
+        row = record.stated_units.get(role, "")
+        own, where = stated_unit(own_name(name), row), "the file" if row else "its name"
+        if not own or measure(own) != measure(unit):  # "kN" of "load_kN"
+            last = header_unit(own_name(name))
+            if last and measure(last) == measure(unit):
+                own, where = last, "its name"
+        if not own or " " in own or same_unit(own, unit):
+            continue
+        question = ": which is it?"
+        if measure(own) != measure(unit):
+            if may_mean(own, unit):
+                continue
+            question = f", which is no known unit of {role}: which is it{force_meant(own)}?"
+        yield Fault.of(
+            "column unit",
+            f"column {{name}} is read in {{unit}}, and {where} says {{own}}{question}",
+            name=repr(name),
+            unit=repr(unit),
+            own=repr(own),
+        )
+
+
+def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
+    """Times read as s, without the file's word for it, that are plausible as ms alone."""
+    name = own_name(record.columns.get("time", ("", ""))[0])
+    stated = (header_unit(name), stated_unit(name), record.stated_units.get("time"))
+    duration = float(np.ptp(trace.time))
+    cycle, rate = duration / max(trace.turning_points.size / 2, 1.0), trace.samples / duration
+    is_stated = any(unit and measure(unit) == "time" for unit in stated)
+    if rate <= SLOW_RATE and cycle > SLOW_PERIOD and not is_stated:
+        yield Fault.of(
+            "time unit",
+            f"a rate of {rate:.3g} Hz with cycles of {cycle:.3g} s is implausible, and the file "
+            "states no unit of time: is time in ms rather than in s?",
+        )
+
+
+def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
+    """Amplitude, frequency and actuation that none of the figures in the file's name agrees with.
+
+    Of an actuation, only figures of the same kind, pressure or tension, are compared.
+    """
+    name, loops = record.path.stem, find_loops(trace)
+    checks: list[tuple[dict[str, float], list[float], str, dict[str, str | tuple[float, str]]]] = []
+    if loops.period.size and "displacement" in roles:
+        size = float(np.median(loops.amplitude[loops.strong]))
+        text = "the record has an amplitude of {amplitude} (a stroke of {stroke})"
+        shown: dict[str, str | tuple[float, str]]
+        shown = {"amplitude": (size, "in"), "stroke": (2 * size, "in")}
+        checks.append((_lengths(name), _sizes(name, size), text, shown))
+    if loops.period.size and "time" in roles:
+        rate = float(1.0 / np.median(loops.period[loops.strong]))
+        rates = {m[0]: number_in(m[1]) for m in _FREQUENCY.finditer(name)}
+        checks.append((rates, [rate, record.rate], f"the record's motion has {rate:.3g} Hz", {}))
+    if record.actuation is not None:
+        declared, level = {}, float(np.mean(record.actuation))
+        for match in _ACTUATION.finditer(name):
+            unit = _SPELLED.get(match[2].lower(), match[2].lower())
+            value, internal = parse_actuation(f"{number_in(match[1]):g} {unit}")
+            if internal == record.actuation_unit:
+                declared[match[0]] = value
+        where = "the campaign"
+        words = record.given_actuation or f"{level:.4g} {record.actuation_unit}"
+        if "actuation" in record.columns:
+            unit = record.columns["actuation"][1]
+            where, words = "its column", f"{level / actuation_factor(unit)[0]:.4g} {unit}"
+        checks.append(
+            (declared, [level], f"{where} has an actuation of {{level}}", {"level": words})
+        )
+    for figures, measured, text, values in checks:
+        agree = any(_near(size, figure) for figure in figures.values() for size in measured)
+        if figures and not agree:
+            yield Fault.of(
+                "file name",
+                f"the name of {{file}} says {{words}}, but {text}",
+                file=record.path.name,
+                words=" and ".join(figures),
+                **values,
+            )
+
+
+def _lengths(name: str) -> dict[str, float]:
+    """Lengths in a file's name, in, by their words."""
+    return {m[0]: number_in(m[1]) * factor(m[2], "displacement") for m in _LENGTH.finditer(name)}
+
+
+def _sizes(name: str, amplitude: float) -> list[float]:
+    """Sizes that a file's name may give: the amplitude, the whole stroke, or either."""
+    half, full = bool(_HALF.search(name)), bool(_FULL.search(name))
+    return [amplitude] * (half or not full) + [2.0 * amplitude] * (full or not half)
+
+
+def length_in_name(record: Record) -> tuple[str, str] | None:
+    """The one unit with which a displacement, read as inches, is as long as its name says; why."""
+    loops, name = find_loops(record.trace()), record.path.stem
+    if not loops.period.size:
+        return None
+    amplitude = float(np.median(loops.amplitude[loops.strong]))
+    found = {
+        unit: words
+        for unit in ("mm", "cm", "m", "in")
+        for words, length in _lengths(name).items()
+        for size in _sizes(name, amplitude * factor(unit, "displacement"))
+        if _near(size, length)
+    }
+    if len(found) != 1:
+        return None
+    unit, words = found.popitem()
+    why = f"the file's name says {words}, and the numbers have an amplitude of {amplitude:.3g}"
+    return unit, why
+
+
+def number_in(text: str) -> float:
+    """Number that `NUMBER` has found."""
+    return float(text.lower().replace("p", ".").replace(",", "."))
+
+
+def _near(size: float, declared: float) -> bool:
+    return abs(size - declared) <= TOLERANCE * declared + 1e-9
