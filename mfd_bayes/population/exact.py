@@ -1,17 +1,22 @@
-"""The exact joint posterior of population and tests, from the Gaussian one.
+"""The exact joint posterior of population and tests, from a Gaussian one.
 
-Under the Gaussian approximation the population's h has known draws, and given h the coefficients z
-and the tests' own coordinates are affine in standard normal numbers e. Moves change these numbers
-by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which leaves the approximation as
-it is, and are accepted by the exact over the approximate likelihoods (Rudolf and Sprungk, 2018):
+Under Gaussian likelihoods of the tests the population's h has known draws, and given h the
+coefficients z and the tests' own coordinates are affine in standard normal numbers e. A sweep has
+three moves:
 
 1. the numbers of each test, each accepted by its own likelihood;
-2. those of z, with h from its draws under the approximation, accepted by all tests; then those of
-   z alone, in shorter steps. The mean and covariance of the numbers of the levels are learned while
-   warming up, and then kept;
-3. each coordinate of h given all tests, by random-walk Metropolis, which needs no force.
+2. the numbers of z, with another h from its draws, accepted by all tests;
+3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
+   from its Gaussian (Gibbs).
 
-With Gaussian likelihoods every move of the first two kinds is accepted.
+The first two change the numbers by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ,
+which leaves the approximation as it is, and are accepted by the exact over the approximate
+likelihoods (Rudolf and Sprungk, 2018). The second is the non-centred and the third the centred
+form of one hierarchy: where one mixes slowly the other does not (Yu and Meng, 2011).
+
+While warming up the Gaussian likelihoods are fitted anew, by least squares, to the exact ones of
+what was proposed, each weighted by the probability of its acceptance (waste recycling: Frenkel,
+2004). With Gaussian likelihoods every move of the first two kinds is accepted.
 """
 
 from __future__ import annotations
@@ -33,14 +38,13 @@ Index = NDArray[np.intp]
 
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
 STORED = 2**26  # most numbers of the tests' coordinates that are held
-# sweeps before and after the Gaussians are refitted, and sweeps between looks at the convergence
-import os
-REFITS=int(os.environ.get('REFITS',3)); WARM_UP, BLOCK = int(os.environ.get('WU',40)), 40
+# how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
+# quarter is forgotten, and sweeps between looks at the convergence
+REFITS, WARM_UP, BLOCK = 3, 40, 40
 RIDGE = 3.0  # of the least squares, for the few draws of a large campaign
 LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted
-ACCEPT_Z = (0.2, 0.5)  # the same of z, with another h and with its own
-EVERY = 3  # sweeps between random walks of h, which moves in every sweep with the levels too
+ACCEPT_Z = 0.2  # the same of z
 RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
@@ -100,9 +104,11 @@ class ExactSampler:
         local = np.any(unpooled, axis=0)
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
-        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), np.array([0.8, 0.4])
-        self.tried = []
-        self.rates: list[tuple[Array, Array]] = []  # accepted shares: tests, and moves of z
+        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8
+        # while warming up: proposals x, their excess, and the share of it that each test accepts
+        self.proposals: list[tuple[Array, Array, Array]] = []
+        self.warming_up = True
+        self.rates: list[tuple[Array, float]] = []  # accepted shares: of each test, and of z
         n, z = len(choice), mixed.design.quantity.size
         h = self._fresh_h()
         e = rng.standard_normal((n, len(fit.mean), self.local.size))
@@ -166,36 +172,34 @@ class ExactSampler:
         self._keep(new)
         accepted = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
         self.state = s.where(accepted, new)
-        together = [self._move_z(beta, fresh=k == 0) for k, beta in enumerate(self.beta_z)]
-        self.rates.append((accepted.mean(axis=0), np.array(together)))
-        if len(self.rates) % EVERY == 0:
-            self._move_h()
+        self.rates.append((accepted.mean(axis=0), self._move_z()))
+        self._move_h()
 
-    def _move_z(self, beta: float, *, fresh: bool) -> float:
-        """Move z, and h to a fresh draw if asked for; gives the accepted share."""
-        s, rng = self.state, self.rng
-        e_z = np.sqrt(1.0 - beta**2) * s.e_z + beta * rng.standard_normal(s.e_z.shape)
-        new = self._at(self._fresh_h() if fresh else s.h, e_z, s.e)
+    def _move_z(self) -> float:
+        """Move z, with h from its draws; gives the accepted share."""
+        s, beta = self.state, self.beta_z
+        step = beta * self.rng.standard_normal(s.e_z.shape)
+        new = self._at(self._fresh_h(), np.sqrt(1.0 - beta**2) * s.e_z + step, s.e)
         self._keep(new)
         better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
-        accepted = np.log(rng.random(len(better))) < better
+        accepted = np.log(self.rng.random(len(better))) < better
         self.state = s.where(accepted, new)
         return float(accepted.mean())
 
-    def _tuned_sweep(self) -> tuple[Array, Array]:
-        """A sweep, and step sizes by the shares of moves accepted; gives x and the excess."""
+    def _tuned_sweep(self) -> None:
+        """A sweep, and step sizes by the shares of its moves that were accepted."""
         self.sweep()
         tests, together = self.rates[-1]
         self.beta = np.clip(self.beta * np.exp(0.1 * (tests - ACCEPT)), 0.05, 1.0)
-        self.beta_z = np.clip(self.beta_z * np.exp(0.1 * (together - ACCEPT_Z)), 0.02, 1.0)
-        return self.state.x, self.state.excess
+        self.beta_z = float(np.clip(self.beta_z * np.exp(0.1 * (together - ACCEPT_Z)), 0.02, 1.0))
 
     def _keep(self, new: State) -> None:
-        """Keep a proposal for the next fit, with the share of it that each test would accept."""
-        if self.tried is not None:
-            with np.errstate(over="ignore"):
-                weight = np.minimum(np.exp(new.excess - self.state.excess), 1.0)
-            self.tried.append((new.x, np.where(weight > 0, new.excess, 0.0), weight))
+        """Keep a proposal for the next fit."""
+        if self.warming_up:
+            possible = np.isfinite(new.excess)
+            excess = np.where(possible, new.excess, 0.0)
+            share = np.exp(np.minimum(excess - self.state.excess, 0.0)) * possible
+            self.proposals.append((new.x, excess, share))
 
     def refit(self, x: Array, excess: Array, weight: Array) -> None:
         """Take other Gaussian likelihoods of the tests, and go on from where the chains are.
@@ -210,7 +214,7 @@ class ExactSampler:
             w = weight[:, j]
             centre = np.average(x[:, j], axis=0, weights=w)
             spread = np.cov(x[:, j].T, aweights=w)
-            root = np.linalg.cholesky(spread + 1e-9 * np.eye(size))
+            root = np.asarray(np.linalg.cholesky(spread + 1e-9 * np.eye(size)), dtype=np.float64)
             u = forward(root, x[:, j] - centre)
             terms = np.column_stack([u, u[:, i] * u[:, k] - (i == k)])
             weighted = (terms * w[:, None]).T
@@ -237,17 +241,16 @@ class ExactSampler:
         h, names = s.h.copy(), mixed.design.names
         without_law = s.x[..., : self.d] - self._linear(s.z)
         shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
+        log = self._log_given_tests(h, s.z, without_law)
         for i in np.flatnonzero([*[True] * v, *shapes]).tolist():
             new = h.copy()
             new[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < v else 0.3)
-            old = self._log_given_tests(h, s.z, without_law)
-            change = self._log_given_tests(new, s.z, without_law) - old
-            accepted = np.log(rng.random(len(h))) < change
-            h[accepted] = new[accepted]
+            other = self._log_given_tests(new, s.z, without_law)
+            accepted = np.log(rng.random(len(h))) < other - log
+            h[accepted], log[accepted] = new[accepted], other[accepted]
         left = s.x[..., : self.d] - mixed.offsets(h, self.choice)
         pooled = mixed.weight * ~self.unpooled[:, mixed.free]
-        import os
-        z = mixed.draw_given_tests(h, left, pooled, s.z, rng) if "NOZ" not in os.environ else s.z
+        z = mixed.draw_given_tests(h, left, pooled, s.z, rng)
         self.state = self._numbered(s._replace(h=h, z=z))
 
     def _numbered(self, s: State) -> State:
@@ -281,15 +284,14 @@ class ExactSampler:
         report: Callable[[int, Convergence], None],
     ) -> Draws:
         """Sweep until targets or limit are reached; `kept` draws of each group are kept."""
-        for _ in range(REFITS):
-            self.tried = []
-            for _ in range(WARM_UP):
-                self._tuned_sweep()
-            self.tried = self.tried[len(self.tried) // 5 :]
-            self.refit(*(np.concatenate(part) for part in zip(*self.tried, strict=True)))
-        for _ in range(WARM_UP // 2):
+        for step in range(1, (REFITS + 1) * WARM_UP + 1):
             self._tuned_sweep()
-        self.tried = None
+            if step % WARM_UP == 0 and step <= REFITS * WARM_UP:
+                proposals = self.proposals[len(self.proposals) // 4 :]
+                self.refit(*(np.concatenate(part) for part in zip(*proposals, strict=True)))
+            if step % WARM_UP == 0:
+                self.proposals = []
+        self.warming_up = False
         self.rates.clear()
         stride = max(1, self.state.x.size * limit // STORED)
         h, z, x = [], [], []  # x in single precision

@@ -178,8 +178,9 @@ class MixedModel:
         for f, k in enumerate(self.free):  # given the tests these do not know of each other
             own = np.flatnonzero(quantity == k)
             weighted = self.rows[:, own].T * precision[:, None, :, f]
-            factor = np.linalg.cholesky(a[:, own[:, None], own] + weighted @ self.rows[:, own])
-            pulled = np.einsum("nmj,nj->nm", weighted, left[..., k])
+            inner = a[:, own[:, None], own] + weighted @ self.rows[:, own]
+            factor = np.asarray(np.linalg.cholesky(inner), dtype=np.float64)
+            pulled = np.asarray(np.einsum("nmj,nj->nm", weighted, left[..., k]))
             z[:, own] = Coefficients(backward(factor, forward(factor, pulled)), factor).draw(rng)
         return z
 
