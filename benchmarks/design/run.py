@@ -24,8 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.evaluation.crossvalidate import Fold, folds_of
-from mfd_bayes.evaluation.design import design_rows
-from mfd_bayes.evaluation.properties import measured_of, measured_properties
+from mfd_bayes.evaluation.properties import design_rows, measured_of, measured_properties
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.inference import infer_population

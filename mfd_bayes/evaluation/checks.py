@@ -41,6 +41,9 @@ INFORMED = 0.5
 NOT_INFORMED = "the data do not determine this parameter: its posterior is about its prior"
 """Note of a parameter with less contraction."""
 
+SCALE_ONLY = ("gamma1", "gamma2")
+SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"
+
 TELLING = 0.5
 """Width of an exponent's 95 % interval up to which it tells a law from others: it leaves the force
 at twice the actuation uncertain by less than a fifth either way."""

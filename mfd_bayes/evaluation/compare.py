@@ -7,10 +7,12 @@ weights of a cycle cannot be trusted, its density is computed from the evidence 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy import special
 
@@ -48,10 +50,8 @@ EVIDENCE_DRAWS, MOST_ROUNDS = 4000, 16
 LEAST_ESS, GOOD_K = 0.1, 0.6
 """Share of effective draws from which the next proposal is learned; Pareto k that is enough."""
 
-_LOG_2PI = float(np.log(2 * np.pi))
 _PIECE = 1 << 19  # size of the arrays of one piece, in numbers
 _DRAWS = 400  # for the median of the force
-_UNKNOWN = Evidence(np.nan, np.nan, np.nan)
 
 
 # --- what is compared
@@ -68,35 +68,27 @@ class Candidate:
 
 def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candidate, ...]:
     """Every model with every noise; without noises two or more models with the campaign's own."""
-    if not noises:
-        return tuple(Candidate(folder_of(name), model=name) for name in check_models(names))
-    if len(noises) < 2 and len(names) < 2 and noises[0] in NOISES:
+    files = [name for name in dict.fromkeys(names) if models.file_of(name)]
+    allowed = (*models.model_names(), *files)
+    # a model in a file has the folder of its class
+    folders = {name: name.rpartition(":")[2] if name in files else name for name in allowed}
+    if twice := [f for f in folders.values() if [*folders.values()].count(f) > 1]:
+        raise CampaignError(
+            f"--models names two models {twice[0]!r}: each needs another class name"
+        )
+    if noises and len(noises) < 2 and len(names) < 2 and noises[0] in NOISES:
         raise CampaignError(
             f"there is nothing to compare: --noises must name two or more of {', '.join(NOISES)}, "
             f"got {noises[0]!r} alone, or --models two or more models"
         )
-    chosen = _chosen("--noises", noises, tuple(NOISES), 1)
-    kinds = check_models(names, 0)
-    if len(kinds) < 2:
-        return tuple(Candidate(noise, next(iter(kinds), None), noise) for noise in chosen)
-    return tuple(Candidate(f"{folder_of(m)}_{noise}", m, noise) for m in kinds for noise in chosen)
-
-
-def check_models(names: Sequence[str], least: int = 2) -> tuple[str, ...]:
-    """Names of so many models or more, in the program's order: its own, installed, and in files."""
-    files = [name for name in dict.fromkeys(names) if models.file_of(name)]
-    allowed = (*models.model_names(), *files)
-    folders = [folder_of(name) for name in allowed]
-    if twice := [folder for folder in folders if folders.count(folder) > 1]:
-        raise CampaignError(
-            f"--models names two models {twice[0]!r}: each needs another class name"
-        )
-    return _chosen("--models", names, allowed, least)
-
-
-def folder_of(model: str) -> str:
-    """Name of a model's run folder: of a model in a file, that of its class."""
-    return model.rpartition(":")[2] if models.file_of(model) else model
+    chosen = _chosen("--noises", noises, tuple(NOISES), 1) if noises else (None,)
+    kinds = _chosen("--models", names, allowed, 0 if noises else 2) or (None,)
+    several = len(kinds) > 1
+    return tuple(
+        Candidate("_".join(filter(None, (folders[m] if m and several else "", n))), m, n)
+        for m in kinds
+        for n in chosen
+    )
 
 
 def _chosen(
@@ -124,84 +116,69 @@ def check_cycles(task: Task) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class CrossValidation:
-    """Leave-one-cycle-out figures of a model, one for each cycle.
+class Validation:
+    """Leave-one-cycle-out figures of a model.
 
     Attributes
     ----------
-    elpd, lppd : (C,)
-        Expected log predictive density, log p(y_c | y_-c), and the same under the posterior with
-        the cycle included.
-    psis_k, k : (C,)
-        Pareto k of PSIS with the posterior's draws, and of the weights behind `elpd`, from PSIS or
-        from the evidences.
-    test : (C,) int
-        Number of each cycle's test, where there are several.
+    cycles : DataFrame
+        A row for each cycle: `test`; `elpd`, the expected log predictive density
+        log p(y_c | y_-c); `lppd`, the same under the posterior with the cycle included; `psis_k`,
+        the Pareto k of PSIS; `k`, that of the weights behind `elpd`.
     squares, spread : float, kip²
         Sum of squares of the force minus its predicted median, and about its mean.
     short : tuple of str
         Tests whose sampling missed its targets.
-    evidence : Evidence
-        Of the tests' whole records.
     """
 
-    elpd: Array
-    lppd: Array
-    psis_k: Array
-    k: Array
-    test: NDArray[np.intp] | None = None
-    squares: float = float("nan")
-    spread: float = float("nan")
-    short: tuple[str, ...] = ()
-    evidence: Evidence = _UNKNOWN
+    cycles: pd.DataFrame
+    squares: float
+    spread: float
+    short: tuple[str, ...]
+    evidence: Evidence
 
     @property
-    def bad(self) -> NDArray[np.bool_]:
-        """Whether the figures of a cycle cannot be trusted, (C,)."""
-        return ~(self.k <= LARGEST_K)
+    def trusted(self) -> pd.Series[bool]:
+        """Whether the figures of each cycle can be trusted."""
+        return self.cycles["k"] <= LARGEST_K
 
     @property
-    def redone(self) -> NDArray[np.bool_]:
-        """Whether PSIS failed for a cycle, (C,)."""
-        return ~(self.psis_k <= LARGEST_K)
-
-
-def join(parts: Iterable[CrossValidation]) -> CrossValidation:
-    """Figures of several tests, joined over all their cycles."""
-    several = list(parts)
-
-    def joined(name: str) -> Array:
-        return np.concatenate([getattr(part, name) for part in several])
-
-    return CrossValidation(
-        elpd=joined("elpd"),
-        lppd=joined("lppd"),
-        psis_k=joined("psis_k"),
-        k=joined("k"),
-        test=np.repeat(np.arange(len(several)), [p.elpd.size for p in several]),
-        squares=sum(p.squares for p in several),
-        spread=sum(p.spread for p in several),
-        short=tuple(name for p in several for name in p.short),
-        evidence=join_evidence([p.evidence for p in several]),
-    )
+    def redone(self) -> pd.Series[bool]:
+        """Whether PSIS failed for each cycle."""
+        return ~(self.cycles["psis_k"] <= LARGEST_K)
 
 
 def compare_runs(runs: Mapping[str, Run]) -> Comparison:
     """Comparison of runs of one campaign, by model, on the tests that all were calibrated to."""
-    names = next(iter(runs.values())).tests
-    shared = [name for name in names if all(name in run.tests for run in runs.values())]
+    names = {name for run in runs.values() for name in run.tests}
+    shared = [
+        n for n in next(iter(runs.values())).tests if all(n in r.tests for r in runs.values())
+    ]
     if not shared:
         raise FitError("there is nothing to compare: no test could be calibrated under every model")
     scores = {
-        model: {name: score_test(run.tests[name], run.manifest.effort) for name in shared}
+        model: {name: validate(run.tests[name], run.manifest.effort) for name in shared}
         for model, run in runs.items()
     }
-    rows = [
-        row
-        for name in shared
-        for row in _rows(name, {model: of_tests[name] for model, of_tests in scores.items()})
-    ]
-    total = {model: join(of_tests.values()) for model, of_tests in scores.items()}
+    return comparison_of(scores, sorted(names - set(shared)))
+
+
+def comparison_of(
+    scores: Mapping[str, Mapping[str, Validation]], lost: Sequence[str] = ()
+) -> Comparison:
+    """Comparison of the figures of the same tests by model; `lost` tests are named."""
+    shared = list(next(iter(scores.values())))
+    total = {
+        model: Validation(
+            cycles=pd.concat([part.cycles for part in of_tests.values()], ignore_index=True),
+            squares=sum(part.squares for part in of_tests.values()),
+            spread=sum(part.spread for part in of_tests.values()),
+            short=tuple(name for part in of_tests.values() for name in part.short),
+            evidence=join_evidence([part.evidence for part in of_tests.values()]),
+        )
+        for model, of_tests in scores.items()
+    }
+    rows = [r for n in shared for r in _rows(n, {m: of[n] for m, of in scores.items()})]
     overall = _rows(ALL, total)
     best, second = overall[0].model, overall[1].model
     sentences = [
@@ -210,18 +187,17 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
         _trust(total, best, second),
         _evidence_sentence({model: score.evidence for model, score in total.items()}),
     ]
-    lost = sorted({name for run in runs.values() for name in run.tests} - set(shared))
     if lost:
         sentences.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
     return Comparison((*rows, *overall), " ".join(sentences))
 
 
-def score_test(test: TestResult, effort: Effort) -> CrossValidation:
+def validate(test: TestResult, effort: Effort) -> Validation:
     """Leave-one-cycle-out figures of a calibrated test, and its error in sample."""
     stored, posterior, facts = test.stored, test.posterior, test.stored.facts
     rng, values = np.random.default_rng(facts["seed"]), stored.values()
     chains = stored.draws.sizes["chain"]
-    scores = cross_validate(posterior, values, chains, facts["walkers"], rng)
+    cycles = cross_validate(posterior, values, chains, facts["walkers"], rng)
     pick = np.linspace(0, values["offset"].size - 1, _DRAWS).astype(np.intp)
     taken = {name: column[pick] for name, column in values.items()}
     force = posterior.force(taken) + taken["offset"][:, None]
@@ -232,8 +208,8 @@ def score_test(test: TestResult, effort: Effort) -> CrossValidation:
         r_hat is not None and r_hat <= effort.r_hat and min(bulk or 0, tail or 0) >= effort.ess
         for r_hat, bulk, tail in figures
     )
-    return replace(
-        scores,
+    return Validation(
+        cycles.assign(test=test.id),
         squares=float(missed @ missed),
         spread=float(observed.size * observed.var()),
         short=() if converged else (test.id,),
@@ -241,24 +217,24 @@ def score_test(test: TestResult, effort: Effort) -> CrossValidation:
     )
 
 
-def _rows(subject: str, scores: Mapping[str, CrossValidation]) -> list[ComparisonRow]:
+def _rows(subject: str, scores: Mapping[str, Validation]) -> list[ComparisonRow]:
     """Row of every model, best first."""
-    order = sorted(scores, key=lambda model: -scores[model].elpd.sum())
+    order = sorted(scores, key=lambda model: -scores[model].cycles["elpd"].sum())
     rows = []
     for model in order:
-        score = scores[model]
-        less, error = difference(score, scores[order[0]])
+        score, cycles = scores[model], scores[model].cycles
+        less, error = difference(cycles, scores[order[0]].cycles)
         rows.append(
             ComparisonRow(
                 subject=subject,
                 model=model,
-                cycles=score.elpd.size,
-                elpd=float(score.elpd.sum()),
-                elpd_se=standard_error(score.elpd, score.test),
-                p_loo=float(np.sum(score.lppd - score.elpd)),
-                worst_k=float(score.psis_k.max()),
+                cycles=len(cycles),
+                elpd=float(cycles["elpd"].sum()),
+                elpd_se=standard_error(cycles["elpd"], cycles["test"]),
+                p_loo=float((cycles["lppd"] - cycles["elpd"]).sum()),
+                worst_k=float(cycles["psis_k"].max()),
                 bad=float(score.redone.mean()),
-                unsettled=float(score.bad.mean()),
+                unsettled=float(1.0 - score.trusted.mean()),
                 difference=less,
                 difference_se=error,
                 rrse=float(np.sqrt(score.squares / score.spread)),
@@ -271,10 +247,10 @@ def _rows(subject: str, scores: Mapping[str, CrossValidation]) -> list[Compariso
     return rows
 
 
-def _favour(total: Mapping[str, CrossValidation], best: str, second: str, tests: int) -> str:
+def _favour(total: Mapping[str, Validation], best: str, second: str, tests: int) -> str:
     """Sentence on which of the best two models the records favour, if any."""
-    more, error = difference(total[best], total[second])
-    errors, count = more / error if error > 0 else np.inf, total[best].elpd.size
+    more, error = difference(total[best].cycles, total[second].cycles)
+    errors, count = more / error if error > 0 else np.inf, len(total[best].cycles)
     where = f"{tests} tests of {count} cycles in all" if tests > 1 else f"{count} cycles of 1 test"
     verb = f"favour {best} over" if errors >= CLEAR else f"cannot decide between {best} and"
     few = (tests if tests > 1 else count) < FEW
@@ -299,16 +275,16 @@ def _evidence_sentence(evidence: Mapping[str, Evidence]) -> str:
     return text
 
 
-def _trust(total: Mapping[str, CrossValidation], best: str, second: str) -> str:
+def _trust(total: Mapping[str, Validation], best: str, second: str) -> str:
     """Sentence on whether the diagnostics of the best two models support their difference."""
     redone, caveats = [], []
     for model in (best, second):
         score = total[model]
-        if score.redone.any():
-            cycles = f"{score.redone.sum()} of {score.elpd.size} cycles"
-            redone.append(f"{cycles} of {model} (worst {score.psis_k.max():.2f})")
-        if score.bad.any():
-            caveats.append(f"k stays above {LARGEST_K:g} in {score.bad.sum()} cycles of {model}")
+        if failed := int(score.redone.sum()):
+            worst = score.cycles["psis_k"].max()
+            redone.append(f"{failed} of {len(score.cycles)} cycles of {model} (worst {worst:.2f})")
+        if bad := int((~score.trusted).sum()):
+            caveats.append(f"k stays above {LARGEST_K:g} in {bad} cycles of {model}")
         if score.short:
             caveats.append(f"the sampling of {model} fell short in {', '.join(score.short)}")
     text = ""
@@ -321,39 +297,35 @@ def _trust(total: Mapping[str, CrossValidation], best: str, second: str) -> str:
     if not caveats:
         return f"{text}The diagnostics of this comparison are good."
     text += f"Do not rely on this result as it is: {'; '.join(caveats)}"
-    good = ~(total[best].bad | total[second].bad)
+    good = total[best].trusted & total[second].trusted
     if 1 < good.sum() < good.size:
-        apart, test = (total[best].elpd - total[second].elpd)[good], total[best].test
-        error = standard_error(apart, None if test is None else test[good])
-        errors = apart.sum() / error if error > 0 else np.inf
-        text += f"; over the other {good.sum()} cycles elpd differs by {apart.sum():.4g}, "
+        more, error = difference(total[best].cycles[good], total[second].cycles[good])
+        errors = more / error if error > 0 else np.inf
+        text += f"; over the other {good.sum()} cycles elpd differs by {more:.4g}, "
         text += f"{errors:.1f} standard errors"
     return f"{text}."
 
 
-def difference(first: CrossValidation, other: CrossValidation) -> tuple[float, float]:
-    """Elpd of one minus that of the other, and its standard error, paired over cycles."""
-    apart = first.elpd - other.elpd
-    return float(apart.sum()), standard_error(apart, first.test)
+def difference(cycles: pd.DataFrame, others: pd.DataFrame) -> tuple[float, float]:
+    """Elpd of a model minus that of another, and its standard error, paired over cycles."""
+    more = cycles["elpd"] - others["elpd"]
+    return float(more.sum()), standard_error(more, cycles["test"])
 
 
-def standard_error(figures: Array, test: NDArray[np.intp] | None = None) -> float:
-    """Standard error of a sum over cycles (C,), of tests (C,) int; NaN for fewer than two cycles.
+def standard_error(figures: Any, test: Any) -> float:
+    """Standard error of a sum over cycles (C,), of tests (C,); NaN for fewer than two cycles.
 
     The cycles of one test resemble each other, so that tests count, not cycles: with J tests and
     the sum s_j of the cycles of test j, less the mean over all cycles, it is
     √(J/(J − 1) Σ s_j²), but never less than if all cycles were independent, √(C var). Of one test
     only the latter is known.
     """
+    figures = np.asarray(figures)
     if figures.size < 2:
         return float("nan")
-    alone = np.sqrt(figures.size * np.var(figures, ddof=1))
-    tests = np.empty(0) if test is None else np.unique(test)
-    if tests.size < 2:
-        return float(alone)
-    away = figures - figures.mean()
-    sums = np.array([away[test == name].sum() for name in tests])
-    return float(max(alone, np.sqrt(tests.size / (tests.size - 1) * np.sum(sums**2))))
+    alone = float(np.sqrt(figures.size * np.var(figures, ddof=1)))
+    sums = pd.Series(figures - figures.mean()).groupby(np.asarray(test)).sum()
+    return max(alone, float(np.sqrt(sums.size / max(sums.size - 1, 1) * np.sum(sums**2))))
 
 
 # --- leave-one-cycle-out
@@ -365,46 +337,40 @@ def cross_validate(
     chains: int,
     walkers: int,
     rng: np.random.Generator,
-) -> CrossValidation:
-    """Leave-one-cycle-out figures from posterior draws of all quantities, (chain · draw,) each.
+) -> pd.DataFrame:
+    """`Validation.cycles` from posterior draws of all quantities, (chain · draw,) each.
 
     Where PSIS weights cannot be trusted because a cycle is too informative, p(y_c | y_-c) =
     p(y)/p(y_-c) is computed from both evidences.
     """
-    cycles = find_cycles(posterior.trace, posterior.first)
-    given = cycle_log_likelihood(posterior, values, cycles)[0]
+    edges = find_cycles(posterior.trace, posterior.first)
+    given = cycle_log_likelihood(posterior, values, edges)[0]
     scores = []
     for column in given.T:
         ess = measure_draws(column.reshape(chains, -1), walkers).ess_bulk[0]
         scores.append(leave_out(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
     elpd, lppd, psis_k = np.transpose(scores)
-    failed = np.flatnonzero(~(psis_k <= LARGEST_K)).tolist()
-    k = psis_k.copy()
+    k, failed = psis_k.copy(), np.flatnonzero(~(psis_k <= LARGEST_K)).tolist()
     if failed:
         draws = posterior.coordinates(values)
         whole, whole_k = log_evidence(posterior.log_prob, draws, np.zeros(len(draws)), rng)
-    for cycle in failed:
-        rest = without_cycle(posterior, cycles, cycle)
-        evidence, rest_k = log_evidence(rest, draws, -given[:, cycle], rng)
-        if max(whole_k, rest_k) < k[cycle]:
-            elpd[cycle], k[cycle] = whole - evidence, max(whole_k, rest_k)
-    return CrossValidation(elpd, lppd, psis_k, k)
+    for at in failed:
 
+        def without(q: Array, at: int = at) -> Array:
+            """Log posterior density of q without the cycle, p(θ) p(y_-c | θ)."""
+            log_density = posterior.log_prior(q)
+            inside = np.isfinite(log_density)
+            with np.errstate(over="ignore", invalid="ignore"):
+                of_cycles, of_all = cycle_log_likelihood(
+                    posterior, posterior.values(q[inside]), edges
+                )
+                log_density[inside] += of_all - of_cycles[:, at]
+            return np.where(np.isnan(log_density), -np.inf, log_density)
 
-def without_cycle(
-    posterior: Posterior, cycles: NDArray[np.intp], cycle: int
-) -> Callable[[Array], Array]:
-    """Log posterior density of q without one cycle, p(θ) p(y_-c | θ), (n, dim) -> (n,)."""
-
-    def density(q: Array) -> Array:
-        log_density = posterior.log_prior(q)
-        inside = np.isfinite(log_density)
-        with np.errstate(over="ignore", invalid="ignore"):
-            given, whole = cycle_log_likelihood(posterior, posterior.values(q[inside]), cycles)
-            log_density[inside] += whole - given[:, cycle]
-        return np.where(np.isnan(log_density), -np.inf, log_density)
-
-    return density
+        evidence, rest_k = log_evidence(without, draws, -given[:, at], rng)
+        if max(whole_k, rest_k) < k[at]:
+            elpd[at], k[at] = whole - evidence, max(whole_k, rest_k)
+    return pd.DataFrame({"elpd": elpd, "lppd": lppd, "psis_k": psis_k, "k": k})
 
 
 def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, float, float]:
@@ -417,6 +383,38 @@ def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, fl
     elpd = np.logaddexp.reduce(log_weights + log_likelihood)
     lppd = np.logaddexp.reduce(log_likelihood) - np.log(log_likelihood.size)
     return float(elpd), float(lppd), k
+
+
+def log_evidence(
+    density: Callable[[Array], Array],
+    draws: Array,
+    log_weights: Array,
+    rng: np.random.Generator,
+) -> tuple[float, float]:
+    """Log of the integral of a density, and the Pareto k of its importance weights.
+
+    Population Monte Carlo (Cappé et al., 2004) with tempered weights (Koblents and Míguez,
+    2015): a proposal is learned from weighted draws, new draws from it are weighted, and so on
+    until k is small. `density` is a log density, unnormalised, (n, dim) -> (n,); `draws` (n, dim)
+    are from one that is not too different, `log_weights` (n,) the log of their ratio.
+    """
+    best = (-np.inf, np.inf)
+    for _ in range(MOST_ROUNDS):
+        # while few draws have all the weight, a power of the weights is used
+        weights = special.softmax(
+            tempering(log_weights, LEAST_ESS) * (log_weights - log_weights.max())
+        )
+        proposal = fit_mixture(draws, rng, weights)
+        draws = proposal.draw(rng, EVIDENCE_DRAWS)
+        log_weights = density(draws) - proposal.log_density(draws)
+        if not np.any(np.isfinite(log_weights)):
+            break
+        k = psis(log_weights)[1]
+        if k < best[1]:
+            best = float(np.logaddexp.reduce(log_weights)) - np.log(EVIDENCE_DRAWS), k
+        if k <= GOOD_K:
+            break
+    return best
 
 
 # --- the density of a cycle given all others
@@ -485,17 +483,9 @@ def conditional_density(
 
     where the last density bridges the gap: its φ is the product of all φ from a to b. That
     is exact for Gaussian noise. A sum of Student-t innovations has no closed form: there a
-    Student-t with the same degrees of freedom and the sum's mean and variance is used.
-
-    Parameters
-    ----------
-    residual : (n, T), kip
-    decay, scale : (n, T)
-        From `Noise.memory`.
-    starts : (C,)
-        First sample of each block, starting with 0; a block ends where the next begins.
-    dof : (n,), optional
-        Degrees of freedom of Student-t innovations.
+    Student-t with the same degrees of freedom `dof` (n,) and the sum's mean and variance is used.
+    `residual` is (n, T), kip; `decay` and `scale` are from `Noise.memory`, (n, T); `starts` are
+    the first samples of the blocks, (C,), beginning with 0.
     """
     standard = residual / scale
     before = np.zeros_like(standard)
@@ -515,49 +505,7 @@ def _transition(after: Array, before: Array, decay: Array, dof: Array | None) ->
     shrink = -np.expm1(-2.0 * decay)
     squares = (after - np.exp(-decay) * before) ** 2 / shrink
     if dof is None:
-        return np.asarray(-0.5 * (squares + _LOG_2PI + np.log(shrink)))
+        return np.asarray(-0.5 * (squares + np.log(2 * np.pi * shrink)))
     nu = dof[:, None]
     peak = special.gammaln((nu + 1) / 2) - special.gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
     return np.asarray(peak - 0.5 * (nu + 1) * np.log1p(squares / nu) - 0.5 * np.log(shrink))
-
-
-# --- evidence
-
-
-def log_evidence(
-    density: Callable[[Array], Array],
-    draws: Array,
-    log_weights: Array,
-    rng: np.random.Generator,
-) -> tuple[float, float]:
-    """Log of the integral of a density, and the Pareto k of its importance weights.
-
-    Population Monte Carlo (Cappé et al., 2004) with tempered weights (Koblents and Míguez,
-    2015): a proposal is learned from weighted draws, new draws from it are weighted, and so on
-    until k is small. While few draws have all the weight, a power of the weights is used.
-
-    Parameters
-    ----------
-    density : callable
-        Log density, unnormalised, (n, dim) -> (n,).
-    draws : (n, dim)
-        From a density not too different.
-    log_weights : (n,)
-        Log of the density over that of the draws, unnormalised.
-    """
-    best = (-np.inf, np.inf)
-    for _ in range(MOST_ROUNDS):
-        weights = special.softmax(
-            tempering(log_weights, LEAST_ESS) * (log_weights - log_weights.max())
-        )
-        proposal = fit_mixture(draws, rng, weights)
-        draws = proposal.draw(rng, EVIDENCE_DRAWS)
-        log_weights = density(draws) - proposal.log_density(draws)
-        if not np.any(np.isfinite(log_weights)):
-            break
-        k = psis(log_weights)[1]
-        if k < best[1]:
-            best = float(np.logaddexp.reduce(log_weights)) - np.log(EVIDENCE_DRAWS), k
-        if k <= GOOD_K:
-            break
-    return best

@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.evaluation.design import NEW, places_of, sessions_of
-from mfd_bayes.evaluation.properties import Peaks, cycles_of, measured_of, peaks_of
+from mfd_bayes.evaluation.properties import (
+    NEW,
+    Peaks,
+    bounds,
+    cycles_of,
+    measured_of,
+    peaks_of,
+    places_of,
+    sessions_of,
+)
 from mfd_bayes.messages import Message
 from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
@@ -199,48 +207,34 @@ def _rows(
         "frequency": condition.frequency,
         "tested": bool(own),
     }
-    tail, rows = 0.5 * (1.0 - PROBABILITY), []
+    rows = []
     for quantity, direction, name in _QUANTITIES:
         if not axes.has(name):
             continue
         values = [getattr(cycles, name)[cycles.full_stroke] for _, _, _, cycles in own]
         for cycle in range(CYCLES + 1 if name == "energy" else 1):
             kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
-            drawn = _finite(bounded[name][:, kept])
-            if cycle and not drawn.size:
+            mean, drawn = nominal[name][:, kept], bounded[name][:, kept]
+            if cycle and not np.any(np.isfinite(drawn)):
                 continue
-            seen = _finite(np.concatenate([np.empty(0), *(v[kept] for v in values)]))
-            middle = _finite(nominal[name][:, kept])
-            level = float(middle.mean()) if middle.size else float("nan")
-            low, mean, high = (seen.min(), seen.mean(), seen.max()) if seen.size else (np.nan,) * 3
-            tails = [tail, 1.0 - tail]
-            lower, upper = np.quantile(drawn, tails) if drawn.size else (np.nan, np.nan)
+            row = bounds(mean, drawn, PROBABILITY)
+            other = bounds(mean, others[name][:, kept] if others else np.empty(0), PROBABILITY)
+            seen = np.concatenate([np.empty(0), *(v[kept] for v in values)])
+            seen = seen[np.isfinite(seen)]
+            low, middle, high = (
+                (seen.min(), seen.mean(), seen.max()) if seen.size else (np.nan,) * 3
+            )
+            outside = (seen < row["lower"]) | (seen > row["upper"])
             rows.append(
                 head
                 | {"quantity": quantity, "direction": direction, "unit": UNITS[name]}
-                | {"cycle": cycle, "measured_low": float(low), "measured": float(mean)}
-                | {"measured_high": float(high), "n_cycles": int(seen.size)}
-                | {"n_outside": int(np.sum((seen < lower) | (seen > upper)))}
-                | {"nominal": level, "lower": float(lower), "upper": float(upper)}
-                | {"lambda_min": float(lower / level) if level else float("nan")}
-                | {"lambda_max": float(upper / level) if level else float("nan")}
-                | _other_factors(others.get(name), kept, level)
+                | {"cycle": cycle, "measured_low": low, "measured": middle, "measured_high": high}
+                | {"n_cycles": seen.size}
+                | {"n_outside": int(outside.sum()), **row}
+                | {f"{key}_other": other[key] for key in ("lambda_min", "lambda_max")}
                 | {"note": "; ".join(remarks)}
             )
     return rows
-
-
-def _other_factors(drawn: Array | None, kept: slice, middle: float) -> dict[str, float]:
-    """Property modification factors of another device."""
-    values = np.empty(0) if drawn is None else drawn[:, kept]
-    values, tail = values[np.isfinite(values)], 0.5 * (1.0 - PROBABILITY)
-    known = values.size and middle
-    low, high = np.quantile(values, [tail, 1.0 - tail]) / middle if known else (np.nan, np.nan)
-    return {"lambda_min_other": float(low), "lambda_max_other": float(high)}
-
-
-def _finite(values: Array) -> Array:
-    return values[np.isfinite(values)]
 
 
 def _predicted(
@@ -260,11 +254,11 @@ def _predicted(
         nominal.append(middle)
         with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
         bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
-    together = (
+    first, second = (
         {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
         for parts in (nominal, bounded)
     )
-    return next(together), next(together)
+    return first, second
 
 
 def _tested(run: Run) -> dict[str, Message]:
@@ -293,19 +287,18 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     first = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
     tested = rows[(rows["cycle"] == 0) & rows["tested"].astype(bool)]
     cycles, outside = int(tested["n_cycles"].sum()), int(tested["n_outside"].sum())
-    share = outside / cycles if cycles else 0.0
     most = ""
     if outside:
         worst = tested.sort_values("n_outside").to_dict("records")[-1]
         quantity = worst["quantity"].replace("_", " ")
         most = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
-    second = Message(
-        f"{outside} of {cycles} measured values ({100 * share:.1f} %) lie outside their 95 % "
-        "bounds{most}.",
-        {"most": most},
-    )
-    if not cycles:
-        second = Message("No test is harmonic: there are no measured cycles to compare.")
+    second = Message("No test is harmonic: there are no measured cycles to compare.")
+    if cycles:
+        second = Message(
+            f"{outside} of {cycles} measured values ({100 * outside / cycles:.1f} %) lie outside "
+            "their 95 % bounds{most}.",
+            {"most": most},
+        )
     spans = {span.name: span for span in run.tested}
     actuated = ("actuation",) if run.system.axes.actuated else ()
     where = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]

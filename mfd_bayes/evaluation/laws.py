@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
-from mfd_bayes.evaluation.design import sessions_of
+from mfd_bayes.evaluation.properties import sessions_of
 from mfd_bayes.evaluation.scores import fan_of, spread_of
 from mfd_bayes.evaluation.views import Fan, LawView, Row, Rows
 from mfd_bayes.population.law_scores import LARGEST_K, LawScore
@@ -38,35 +38,33 @@ def law_rows(run: Run) -> Rows:
     Where laws are compared, those of each law with its weight.
     """
     population, design, unit = run.population, run.population.design, run.actuation_unit
+    kinds, at = units(run.model), run.system.words([design.reference], unit, actuation=True)
+    rows = mixed_rows(run, at)
+    drawn = dict(population.slopes)
+    for name, law in design.laws.items():
+        if law == COMPARE:  # a mixture has no constants of its own
+            continue
+        if run.model.own:  # what follows a law, at the reference actuation of the laws
+            draws = population.median(name, [design.reference])[..., 0]
+            converged = _converged(draws, population.walkers)
+            rows.append(_row(name, kinds[name], draws, f"{law} law; at {at}", **converged))
+        shapes = dict(zip(("share", "exponent"), population.shapes(name), strict=True))
+        drawn |= {f"{shape}_{name}": shapes[shape] for shape in shapes if shape in shapes_of(law)}
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
+    drawn |= spreads | {f"dependence_{name}": b for name, b in population.dependences.items()}
     # the prior's standard deviation, of a half-normal
     prior_sds = np.sqrt(1.0 - 2.0 / np.pi) * population.scatter_scales
     prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
-    drawn = dict(population.slopes)
-    for name, law in design.laws.items():
-        shapes = () if law == COMPARE else shapes_of(law)  # a mixture has none of its own
-        pairs = zip(("share", "exponent"), population.shapes(name), strict=True)
-        drawn |= {f"{shape}_{name}": draws for shape, draws in pairs if shape in shapes}
-    drawn |= spreads | {f"dependence_{name}": b for name, b in population.dependences.items()}
     # the scatter of what may be negative is not of a logarithm
     negative = {f"scatter_{q.name}": q.unit for q in run.model.quantities if q.least < 0.0}
-    at = run.system.words([design.reference], unit, actuation=True)
-    rows = [*mixed_rows(run, at)]
-    if run.model.own:  # what follows a law, at the reference actuation of the laws
-        for name, law in design.laws.items():
-            if law != COMPARE:
-                draws, kind = population.median(name, [design.reference])[..., 0], units(run.model)
-                sampled = _converged(draws, population.walkers)
-                rows.append(_row(name, kind[name], draws, f"{law} law; at {at}", **sampled))
     for name, draws in drawn.items():
         shrunk = float("nan")
         if name in prior_sd:
             shrunk = float(contraction(np.array([prior_sd[name]]), draws.reshape(-1, 1))[0])
         note = NOT_INFORMED if shrunk < INFORMED else ""
-        sampled = _converged(draws, population.walkers)
-        kind_of = negative.get(name) or law_unit(name, unit)
-        rows.append(_row(name, kind_of, draws, note, **sampled, contraction=shrunk))
+        figures = _converged(draws, population.walkers) | {"contraction": shrunk}
+        rows.append(_row(name, negative.get(name) or law_unit(name, unit), draws, note, **figures))
     return tuple(rows)
 
 
@@ -164,9 +162,9 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
 
     The tests are of the declared sessions; the numbers are the same at every actuation.
     """
-    population, sessions = run.population, sessions_of(run)
-    rng, kinds = np.random.default_rng(0), ("device", "new_test")
-    parts: dict[str, list[dict[str, Array]]] = {kind: [] for kind in kinds}
+    population, sessions, rng = run.population, sessions_of(run), np.random.default_rng(0)
+    names, kinds = population.design.laws, ("device", "new_test")
+    parts: dict[str, dict[str, list[Array]]] = {kind: {n: [] for n in names} for kind in kinds}
     for session in sessions:
         n = DRAWS // len(sessions)
         index = population.draw_index(n, float(grid[-1]), rng)
@@ -183,15 +181,14 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
             chosen, effects = (inside, within) if tested else (index, beyond)
             here = {name: effect[:, at] for name, effect in effects.items()}
             made = population.parts(setting, chosen, numbers, here)
-            levels["device"].append(population.values(made.mean))
-            levels["new_test"].append(population.values(made.mean + made.scatter))
-        for kind, values in levels.items():
-            names = population.design.laws
-            stacked = {name: np.stack([v[name] for v in values], axis=1) for name in names}
-            parts[kind].append(stacked)
+            for kind, coordinates in zip(kinds, (made.mean, made.mean + made.scatter), strict=True):
+                levels[kind].append(population.values(coordinates))
+        for kind in kinds:
+            for name in names:
+                parts[kind][name].append(np.stack([v[name] for v in levels[kind]], axis=1))
     return {
-        kind: {name: np.concatenate([p[name] for p in several]) for name in several[0]}
-        for kind, several in parts.items()
+        kind: {name: np.concatenate(several) for name, several in of.items()}
+        for kind, of in parts.items()
     }
 
 

@@ -1,4 +1,4 @@
-"""Properties of a device from its force: predicted by the same rules as they are measured."""
+"""Properties of a device from its force: by the same rules as they are measured, and for design."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from mfd_bayes.evaluation.scores import spread_of
 from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
+from mfd_bayes.population.design import LEVELS
+from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
 from mfd_bayes.records.loops import (
     MeasuredCycles,
     cycle_values,
@@ -324,3 +326,135 @@ def is_missed(values: Array, measured: float, name: str) -> bool:
     share = float(np.mean(finite > measured) + 0.5 * np.mean(finite == measured))
     beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
     return beyond and not EXTREME <= share <= 1.0 - EXTREME
+
+
+# --- for design
+
+ANOTHER = "another_device"
+"""Another device of the same make: known where the calibrated tests are of several devices."""
+
+BASES: Mapping[str, str] = {
+    "device": KIND_NAMES["device"],
+    "new_test": KIND_NAMES["new_test"],
+    ANOTHER: "another device of the same make",
+    "observation": KIND_NAMES["observation"],
+}
+"""What bounds are about, in the order of tables; kinds of prediction but for `ANOTHER`."""
+
+DESIGN_DRAWS = 1000
+"""Draws of each basis: few would leave the bounds to chance."""
+
+NOT_KNOWN = "not known: the calibrated tests are of one device"
+
+DESIGN_PROPERTIES = (
+    *("slip_fwd", "slip_bwd", "energy_per_cycle", "effective_stiffness", "effective_damping"),
+    *("c_eq", "peak_fwd", "peak_bwd", "gap"),
+)
+NEW = "\x00another"  # a session or a device that no campaign can declare
+
+
+def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
+    """Mean and bounding properties under a motion and an actuation, by property, then by basis.
+
+    "This device tested again" is a test of one of the calibrated devices in one of the declared
+    sessions, "another device" a test of a new one, in a new session where there are several. With
+    one device the latter is not known. The mean property has the mean of the factor between the
+    model's peak and the measured one, the others its scatter too.
+    """
+    places, n, peaks = places_of(run), n_draws(run), peaks_of(run)
+
+    def draw(kind: str, session: str, device: str, draws: int = n) -> Band:
+        how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
+        return run.predict(trace, kind, probability, **how)
+
+    bands = {kind: [draw(kind, *place) for place in places] for kind in KIND_NAMES if kind in BASES}
+    if len(run.devices) > 1:
+        session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
+        bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
+    drawn = {}
+    for basis, several in bands.items():
+        parts = []
+        for number, band in enumerate(several):
+            smooth = band.draws
+            if basis == "observation":
+                test = bands["new_test"][number]
+                smooth = test.draws + np.asarray(test.values["offset"])[:, None]
+            factor = NO_FACTOR if basis == "device" else peaks
+            parts.append(properties_of(trace, band.draws, factor, smooth=smooth))
+        drawn[basis] = {
+            name: np.concatenate([p[name] for p in parts]) for name in DESIGN_PROPERTIES
+        }
+    for side, factor_of in peaks.items():
+        drawn["device"][f"peak_{side}"] *= factor_of.expected
+    drawn = {basis: kept(of, run.manifest.axes) for basis, of in drawn.items()}
+    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
+
+
+def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
+    """Bounds of draws (n,) by basis and property; "device" has the nominal values.
+
+    A basis of `BASES` that is missing is not known, and its bounds are NaN. The `note` is of
+    another device.
+    """
+    rows = []
+    for name, mean in drawn["device"].items():
+        if not np.any(np.isfinite(mean)):  # the motion has no full cycle
+            continue
+        for basis in BASES:
+            values = drawn.get(basis, {}).get(name, np.empty(0))
+            if basis in drawn and not np.any(np.isfinite(values)):
+                continue
+            about = note if basis == ANOTHER else ""
+            rows.append(
+                {"name": name, "unit": UNITS[name], "basis": basis, "of": BASES[basis]}
+                | bounds(mean, values, probability)
+                | {"note": about if basis in drawn else NOT_KNOWN}
+            )
+    return tuple(rows)
+
+
+def bounds(mean: Array, drawn: Array, probability: float) -> dict[str, float]:
+    """Nominal value, the mean of draws of any shape; equal-tailed bounds of others, and factors.
+
+    `lambda_min` and `lambda_max` are the bounds over the nominal value. What is not finite is left
+    out, and NaN where nothing remains.
+    """
+    mean, drawn = mean[np.isfinite(mean)], drawn[np.isfinite(drawn)]
+    tail, nan = 0.5 * (1.0 - probability), float("nan")
+    nominal = float(mean.mean()) if mean.size else nan
+    lower, upper = np.quantile(drawn, [tail, 1.0 - tail]).tolist() if drawn.size else (nan, nan)
+    factors = [bound / nominal if nominal else nan for bound in (lower, upper)]
+    names = ("nominal", "lower", "upper", "lambda_min", "lambda_max")
+    return dict(zip(names, (nominal, lower, upper, *factors), strict=True))
+
+
+def design_warnings(run: Run) -> tuple[str, ...]:
+    """Why bounds may be too narrow, in sentences."""
+    settings = with_zeros([setting_of(test.trace) for test in run.tests.values()])
+    count = len(levels_of(settings))
+    if count >= LEVELS:
+        return ()
+    return (
+        f"the calibrated tests have {count} level{'' if count == 1 else 's'} of actuation, and "
+        f"fewer than {LEVELS} do not show how far levels lie from a law: bounds at an actuation "
+        "that was not tested are too narrow",
+    )
+
+
+def n_draws(run: Run) -> int:
+    """Draws of the bands behind the bounds, for each session and device.
+
+    A band with as many, of one session and device, has the same draws as the bounds.
+    """
+    return DESIGN_DRAWS // len(places_of(run)) + 10
+
+
+def places_of(run: Run) -> tuple[tuple[str, str], ...]:
+    """Session and device of the calibrated tests, each pair once."""
+    devices = run.manifest.settings.devices
+    return tuple(dict.fromkeys((run.session(name), devices[name]) for name in run.tests))
+
+
+def sessions_of(run: Run) -> tuple[str, ...]:
+    """Sessions of the calibrated tests; "" where none are declared."""
+    return tuple(dict.fromkeys(run.session(name) for name in run.tests))

@@ -9,8 +9,7 @@ import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.priors import SCALED
-from mfd_bayes.evaluation.checks import INFORMED
-from mfd_bayes.evaluation.test_summary import SCALE_NOTE
+from mfd_bayes.evaluation.checks import INFORMED, SCALE_NOTE
 from mfd_bayes.evaluation.views import (
     CALIBRATION,
     COVERAGE,

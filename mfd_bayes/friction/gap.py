@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from mfd_bayes.friction.model import Array
 from mfd_bayes.friction.recurrence import solve
-from mfd_bayes.records.motion import MotionPath
+from mfd_bayes.records.trace import MotionPath
 
 SATURATED = 26.0
 """Transition lengths after which a transition is taken as complete: exp(−26) is 5e-12."""

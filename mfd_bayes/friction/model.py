@@ -19,9 +19,8 @@ from mfd_bayes.axes import DAMPER, Axes, axis_of, in_place_of
 from mfd_bayes.errors import FitError, MfdError, UnitError
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
 from mfd_bayes.friction.quantity import LAW_NAMES, LIMITS, Parameter, Quantity
-from mfd_bayes.records.motion import vertex_of_turn, vertices
 from mfd_bayes.records.numbers import real_number, real_numbers
-from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.records.trace import Trace, check_trace, vertex_of_turn, vertices
 from mfd_bayes.units import convert
 
 Array = NDArray[np.float64]

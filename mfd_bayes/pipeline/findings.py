@@ -15,11 +15,9 @@ from mfd_bayes.population.design import Design
 from mfd_bayes.population.inference import swings
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.cross_checks import Tested, compare_tests
-from mfd_bayes.records.data_quality import Fault, find_faults
-from mfd_bayes.records.file_name_check import contradictions
+from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.spikes import without_spikes
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Trace, without_spikes
 from mfd_bayes.runs.verdict import Finding
 
 WIDE, NARROW = 6.0, 1.0 / 12.0

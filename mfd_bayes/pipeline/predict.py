@@ -11,18 +11,16 @@ import numpy as np
 from mfd_bayes.axes import Axes
 from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.evaluation.design import design_rows, design_warnings, n_draws
-from mfd_bayes.evaluation.properties import predicted_rows
+from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import KIND_NAMES
-from mfd_bayes.records.channels import NO_ACTUATION
+from mfd_bayes.records.channels import NO_ACTUATION, parse_window
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.sine import parse_sine
-from mfd_bayes.records.time_axis import parse_window
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
@@ -268,22 +266,21 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
         remove_file(question.picture)
         remove_file(question.beside("history.png"))
         return
-    from mfd_bayes.reporting.figures import Marks, draw_history, draw_loops, to_png
+    from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
     intervals = [Interval(band.probability, band.lower, band.upper)]
     if band.whole_lower is not None and band.whole_upper is not None:
         bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
         intervals.append(Interval(band.probability, *bounds, whole=True))
     fan = convert_fan(Fan(band.kind, band.median, tuple(intervals)), system.factor("kip"))
-    marks = Marks(given=None)
+    given = band.given.window if band.given else None
     history = drawn
     if band.given is not None:
         title += f", given {question.given}"
-        marks = Marks(given=band.given.window)
         if drawn.force is None:  # the force of the given part alone
             known = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
             history = replace(drawn, force=known)
     loops = draw_loops(title, convert_trace(drawn, system), [fan], system)
     write_bytes(question.picture, to_png(loops))
-    figure = draw_history(title, convert_trace(history, system), [fan], system, marks)
+    figure = draw_history(title, convert_trace(history, system), [fan], system, given=given)
     write_bytes(question.beside("history.png"), to_png(figure))

@@ -16,16 +16,17 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.reporting.response import (
     ResponseView,
-    draws_csv,
-    limits_csv,
-    peaks_csv,
+    draws_frame,
+    limits_frame,
+    peaks_frame,
     peaks_tex,
     render_response,
     response_json,
-    shares_csv,
-    sweep_csv,
+    shares_frame,
+    sweep_frame,
     sweep_sentence,
 )
+from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
 from mfd_bayes.response.result import Response
@@ -268,16 +269,16 @@ def write_response(
         if re.fullmatch(r"sweep\.(csv|png)|(history|loops)_\d+\.png", path.name):
             remove_file(path)
     about = {"title": view.title, "verdict": list(view.verdict), "remarks": list(view.remarks)}
-    texts = {
-        "response.json": response_json(view.rows, view.limits, dict(about), system),
-        "peaks.csv": peaks_csv(view.rows, system),
-        "peaks.tex": peaks_tex(view.rows, system),
-        "limits.csv": limits_csv(view.limits, system),
-        "shares.csv": shares_csv(view.shares),
-        "draws.csv": draws_csv(response, system),
-    } | ({} if sweep is None else {"sweep.csv": sweep_csv(sweep, system)})
-    for name, text in texts.items():
-        write_text(folder / name, text)
+    write_text(folder / "response.json", response_json(view.rows, view.limits, dict(about), system))
+    write_text(folder / "peaks.tex", peaks_tex(view.rows, system))
+    frames = {
+        "peaks": peaks_frame(view.rows, system),
+        "limits": limits_frame(view.limits, system),
+        "shares": shares_frame(view.shares),
+        "draws": draws_frame(response, system),
+    } | ({} if sweep is None else {"sweep": sweep_frame(sweep, system)})
+    for name, frame in frames.items():
+        write_text(folder / f"{name}.csv", to_csv(frame.replace([np.inf, -np.inf], np.nan)))
     images = {}
     for each in SYSTEMS:
         for name, figure in figures_of(response, sweep, each):

@@ -1,4 +1,4 @@
-"""What a signal of a record is made of: a column, and what is taken off it.
+"""The signals of a record: its time, the columns it is made of, and what is taken off them.
 
 Nothing is evaluated: each key has one meaning. ``{ name = "load", minus = { name = "pressure",
 times = "518.7 mm^2" }, minus_mass = "3 kg" }`` is F = load - pressure x area - mass x acceleration.
@@ -6,27 +6,377 @@ times = "518.7 mm^2" }, minus_mass = "3 kg" }`` is F = load - pressure x area - 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
+from math import ceil, inf
+from typing import Any
+from unicodedata import normalize
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
-from mfd_bayes.errors import RecordError, UnitError
-from mfd_bayes.records.columns import roles_of, unit_of
-from mfd_bayes.records.motion import Array, smallest_turn, turning_points
+from mfd_bayes.errors import MfdError, RecordError, UnitError
+from mfd_bayes.records.numbers import real_number
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.time_axis import SAMPLES, after_gaps, check_increasing, parse_window
-from mfd_bayes.records.trace import check_size
+from mfd_bayes.records.readers.table import bare_unit, own_name
+from mfd_bayes.records.trace import Array, check_size, smallest_turn, turning_points
 from mfd_bayes.units import (
+    UNREAD,
     ActuationUnit,
     actuation_factor,
     factor,
     measure,
     parse_mass,
     parse_quantity,
+    same_unit,
     split_quantity,
 )
+
+SAMPLES = 20  # fewest samples that a record, or a window of it, may have
+GAP = 10.0  # a step longer than this many median steps is a gap in time
+PAUSE = 1.9  # a step longer than this many median steps is a pause
+SHORTEST = 1e-9  # shortest step in time that is accepted, s
+JITTER = 0.01  # above this jitter, in steps, samples are interpolated onto a uniform grid
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When samples were taken."""
+
+    rate: float  # Hz; (T - 1) over the duration without pauses
+    jitter: float  # largest distance of a sample from a uniform grid between the ends, in steps
+    pauses: int  # number of steps longer than `PAUSE` median steps
+    longest: float  # s; longest step
+
+    def words(self) -> str:
+        """Rate, and how even it is, in words."""
+        rate = f"{self.rate:.6g} Hz"
+        if self.jitter <= JITTER:
+            return f"{rate}, jitter {self.jitter:.2%} of a step"
+        away = f"{self.jitter:.3g} steps" if self.jitter >= 1.0 else f"{self.jitter:.2%} of a step"
+        text = f"{rate}, jitter: time stamps are up to {away} off an even clock"
+        if self.pauses:
+            times = "once" if self.pauses == 1 else f"{self.pauses} times"
+            text += f"; the logger pauses {times}, for up to {self.longest:.3g} s"
+        return text
+
+
+def after_gaps(time: Array) -> NDArray[np.intp]:
+    """Samples of an increasing time, (T,), s, before which there is a gap."""
+    steps = np.diff(time)
+    return np.flatnonzero(steps > GAP * np.median(steps)) + 1
+
+
+def longest_piece(
+    time: Array, place: Callable[[int], str], window: tuple[float, float] | None
+) -> tuple[slice, str]:
+    """Samples of the longest piece of a time without a gap, and a sentence where there is one.
+
+    `place` names a row, from 0; only the part of a piece inside the window counts.
+    """
+    steps, after = np.diff(time), after_gaps(time)
+    if not after.size:
+        return slice(0, time.size), ""
+    bounds = [0, *(int(at) for at in after), time.size]
+    start, end = (-np.inf, np.inf) if window is None else window
+    spans = [min(time[b - 1], end) - max(time[a], start) for a, b in pairwise(bounds)]
+    best = int(np.argmax(spans))
+    first, last = bounds[best], bounds[best + 1]
+    missing = float(steps[after - 1].max())
+    gaps = "a gap" if after.size == 1 else f"{after.size} gaps, the longest"
+    at = int(after[np.argmax(steps[after - 1])])
+    share = (time[last - 1] - time[first]) / (time[-1] - time[0])
+    return slice(first, last), (
+        f"time has {gaps} of {missing:.4g} s before {place(at)}, after {time[at - 1]:g} s; the "
+        f"longest unbroken piece is used, {time[first]:g} s to {time[last - 1]:g} s, "
+        f"{share:.0%} of the record"
+    )
+
+
+def check_increasing(table: Table, time: Array) -> None:
+    """Refuse a time of a table, (T,), s, that is too short, stands still or goes back."""
+    path, place = table.path, table.place
+    if time.size < SAMPLES:
+        raise RecordError(f"{path} has {time.size} samples; at least {SAMPLES} are needed")
+    steps = np.diff(time)
+    if not np.all(steps > 0):
+        row = int(np.argmax(steps <= 0)) + 1
+        if row in table.blocks:
+            raise RecordError(
+                f"{path} holds {len(table.blocks) + 1} blocks: the heading is repeated from "
+                f"{table.blocks[row]}, and time starts again below it, {time[row]:g} s after "
+                f"{time[row - 1]:g} s: keep one block in a file"
+            )
+        coarse = table.stamped and steps[row - 1] == 0.0
+        raise RecordError(
+            f"time in {path} does not increase at {place(row)}: "
+            f"{time[row]:g} s after {time[row - 1]:g} s"
+            + ('; where time stamps are too coarse, write rate = "100 Hz"' if coarse else "")
+        )
+    shortest = int(np.argmin(steps))
+    if steps[shortest] < SHORTEST:
+        raise RecordError(
+            f"time in {path} increases by {steps[shortest]:.2g} s at "
+            f"{place(shortest + 1)}; expected {SHORTEST:g} s or more"
+        )
+
+
+def clock_of(time: Array) -> Clock:
+    """Rate and evenness of an increasing time, (T,), s."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    step = float(time[-1] - time[0]) / (time.size - 1)
+    jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
+    late = steps > PAUSE * median
+    pauses = int(np.count_nonzero(late))
+    rate = 1.0 / float(np.mean(steps[~late]))
+    return Clock(rate if pauses else 1.0 / step, jitter, pauses, float(steps.max()))
+
+
+def checked_window(
+    window: object, name: str = "a window", error: type[MfdError] = RecordError
+) -> tuple[float, float]:
+    """Two times, s, the first before the second; either may be infinite."""
+    expected = f"{name} must be two times in s, the earlier one first, got {window!r}"
+    if isinstance(window, str | bytes) or not isinstance(window, Sequence | np.ndarray):
+        raise error(expected)
+    try:
+        start, end = (t if t in (-inf, inf) else real_number(name, t, error) for t in window)
+    except (TypeError, ValueError, error) as fault:
+        raise error(expected) from fault
+    if not start < end:
+        raise error(expected)
+    return float(start), float(end)
+
+
+def parse_window(text: str, *, of: str = "", timed: bool = True) -> tuple[float, float]:
+    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages.
+
+    Where samples are numbered, those of ``"0 to 300"``.
+    """
+    parts, of = text.split(" to "), of or "a window"
+    numbered = re.fullmatch(r"\s*(\d{1,9}) to (\d{1,9})\s*", text)
+    if not timed and numbered is None:
+        raise UnitError(f"{of} must be two numbers of samples such as '0 to 300', got {text!r}")
+    if len(parts) != 2:
+        raise UnitError(f"{of} must be two times such as '0 s to 60 s', got {text!r}")
+    if numbered and not timed:
+        start, end = float(numbered[1]), float(numbered[2])
+    else:
+        start, end = (parse_quantity(part, "time", of=of) for part in parts)
+    if not start < end:
+        raise UnitError(f"{of} must end after it starts, got {text!r}")
+    return start, end
+
+
+MOST_SAMPLES = 6000  # most samples of a trace at the default rate
+
+
+def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
+    """Signal, (N,), from sample `first` to `last` at a lower rate, without delay.
+
+    `share` is the new rate over the old. A symmetric low-pass filter, flat to 0.7 of the new
+    Nyquist frequency and at least 40 dB down above it. It also uses the samples before `first` and
+    after `last`, and beyond the ends of the signal its point reflection, which keeps value and
+    slope there.
+    """
+    from scipy.signal import firwin, resample_poly
+
+    up, down = share.numerator, share.denominator
+    # The filter reaches over ten new samples; the padding is a whole number of new samples.
+    blocks = -(-10 // up)
+    pad = blocks * down
+    padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
+    taps = firwin(20 * down + 1, 0.84 / down, window=("kaiser", 5.0))
+    window: Any = taps  # scipy's documentation allows taps here, its type stubs do not
+    piece = padded[first : last + 2 * pad + 1]
+    fine = resample_poly(piece, up, down, window=window, padtype="line")
+    count = (last - first) * up // down + 1
+    return np.asarray(fine[blocks * up :][:count], dtype=np.float64)
+
+
+def default_rate(
+    time: Array,
+    displacement: Array,
+    turns: NDArray[np.intp],
+    gap: float,
+    record_rate: float,
+) -> float:
+    """Lowest sampling rate, Hz, that resolves the crossing of a gap and the half-cycles.
+
+    At least 20 samples per crossing of the gap after a turning point, by the lower quartile of
+    the crossing times, and 40 per median half-cycle, if the record has them; then the next
+    higher rate that is the record's over a whole number. At most `MOST_SAMPLES` samples, which
+    comes before all else: a long record gets fewer samples per crossing.
+    """
+    crossings = crossing_times(time, displacement, turns, gap)
+    needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
+    if turns.size > 1:
+        needs.append(40 / float(np.median(np.diff(time[turns]))))
+    needed = max(needs, default=record_rate)
+    divisor = max(1, int(record_rate / needed * (1 + 1e-9)))
+    return record_rate / max(divisor, ceil(time.size / MOST_SAMPLES))
+
+
+def crossing_times(
+    time: Array, displacement: Array, turns: NDArray[np.intp], gap: float
+) -> list[float]:
+    """Times, s, from each turning point to a distance `gap` from it, if reached before the next."""
+    times = []
+    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=False):  # there may be none
+        away = np.abs(displacement[start : end + 1] - displacement[start])
+        reached = int(np.argmax(away >= gap))
+        if away[reached] >= gap and reached > 0:
+            part = (gap - away[reached - 1]) / (away[reached] - away[reached - 1])
+            at = start + reached
+            times.append(float(time[at - 1] + part * (time[at] - time[at - 1]) - time[start]))
+    return times
+
+
+ROLES = ("time", "displacement", "force", "velocity", "actuation")
+"""What a column can be; a record needs a time and a displacement."""
+
+_EXAMPLES = {"time": "time_s", "displacement": "displacement_mm"}
+_NO_TIME = '; where it has none, give its rate: rate = "100 Hz"'
+_SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
+_BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
+_REMARKS = frozenset(
+    {
+        *("raw", "measured", "meas", "corrected", "corr", "filtered", "filt", "smoothed"),
+        *("average", "avg", "mean", "abs", "max", "min", "rms", "total", "net", "main"),
+        *("left", "right", "top", "bottom", "bot", "upper", "lower", "north", "south"),
+        *("east", "west", "front", "rear", "back", "lvdt", "sensor", "cell", "loadcell"),
+        *("actuator", "machine", "ch", "channel", "x", "y", "z", "axial", "lateral"),
+        *("vertical", "horizontal", "relative", "absolute", "calibrated", "zeroed"),
+        *("command", "cmd", "feedback", "fbk", "analog", "digital", "signal", "data"),
+        *("scaled", "elapsed", "test", "local", "utc", "fwd", "bwd", "forward", "backward"),
+    }
+)
+"""Words that people put in brackets behind a name, and that are no units."""
+
+
+def header_unit(name: str) -> str | None:
+    """Last part of a column's name: ``"kip"`` of ``"force_kip"`` or ``"Force [kip]"``.
+
+    None where the name has one part. The last part may be no unit: ``"force"`` of
+    ``"axial_force"``.
+    """
+    name = normalize("NFKC", name)  # as the brackets of a Japanese keyboard, and ㎜
+    match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
+    if match is None or match[1].strip(" :,;0123456789") == "" != match[1].strip():  # "log(:,1)"
+        return None
+    return match[1].strip().replace("_per_", "/")
+
+
+def stated_unit(name: str, row: str = "") -> str | None:
+    """What a file says to be the unit of a column, whether known or not; None where it says none.
+
+    In brackets, as a last word that is known to be one ("load_tonf"), or in its row of units.
+    """
+    if bare_unit(row):
+        return bare_unit(row)
+    name = normalize("NFKC", name)
+    for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
+        text = bare_unit(square or round_ or angle)
+        if not re.search(r"[^\W\d_]|[%°]", text) or text.lower() in _REMARKS:
+            continue
+        words = re.findall(r"[^\W\d_]+", text)
+        is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
+        if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
+            return text
+    last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
+    return last[1] if last and last[1].lower() in UNREAD else None
+
+
+def roles_of(
+    table: Table,
+    columns: Mapping[str, str | int],
+    units: Mapping[str, str],
+    *,
+    actuation: str | None = None,
+    timed: bool = True,
+    axes: Axes = DAMPER,
+) -> dict[str, str]:
+    """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
+
+    A column is given by its name, or by its number from 1. One for the actuation is looked for
+    only where `actuation`, a constant, is not given; one for the time only where the file is
+    `timed`.
+    """
+    for role in (*columns, *units):
+        if role not in ROLES:
+            names = ", ".join(map(axes.name, ROLES))
+            raise RecordError(f"unknown role {role!r} of a column; expected {names}")
+    roles = {role: table.name_of(column) for role, column in columns.items()}
+    chosen = bool({"time", "displacement"} & columns.keys())  # then what is not named is not used
+    used: tuple[str, ...] = ("time", "displacement") if chosen else ROLES
+    unnamed = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
+    if not timed:
+        unnamed = [role for role in unnamed if role != "time"]
+    roles |= {
+        role: name for role in unnamed if (name := _guess(table, axes.name(role))) is not None
+    }
+    if actuation is not None and "actuation" in roles:
+        raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
+    needed = ("time", "displacement") if timed else ("displacement",)
+    missing = [role for role in needed if role not in roles]
+    if missing and not table.headed:
+        raise RecordError(
+            f"{table.path} has no names, only {', '.join(table.names[:20])}: say in a campaign "
+            'which is which, as time = { column = 1, unit = "ms" }; mfd-bayes init guesses it'
+        )
+    if missing:
+        name = axes.name(missing[0])
+        example = _EXAMPLES[missing[0]] if name in _EXAMPLES else f"{name}_{axes.motion.unit}"
+        raise RecordError(
+            f"no column for {name} in {table.path}, which has {', '.join(table.names[:20])}: "
+            f"rename it in the file, as {example}, or name it in [columns] of a "
+            "campaign, or in Python by columns" + (_NO_TIME if missing[0] == "time" else "")
+        )
+    return {role: roles[role] for role in ROLES if role in roles}
+
+
+def unit_of(
+    table: Table, role: str, name: str, units: Mapping[str, str], axes: Axes = DAMPER
+) -> str:
+    """Unit of a column: as given, or from its name, or from the file's row of units."""
+    word = axes.name(role)
+    if given := units.get(role):
+        return given
+    ours, theirs = header_unit(own_name(name)), table.units.get(name)
+    if theirs is None:
+        if ours is None:
+            if name not in table.names:
+                raise table.no_column(name)
+            raise RecordError(
+                f"column {name!r} of {table.path} has no unit in its name; give the unit of {word}"
+            )
+        return ours
+    if ours is None or measure(ours) in (None, "ratio"):  # "force" of "axial_force", 1 of "force_1"
+        return theirs
+    if not same_unit(ours, theirs):
+        raise RecordError(
+            f"column {name!r} of {table.path} is in {ours!r} by its name and in {theirs!r} by the "
+            f"file's own units; give the unit of {word}"
+        )
+    return ours
+
+
+def _guess(table: Table, role: str) -> str | None:
+    """Name of the column that is called like the role, with or without a unit."""
+    pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
+    matches = [name for name in table.names if pattern.fullmatch(own_name(name))]
+    if len(matches) > 1:
+        raise RecordError(
+            f"{table.path} has several columns for {role}, {', '.join(matches)}; say which, as "
+            f"{role} = {{ column = {table.number_of(matches[0])} }}"
+        )
+    return matches[0] if matches else None
+
 
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
 DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s

@@ -1,20 +1,38 @@
-"""Faults of a record that would spoil its fit: of the sensors, the clock and the units."""
+"""Faults of a record: of its sensors, clock and units, and what contradicts its file's name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.records.channels import ROLES, crossing_times, header_unit, stated_unit
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops, loop_estimate
-from mfd_bayes.records.motion import Array, sensor_noise
-from mfd_bayes.records.spikes import force_spikes, interpolated, runs, spikes_of, without_spikes
-from mfd_bayes.records.time_axis import crossing_times
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.readers.table import own_name
+from mfd_bayes.records.record import Record
+from mfd_bayes.records.trace import (
+    Array,
+    Trace,
+    force_spikes,
+    interpolated,
+    runs,
+    sensor_noise,
+    spikes_of,
+    without_spikes,
+)
+from mfd_bayes.units import (
+    actuation_factor,
+    factor,
+    force_meant,
+    may_mean,
+    measure,
+    parse_actuation,
+    same_unit,
+)
 
 Samples = NDArray[np.intp]
 
@@ -29,10 +47,9 @@ LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075  # s, samples, cycles: a lag is
 CORRELATION, SCALE = 0.9, 1.25  # least, and most, of the integral of a velocity
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
 NOISE = 0.05  # most noise of a displacement, as a share of the travel of the build-up
-DRIFT = 0.25  # drift of the force, as a share of its half range, that shows a lost zero
-STEADY_DRIFT, P_VALUE, STEADY = 0.07, 0.01, 5
-"""A trend is a drift from this share of the slip force on, with so small a probability by chance,
-in a record of at least so many loops at full stroke."""
+DRIFT, STEADY_DRIFT, P_VALUE, STEADY = 0.25, 0.07, 0.01, 5
+"""A trend of the force is a drift from the first share of its half range on; from the second share
+of the slip force on where it has so small a probability by chance in so many full loops."""
 JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
 ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
 HELD, LONGER = 5, 4.0  # equal samples of a frozen channel: the fewest, and times longer than usual
@@ -96,10 +113,10 @@ def short_record(trace: Trace) -> Iterator[Fault]:
         )
 
 
-def stroke(trace: Trace, gap: float | None) -> Iterator[Fault]:
-    """A motion that stays within the gap."""
+def of_gap(trace: Trace, gap: float) -> Iterator[Fault]:
+    """A motion that stays within the gap, or has too few samples across it."""
     travel = float(np.ptp(trace.displacement))
-    if gap is not None and travel <= gap:
+    if travel <= gap:
         yield Fault.of(
             "stroke",
             "the stroke of {travel} is within the gap of about {gap} that the priors expect: the "
@@ -107,12 +124,6 @@ def stroke(trace: Trace, gap: float | None) -> Iterator[Fault]:
             travel=(travel, "in"),
             gap=(gap, "in"),
         )
-
-
-def rate(trace: Trace, gap: float | None) -> Iterator[Fault]:
-    """Too few samples across the gap."""
-    if gap is None:
-        return
     times = crossing_times(trace.time, trace.displacement, trace.turning_points, gap)
     hertz = (trace.samples - 1) / float(trace.time[-1] - trace.time[0])
     if times and (crossing := float(np.median(times)) * hertz) < CROSSING:
@@ -141,16 +152,12 @@ def dropped(trace: Trace) -> Iterator[Fault]:
 
 def repeated(trace: Trace) -> Iterator[Fault]:
     """Samples equal to the one before while the actuator moves."""
-    if trace.force is None or np.ptp(trace.force) == 0.0:
-        return  # a slow displacement alone may repeat its last digit
-    steps = np.abs(np.diff(trace.displacement))
-    same = (steps == 0.0) & (np.diff(trace.force) == 0.0)
-    starts, lengths = runs(np.concatenate([[False], same]))
-    inside = (starts > 0) & (starts + lengths < steps.size) & (lengths <= AT_REST)
-    starts, lengths = starts[inside], lengths[inside]
+    starts, lengths = _equal(trace.displacement, np.asarray(trace.force))
+    steps = np.pad(np.abs(np.diff(trace.displacement)), 1)
     smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
-    moving = np.minimum(steps[starts - 1], steps[starts + lengths]) > 2 * smallest
-    at = _spread(starts[moving] + 1, lengths[moving] - 1)
+    moving = np.minimum(steps[starts], steps[starts + lengths + 1]) > 2.0 * smallest
+    kept = moving & (lengths <= AT_REST)
+    at = _spread(starts[kept] + 1, lengths[kept] - 1)
     if at.size > REPEATED * trace.samples:
         yield Fault.of(
             "repeated samples",
@@ -158,17 +165,6 @@ def repeated(trace: Trace) -> Iterator[Fault]:
             f"displacement moves, the first at {trace.time[at[0]]:.4g} s: the logger was slower "
             "than its clock",
             at,
-        )
-
-
-def no_force(trace: Trace) -> Iterator[Fault]:
-    """A force that never changes."""
-    if trace.force is not None and np.ptp(trace.force) == 0.0:
-        yield Fault.of(
-            "no force",
-            "the force is {force} throughout: was the load cell connected, and is it the right "
-            "column?",
-            force=(float(trace.force[0]), "kip"),
         )
 
 
@@ -197,14 +193,14 @@ def velocity(trace: Trace) -> Iterator[Fault]:
     Both are compared as displacements, without their lines in time: the integral of a velocity is
     smooth, where the derivative of a displacement is noise.
     """
-    steps = np.diff(trace.time) * 0.5 * (trace.velocity[1:] + trace.velocity[:-1])
-    line = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, trace.samples), 1)
-    basis = np.linalg.qr(line)[0]
-    both = np.column_stack([trace.displacement, np.concatenate([[0.0], np.cumsum(steps)])])
-    moved, integral = (both - basis @ (basis.T @ both)).T
-    share = float(integral @ moved / max(moved @ moved, 1e-300))
-    size = float(np.sqrt((integral @ integral) * (moved @ moved)))
-    correlation = float(integral @ moved) / size if size > 0.0 else 0.0
+    from scipy.integrate import cumulative_trapezoid
+    from scipy.signal import detrend
+
+    integral = cumulative_trapezoid(trace.velocity, trace.time, initial=0)
+    moved, integral = detrend(np.array([trace.displacement, integral]))
+    sizes = [float(np.linalg.norm(v)) or 1e-300 for v in (moved, integral)]
+    share = float(integral @ moved) / sizes[0] ** 2
+    correlation = share * sizes[0] / sizes[1]
     if correlation < CORRELATION or abs(np.log(share)) > np.log(SCALE):
         yield Fault.of(
             "velocity",
@@ -216,18 +212,15 @@ def velocity(trace: Trace) -> Iterator[Fault]:
 
 def clipping(trace: Trace) -> Iterator[Fault]:
     """Force constant at its extreme, for longer than anywhere else, while the actuator moves."""
-    if trace.force is None or np.ptp(trace.force) == 0.0:
-        return
-    force = trace.force
-    moving = np.abs(trace.velocity) > 0.05 * np.max(np.abs(trace.velocity))
-    starts, lengths = runs(np.diff(force, prepend=np.nan) == 0.0)
+    force = np.asarray(trace.force)
+    starts, lengths = _equal(force)
+    speed = np.abs(trace.velocity[starts])
+    moving = speed > 0.05 * np.max(np.abs(trace.velocity))
+    high, low = force[starts] == force.max(), force[starts] == force.min()
     fine = np.unique(force).size > LEVELS  # else the steps of the sensor make it flat
-    limits = (force[starts] == force.max()) | (force[starts] == force.min())
-    for extreme, name in ((force.max(), "largest"), (force.min(), "smallest")):
-        at = force[starts] == extreme
-        others = ~limits if fine else ~at
-        elsewhere = max(lengths[others & moving[starts]], default=0)
-        flat = at & moving[starts] & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
+    for name, at in (("largest", high), ("smallest", low)):
+        elsewhere = np.max(lengths[moving & ~(high | low if fine else at)], initial=0)
+        flat = at & moving & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
         if np.any(flat):
             yield Fault.of(
                 "clipping",
@@ -235,14 +228,12 @@ def clipping(trace: Trace) -> Iterator[Fault]:
                 f"{lengths[flat].max() + 1} samples in motion: the load cell or its amplifier is "
                 "at its limit",
                 _spread(starts[flat], lengths[flat]),
-                extreme=(float(extreme), "kip"),
+                extreme=(float(force[starts[flat][0]]), "kip"),
             )
 
 
 def lag(trace: Trace) -> Iterator[Fault]:
     """A force that comes too late or too early."""
-    if any(resolution(trace, None)) or any(noise(trace)):
-        return  # the sample of a reversal must be known
     estimate = estimate_lag(trace)
     if estimate is None:
         return
@@ -279,24 +270,23 @@ def spikes(trace: Trace) -> Iterator[Fault]:
             )
 
 
-def jumps(trace: Trace) -> Iterator[Fault]:
+def jumps(trace: Trace, held: Samples) -> Iterator[Fault]:
     """Steps of the displacement that the motion before and after does not have."""
     at = _jumps(trace, trace.displacement)
-    at = at[~np.isin(at - 1, _held_displacement(trace))]
+    at = at[~np.isin(at - 1, held)]
     if at.size:
-        x, step = trace.displacement, np.diff(trace.time)
-        worst = at[np.argmax(np.abs(x[at] - x[at - 1]) / step[at - 1])]
-        moved = float(x[worst] - x[worst - 1])
+        moved, step = np.diff(trace.displacement)[at - 1], np.diff(trace.time)[at - 1]
+        worst = int(np.argmax(np.abs(moved) / step))
         several = f", the largest of {at.size} jumps" if at.size > 1 else ""
         yield Fault.of(
             "jump",
-            f"the displacement jumps by {_plus(moved)}{{moved}} within a step of time at "
-            f"{trace.time[worst]:.4g} s ({{speed}}, where the motion beside it is slower)"
+            f"the displacement jumps by {_plus(moved[worst])}{{moved}} within a step of time at "
+            f"{trace.time[at[worst]]:.4g} s ({{speed}}, where the motion beside it is slower)"
             f"{several}: samples were lost and the time numbered anew, or the zero of the sensor "
             "has slipped",
             at,
-            moved=(moved, "in"),
-            speed=(float(abs(moved) / step[worst - 1]), "in/s"),
+            moved=(float(moved[worst]), "in"),
+            speed=(float(abs(moved[worst]) / step[worst]), "in/s"),
         )
 
 
@@ -305,76 +295,70 @@ def _jumps(trace: Trace, values: Array) -> Samples:
     steps = np.diff(values) / np.diff(trace.time)
     if steps.size < 9:
         return _NONE
-    padded = np.pad(steps, 2, mode="edge")
-    neighbours = np.array([padded[k : k + steps.size] for k in (0, 1, 3, 4)])
-    off = np.abs(steps - np.median(neighbours, axis=0))
+    window = np.lib.stride_tricks.sliding_window_view(np.pad(steps, 2, mode="edge"), 5)
+    neighbours = window[:, [0, 1, 3, 4]]
+    off = np.abs(steps - np.median(neighbours, axis=1))
     usual = float(np.quantile(np.abs(steps), 0.98, method="lower"))
     large = off * np.diff(trace.time) > JUMP * np.ptp(values)
-    sudden = off > 2.0 * np.abs(neighbours).max(axis=0)
-    return np.flatnonzero(large & sudden & (off > 1.5 * usual)) + 1
+    sudden = off > np.maximum(2.0 * np.abs(neighbours).max(axis=1), 1.5 * usual)
+    return np.flatnonzero(large & sudden) + 1
 
 
-def held(trace: Trace) -> Iterator[Fault]:
-    """One channel that does not change while the other goes on."""
-    frozen = {"displacement": _held_displacement(trace), "force": _held_force(trace)}
-    for name, at in frozen.items():
-        if at.size:
-            last = int(at[np.argmax(np.append(np.diff(at), 2) > 1)])
-            yield Fault.of(
-                "held",
-                f"the {name} holds one value from {trace.time[at[0]]:.4g} s to "
-                f"{trace.time[last]:.4g} s{' and later once more' if last < at[-1] else ''}, while "
-                "the test goes on: the sensor or its channel was frozen",
-                at,
-            )
+def frozen(trace: Trace) -> tuple[Samples, Samples]:
+    """Samples in which the displacement, and the force, is frozen.
 
-
-def _held_displacement(trace: Trace) -> Samples:
-    """Samples in which the displacement is frozen."""
-    if trace.force is None:
-        return _NONE
-    starts, lengths = _equal(trace.displacement)
-    swing = SWING * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
-    long = (lengths >= HELD) & (lengths > LONGER * _usual(trace, starts, lengths))
-    back = np.isin(starts + lengths + 1, _jumps(trace, trace.displacement))
-    for k in np.flatnonzero(long & ~back):
-        long[k] = np.ptp(trace.force[starts[k] : starts[k] + lengths[k] + 1]) > swing > 0.0
-    return _spread(starts[long], lengths[long])
-
-
-def _held_force(trace: Trace) -> Samples:
-    """Samples in which the force is frozen, and does not just slip at one value.
-
-    It jumps when it comes back, or has held over more than a stroke, or its noise has stopped.
+    The displacement holds while the force goes through most of its range, or jumps when it comes
+    back. A force may slip at one value: it is frozen where it jumps when it comes back, holds over
+    more than a stroke, or its noise stops.
     """
-    if trace.force is None or np.ptp(trace.force) == 0.0:
-        return _NONE
-    starts, lengths = _equal(trace.force)
-    path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(trace.displacement)))])
-    travel = path[starts + lengths] - path[starts]
-    stroke = np.ptp(trace.displacement)
-    long = (lengths >= HELD) & (travel > TRAVEL * stroke)
-    limits = (trace.force[starts] == trace.force.max()) | (trace.force[starts] == trace.force.min())
-    noisy = lengths.sum() - lengths[long].sum() < FEW * trace.samples
-    back = np.isin(starts + lengths + 1, _jumps(trace, trace.force))
-    long &= (travel > 0.5 * stroke) | ((starts > 0) & (starts + lengths + 1 < trace.samples))
-    long &= (travel > 1.5 * stroke) | (~limits & (noisy | back))
-    long &= travel > LONGER * _usual(trace, starts, travel)
-    return _spread(starts[long], lengths[long])
+    x, force, turns = trace.displacement, np.asarray(trace.force), trace.cycle_turns
+    path = np.pad(np.cumsum(np.abs(np.diff(x))), (1, 0))
+    stroke = float(np.ptp(x))
+    samples = []
+    for values in (x, force):
+        starts, lengths = _equal(values)
+        ends = starts + lengths
+        travel = path[ends] - path[starts]
+        sizes = lengths if values is x else travel
+        # The longest run of four strokes of five is not exceeded by what is usual.
+        longest = np.zeros(turns.size + 1)
+        np.maximum.at(longest, np.searchsorted(turns, starts, side="right"), sizes)
+        usual = float(np.quantile(longest, 0.8, method="lower"))
+        back = np.isin(ends + 1, _jumps(trace, values))
+        long = (lengths >= HELD) & (sizes > LONGER * usual)
+        if values is x:
+            swing = SWING * float(np.subtract(*np.quantile(force, [0.99, 0.01])))
+            for k in np.flatnonzero(long & ~back):
+                long[k] = np.ptp(force[starts[k] : ends[k] + 1]) > swing > 0.0
+        else:
+            limits = np.isin(force[starts], [force.max(), force.min()])
+            candidates = (lengths >= HELD) & (travel > TRAVEL * stroke)
+            noisy = lengths[~candidates].sum() < FEW * trace.samples
+            inside = (starts > 0) & (ends + 1 < trace.samples)
+            far = (travel > 1.5 * stroke) | (~limits & (noisy | back))
+            long &= candidates & far & (inside | (travel > 0.5 * stroke))
+        samples.append(_spread(starts[long], lengths[long]))
+    return samples[0], samples[1]
 
 
-def _equal(values: Array) -> tuple[Samples, Samples]:
-    """First sample of each run of equal values, and how many follow it."""
-    starts, lengths = runs(np.concatenate([np.diff(values) == 0.0, [False]]))
+def held(trace: Trace, name: str, at: Samples) -> Iterator[Fault]:
+    """One channel that does not change, at these samples, while the other goes on."""
+    if at.size:
+        last = int(at[np.argmax(np.append(np.diff(at), 2) > 1)])
+        yield Fault.of(
+            "held",
+            f"the {name} holds one value from {trace.time[at[0]]:.4g} s to {trace.time[last]:.4g} s"
+            f"{' and later once more' if last < at[-1] else ''}, while the test goes on: the "
+            "sensor or its channel was frozen",
+            at,
+        )
+
+
+def _equal(*signals: Array) -> tuple[Samples, Samples]:
+    """First sample of each run in which all signals keep their values, and how many follow it."""
+    same = np.all([np.diff(values) == 0.0 for values in signals], axis=0)
+    starts, lengths = runs(np.append(same, False))
     return starts + 1, lengths
-
-
-def _usual(trace: Trace, starts: Samples, sizes: Array | Samples) -> float:
-    """Size that the longest run of four strokes of five has not exceeded."""
-    turns = trace.cycle_turns
-    longest = np.zeros(turns.size + 1)
-    np.maximum.at(longest, np.searchsorted(turns, starts, side="right"), sizes)
-    return float(np.quantile(longest, 0.8, method="lower"))
 
 
 def _spread(starts: Samples, lengths: Samples) -> Samples:
@@ -387,24 +371,21 @@ def zero_moves(trace: Trace) -> Iterator[Fault]:
     """Both ends of the strokes that move together: the zero of the displacement."""
     loops = find_loops(trace)
     full = loops.amplitude > 0.8 * loops.amplitude.max(initial=0.0)
-    count = int(np.count_nonzero(full))
-    if count < max(2 * FEWEST, loops.amplitude.size / 2):
+    middle, half = loops.middle[full], loops.amplitude[full]
+    if half.size < max(2 * FEWEST, full.size / 2):
         return
-    ends = np.array([loops.middle + s * loops.amplitude for s in (1.0, -1.0)])[:, full]
+    ends = np.array([middle + half, middle - half])
     moves = np.array(
-        [np.median(ends[:, k:], 1) - np.median(ends[:, :k], 1) for k in range(2, count - 1)]
+        [np.median(ends[:, k:], 1) - np.median(ends[:, :k], 1) for k in range(2, half.size - 1)]
     )
     k = int(np.argmax(np.abs(moves).min(axis=1)))
-    high, low = moves[k].tolist()
-    full_stroke = 2.0 * float(np.median(loops.amplitude[full]))
-    if high * low > 0.0 and min(abs(high), abs(low)) > ZERO * full_stroke:
-        moved = 0.5 * (high + low)
-        since = float(trace.time[loops.bounds[:-1][full][k + 2]])
+    stroke, moved = 2.0 * float(np.median(half)), float(moves[k].mean())
+    if np.prod(moves[k]) > 0.0 and np.abs(moves[k]).min() > ZERO * stroke:
         yield Fault.of(
             "displacement zero",
-            f"both ends of the strokes move by {_plus(moved)}{{moved}} at about {since:.4g} s, "
-            f"{abs(moved) / full_stroke:.0%} of the stroke: the zero of the sensor slips or "
-            "drifts, or the middle of the motion was moved",
+            f"both ends of the strokes move by {_plus(moved)}{{moved}} at about "
+            f"{trace.time[loops.bounds[:-1][full][k + 2]]:.4g} s, {abs(moved) / stroke:.0%} of the "
+            "stroke: the zero of the sensor slips or drifts, or the middle of the motion was moved",
             moved=(moved, "in"),
         )
 
@@ -436,8 +417,6 @@ def noise(trace: Trace) -> Iterator[Fault]:
     Errors in what a force follows weaken the relation: a fit takes the force for smaller and
     softer than it is (regression dilution).
     """
-    if any(resolution(trace, None)):  # which says it better
-        return
     size, loop = sensor_noise(trace.displacement), loop_estimate(trace)
     rise = loop.plateau / loop.slope  # NaN where it cannot be read
     if size > NOISE * rise > 0.0:
@@ -452,58 +431,37 @@ def noise(trace: Trace) -> Iterator[Fault]:
 
 
 def drift(trace: Trace) -> Iterator[Fault]:
-    """A mean force that moves from the first strong loops to the last."""
-    if trace.force is None:
-        return
-    estimates = (find_loops(trace).offset_drift, _drift_of_few(trace))
-    change = max((c for c in estimates if c is not None), key=abs, default=0.0)
-    half = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01])))
-    if not abs(change) > DRIFT * half > 0.0:
-        change, half = _steady_drift(trace)
-    if abs(change) > STEADY_DRIFT * half > 0.0:
-        yield Fault.of(
-            "drift",
-            f"the force drifts by {_plus(change)}{{change}} from its begin to its end, "
-            f"{abs(change) / half:.0%} of the force in slip: the load cell's zero, or a device "
-            "that changes",
-            change=(change, "kip"),
-        )
+    """A trend of the mean force of the loops at full stroke over the record.
 
-
-def _steady_drift(trace: Trace) -> tuple[float, float]:
-    """Trend of the mean force of many steady loops over the record, and the slip force, kip.
-
-    Zeros where there are too few such loops, or they scatter as much as the trend.
+    Of few such loops, from the first to the last; or as far as the force at the quiet ends of the
+    record has changed alike, because ramps differ in their mean force without any drift.
     """
     from scipy.stats import linregress  # which takes long to import
 
-    loops, slip = find_loops(trace), loop_estimate(trace).plateau
-    strong = loops.strong
-    many = np.count_nonzero(strong) >= max(STEADY, 0.5 * strong.size)
-    if loops.offset is None or not many or not slip > 0.0 or trace.varying:
-        return 0.0, 0.0
+    loops, force = find_loops(trace), np.asarray(trace.force)
+    strong, offset = loops.strong, np.asarray(loops.offset)
+    count = np.count_nonzero(strong)
+    if count < FEWEST:
+        return
     middle = 0.5 * (trace.time[loops.bounds[1:]] + trace.time[loops.bounds[:-1]])
-    line = linregress(middle[strong], loops.offset[strong])
-    change = float(line.slope) * float(trace.time[-1] - trace.time[0])
-    return (change, slip) if line.pvalue < P_VALUE else (0.0, 0.0)
-
-
-def _drift_of_few(trace: Trace) -> float | None:
-    """Drift over a whole record with ramps, kip; None where it cannot be seen.
-
-    The mean force of ramps differs from that of strong loops without any drift. So the trend of
-    the strong loops and the change of the force at its quiet ends must agree in sign; the smaller
-    counts.
-    """
-    loops = find_loops(trace)
-    if loops.offset is None or trace.force is None or np.count_nonzero(loops.strong) < FEWEST:
-        return None
-    middle = 0.5 * (trace.time[loops.bounds[1:]] + trace.time[loops.bounds[:-1]])
-    trend = np.polynomial.polynomial.polyfit(middle[loops.strong], loops.offset[loops.strong], 1)[1]
+    line = linregress(middle[strong], offset[strong])
+    trend = float(line.slope) * float(trace.time[-1] - trace.time[0])
     few = max(trace.samples // 50, 1)
-    ends = float(trace.force[-few:].mean() - trace.force[:few].mean())
-    along = float(trend) * float(trace.time[-1] - trace.time[0])
-    return min(along, ends, key=abs) if along * ends > 0.0 else None
+    ends = float(force[-few:].mean() - force[:few].mean())
+    quiet = min(trend, ends, key=abs) if trend * ends > 0.0 else 0.0
+    change = max(loops.offset_drift or 0.0, quiet, key=abs)
+    size, least = 0.5 * float(np.subtract(*np.quantile(force, [0.99, 0.01]))), DRIFT
+    many = count >= max(STEADY, 0.5 * strong.size) and not trace.varying
+    if many and line.pvalue < P_VALUE and not abs(change) > DRIFT * size:
+        change, size, least = trend, loop_estimate(trace).plateau, STEADY_DRIFT
+    if abs(change) > least * size > 0.0:
+        yield Fault.of(
+            "drift",
+            f"the force drifts by {_plus(change)}{{change}} from its begin to its end, "
+            f"{abs(change) / size:.0%} of the force in slip: the load cell's zero, or a device "
+            "that changes",
+            change=(change, "kip"),
+        )
 
 
 def _count(number: int, thing: str) -> str:
@@ -518,6 +476,8 @@ def _plus(value: float) -> str:
 _CONSEQUENCES = {
     "channels": {"clipping", "lag", "noise", "drift", "held"},
     "held": {"clipping", "lag", "drift", "repeated samples"},
+    "resolution": {"noise", "lag"},  # the sample of a reversal must be known
+    "noise": {"lag"},
 }
 """Faults that need not be told where another is."""
 
@@ -528,102 +488,259 @@ def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
     `gap` is the median width of the device's gap, in; without it, rate and stroke are not checked.
     """
     clean = without_spikes(trace)
-    faults = [
-        *no_force(clean),
-        *force_sign(clean),
-        *velocity(clean),
-        *time_unit(clean),
-        *short_record(clean),
-        *stroke(clean, gap),
-        *clipping(clean),
-        *lag(clean),
-        *jumps(clean),
-        *held(clean),
-        *zero_moves(clean),
-        *spikes(trace),
-        *dropped(clean),
-        *repeated(clean),
-        *resolution(clean, gap),
-        *noise(clean),
-        *rate(clean, gap),
-        *drift(clean),
-    ]
+    loaded = clean.force is not None and np.ptp(clean.force) > 0.0
+    faults: list[Fault] = []
+    if clean.force is not None and not loaded:
+        value = (float(clean.force[0]), "kip")
+        text = (
+            "the force is {force} throughout: was the load cell connected, and is it the right "
+            "column?"
+        )
+        faults.append(Fault.of("no force", text, force=value))
+    motion, force = frozen(clean) if loaded else (_NONE, _NONE)
+    faults += [*force_sign(clean), *velocity(clean), *time_unit(clean), *short_record(clean)]
+    if loaded:
+        faults += [*clipping(clean), *lag(clean)]
+    faults += [*jumps(clean, motion), *held(clean, "displacement", motion)]
+    faults += [*held(clean, "force", force), *zero_moves(clean), *spikes(trace), *dropped(clean)]
+    if loaded:
+        faults += repeated(clean)
+    faults += [*resolution(clean, gap), *noise(clean)]
+    if gap is not None:
+        faults += of_gap(clean, gap)
+    if loaded:
+        faults += drift(clean)
     hidden = {name for fault in faults for name in _CONSEQUENCES.get(fault.name, ())}
     return tuple(fault for fault in faults if fault.name not in hidden)
 
 
 NEAR_TURN = 0.05  # the fit uses this share of the peak-to-peak displacement around a reversal
-STROKES = 0.4  # shorter strokes, by their share of the longest, have no clear reversal
-REVERSALS = 40  # most reversals that are used
+STROKES, REVERSALS = 0.4, 40  # shortest strokes, by their share of the longest; most reversals
 REACH = 0.06  # largest lag, s; eight samples or 3 % of a cycle where that is more
 LIKELY = 0.85  # a lag counts up to this share of the squared misfit without a lag
-_TURN_SAMPLES = 120  # of one reversal, at any rate
-_LENGTHS = np.geomspace(0.02, 1.5, 10)  # of the release, over the distance that is used
 
 
-def estimate_lag(trace: Trace) -> tuple[float, NDArray[np.intp]] | None:
+def estimate_lag(trace: Trace) -> tuple[float, Samples] | None:
     """Lag of the force behind the displacement, s, and the reversals that it was found at.
 
     After a turn of the motion the friction force falls, fastest at the turn itself: by
     A (1 − exp(−s/λ)) at the distance s from it. A and a line in time, for the level before the
     turn and viscous friction, are fitted to each reversal, λ and the lag to all reversals
-    together. A late force begins to fall after the turn, an early one before it. None without a
-    force or reversals, or where no lag fits clearly better.
+    together. A late force begins to fall after the turn, an early one before it. None without
+    reversals, or where no lag fits clearly better.
     """
-    x, turns = trace.displacement, trace.cycle_turns
-    ends = np.concatenate([[0], turns, [x.size - 1]])
-    strokes = np.array([abs(x[b] - x[a]) for a, b in pairwise(ends)])
-    long = strokes >= STROKES * np.ptp(x)
-    turns = turns[long[:-1] & long[1:]]  # away from the ends, between long strokes
+    from scipy.signal import detrend
+
+    t, x, force = trace.time, trace.displacement, np.asarray(trace.force)
+    ends = np.concatenate([[0], trace.cycle_turns, [x.size - 1]])
+    long = np.abs(np.diff(x[ends])) >= STROKES * np.ptp(x)
+    turns = trace.cycle_turns[long[:-1] & long[1:]]  # between long strokes
     turns = turns[:: max(1, -(-turns.size // REVERSALS))]
-    if trace.force is None or np.ptp(trace.force) == 0.0 or turns.size < 2:
+    if turns.size < 2:
         return None
-    step = float(np.median(np.diff(trace.time)))
-    cycle = 2 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
-    reach = max(REACH, 8 * step, 0.03 * cycle)
+    near = NEAR_TURN * float(np.ptp(x))
+    lengths = near * np.geomspace(0.02, 1.5, 10)[:, None, None]
+
+    def misfits(lags: Array) -> Array:
+        """Squared misfit over all turns with the best λ, (lags,)."""
+        total = np.zeros((len(lengths), lags.size))
+        for turn in turns:
+            away = np.abs(x - x[turn])
+            first = int(np.max(np.flatnonzero(away[:turn] > near), initial=-1)) + 1
+            last = turn - 1 + int(np.argmax(np.append(away[turn:] > near, True)))
+            if last - first < 4:
+                continue
+            time = np.linspace(t[first], t[last], min(120, last - first + 1))
+            begin = max(0, 2 * first - last)
+            released = np.where(np.arange(begin, last + 1) > turn, away[begin : last + 1], 0.0)
+            distance = np.interp(time - lags[:, None], t[begin : last + 1], released)
+            shape = detrend(-np.expm1(-distance / lengths))
+            fall = detrend(np.interp(time, t, force))
+            square, along = np.sum(shape**2, axis=2), shape @ fall
+            gain = np.where(square > 1e-12, along**2 / np.maximum(square, 1e-12), 0.0)
+            total += np.sum(fall**2) - gain
+        return np.asarray(total.min(axis=0))
+
+    cycle = 2 * float(np.median(np.diff(t[trace.cycle_turns])))
+    reach = max(REACH, 8 * float(np.median(np.diff(t))), 0.03 * cycle)
     coarse = np.linspace(-reach, reach, 49)
-    lag, misfit, at_rest = _best_lag(trace, turns, coarse)
-    if abs(lag) >= reach * 0.999 or misfit > LIKELY * at_rest:
+    misfit = misfits(coarse)
+    best = int(np.argmin(misfit))
+    if best in (0, 48) or misfit[best] > LIKELY * misfit[24]:
         return None
-    spacing = coarse[1] - coarse[0]
-    lag, _, _ = _best_lag(trace, turns, lag + np.linspace(-spacing, spacing, 9))
-    return lag, turns
+    fine = coarse[best] + np.linspace(-1.0, 1.0, 9) * (coarse[1] - coarse[0])
+    return float(fine[np.argmin(misfits(fine))]), turns
 
 
-def _best_lag(trace: Trace, turns: NDArray[np.intp], lags: Array) -> tuple[float, float, float]:
-    """Lag with the smallest misfit, that misfit, and the misfit at the lag nearest to 0."""
-    misfit = np.zeros((_LENGTHS.size, lags.size))
-    for turn in turns.tolist():
-        misfit += _lag_misfit(trace, turn, lags)
-    least = misfit.min(axis=0)
-    at = int(np.argmin(least))
-    return float(lags[at]), float(least[at]), float(least[int(np.argmin(np.abs(lags)))])
+TOLERANCE = 0.1  # most difference of a record from its name, as a share of the name's value
+SLOW_RATE, SLOW_PERIOD = 5.0, 3600.0
+"""Where no unit of time is stated, a slower rate (Hz) with longer cycles (s) is not of a time in s:
+qualification tests take a sample each few seconds, and up to an hour."""
+
+NUMBER = (
+    r"(?<![\d.])(?<!\d[eE])(?<![A-Za-z]\d,)"  # no part of 1.5e3, nor of "seal3,5bar"
+    r"(0,\d+(?![\d.,])|(?<![A-Za-z])\d{1,3},\d{1,2}(?![\d.,])"
+    r"|(?!(?<=\d,)\d{3}(?!\d))"  # no part of 1,200
+    r"(?:\d+[.p]\d+(?!\d)|\d+(?!\d|[.p]\d)))"  # whole: Python 3.11.2 misreads (\d++)?+
+)
+"""Number in a name: ``0.5``, ``0p5``, ``0,5``. Of ``1,200`` it is not known which it is, and commas
+may stand between words too, as in ``2022,36lb,0.25Hz``.
+"""
+
+_ALONE = rf"(?<![A-Za-z]){NUMBER}"
+_FREQUENCY = re.compile(rf"{NUMBER}[ _-]?hz(?![a-z])", re.IGNORECASE)
+_LENGTH = re.compile(rf"{_ALONE}(in|inch|mm)(?![a-z])", re.IGNORECASE)
+_ACTUATION = re.compile(
+    rf"{_ALONE}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
+)
+_HALF = re.compile(r"(?<![a-z])amp(?:l|litude)?(?![a-z])", re.IGNORECASE)
+_FULL = re.compile(
+    r"(?<![a-z])(?:stroke|pp|p2p|pk-?pk|peak[ _-]?to[ _-]?peak)(?![a-z])", re.IGNORECASE
+)
+_SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
 
 
-def _lag_misfit(trace: Trace, turn: int, lags: Array) -> Array:
-    """Squared misfit of the release to the force around one turn, (lengths, lags)."""
-    near = NEAR_TURN * float(np.ptp(trace.displacement))
-    away = np.abs(trace.displacement - trace.displacement[turn])
-    before, behind = np.flatnonzero(away[:turn] > near), np.flatnonzero(away[turn:] > near)
-    first = int(before[-1]) + 1 if before.size else 0
-    last = turn + int(behind[0]) - 1 if behind.size else away.size - 1
-    if last - first < 4:
-        return np.zeros((_LENGTHS.size, lags.size))
-    count = min(_TURN_SAMPLES, last - first + 1)
-    time = np.linspace(trace.time[first], trace.time[last], count)
-    force = np.interp(time, trace.time[first : last + 1], np.asarray(trace.force)[first : last + 1])
-    released = np.where(np.arange(away.size) > turn, away, 0.0)
-    begin = max(0, first - (last - first))
-    distance = np.interp(
-        time[None, :] - lags[:, None], trace.time[begin : last + 1], released[begin : last + 1]
-    )
-    shape = -np.expm1(-distance[None] / (near * _LENGTHS[:, None, None]))
-    # Parts that are linear in time, as a viscous force is at a turn, are removed from both.
-    line = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), 1)
-    basis = np.linalg.qr(line)[0]
-    shape -= (shape @ basis) @ basis.T
-    force = force - basis @ (basis.T @ force)
-    square = np.sum(shape**2, axis=2)
-    along = shape @ force
-    gain = np.divide(along**2, square, out=np.zeros_like(along), where=square > 1e-12)
-    return np.asarray(np.sum(force**2) - gain)
+def contradictions(
+    record: Record, trace: Trace | None = None, *, roles: Collection[str] = ROLES
+) -> tuple[Fault, ...]:
+    """Gaps in time, and units in columns' names or figures in a file's that its record has not.
+
+    Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
+    stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
+    ``pp``); a rate may also be that of the samples. Of several it is enough that one agrees. Only
+    roles whose unit is known, `roles`, are compared.
+    """
+    trace = record.trace() if trace is None else trace
+    faults = [Fault.of("rows not used", "{rows}", rows=doubt) for doubt in record.doubts]
+    if "time" in roles and record.gap:
+        faults.insert(0, Fault.of("gap in time", "{gap}", gap=record.gap))
+    faults += _of_columns(record, roles)
+    if "time" in roles:
+        faults += _of_time(record, trace)
+    return (*faults, *_of_name(record, trace, roles))
+
+
+def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
+    """Columns that are read in another unit than the file says, or whose own is not known."""
+    for role, (name, unit) in record.columns.items():
+        if role in record.derived or (role not in roles and role != "actuation"):
+            continue
+        row = record.stated_units.get(role, "")
+        own, where = stated_unit(own_name(name), row), "the file" if row else "its name"
+        if not own or measure(own) != measure(unit):  # "kN" of "load_kN"
+            last = header_unit(own_name(name))
+            if last and measure(last) == measure(unit):
+                own, where = last, "its name"
+        if not own or " " in own or same_unit(own, unit):
+            continue
+        question = ": which is it?"
+        if measure(own) != measure(unit):
+            if may_mean(own, unit):
+                continue
+            question = f", which is no known unit of {role}: which is it{force_meant(own)}?"
+        yield Fault.of(
+            "column unit",
+            f"column {{name}} is read in {{unit}}, and {where} says {{own}}{question}",
+            name=repr(name),
+            unit=repr(unit),
+            own=repr(own),
+        )
+
+
+def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
+    """Times read as s, without the file's word for it, that are plausible as ms alone."""
+    name = own_name(record.columns.get("time", ("", ""))[0])
+    stated = (header_unit(name), stated_unit(name), record.stated_units.get("time"))
+    duration = float(np.ptp(trace.time))
+    cycle, rate = duration / max(trace.turning_points.size / 2, 1.0), trace.samples / duration
+    is_stated = any(unit and measure(unit) == "time" for unit in stated)
+    if rate <= SLOW_RATE and cycle > SLOW_PERIOD and not is_stated:
+        yield Fault.of(
+            "time unit",
+            f"a rate of {rate:.3g} Hz with cycles of {cycle:.3g} s is implausible, and the file "
+            "states no unit of time: is time in ms rather than in s?",
+        )
+
+
+def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
+    """Amplitude, frequency and actuation that none of the figures in the file's name agrees with.
+
+    Of an actuation, only figures of the same kind, pressure or tension, are compared.
+    """
+    name, loops = record.path.stem, find_loops(trace)
+    checks: list[tuple[dict[str, float], list[float], str, dict[str, str | tuple[float, str]]]] = []
+    if loops.period.size and "displacement" in roles:
+        size = float(np.median(loops.amplitude[loops.strong]))
+        text = "the record has an amplitude of {amplitude} (a stroke of {stroke})"
+        shown: dict[str, str | tuple[float, str]]
+        shown = {"amplitude": (size, "in"), "stroke": (2 * size, "in")}
+        checks.append((_lengths(name), _sizes(name, size), text, shown))
+    if loops.period.size and "time" in roles:
+        rate = float(1.0 / np.median(loops.period[loops.strong]))
+        rates = {m[0]: number_in(m[1]) for m in _FREQUENCY.finditer(name)}
+        checks.append((rates, [rate, record.rate], f"the record's motion has {rate:.3g} Hz", {}))
+    if record.actuation is not None:
+        declared, level = {}, float(np.mean(record.actuation))
+        for match in _ACTUATION.finditer(name):
+            unit = _SPELLED.get(match[2].lower(), match[2].lower())
+            value, internal = parse_actuation(f"{number_in(match[1]):g} {unit}")
+            if internal == record.actuation_unit:
+                declared[match[0]] = value
+        where = "the campaign"
+        words = record.given_actuation or f"{level:.4g} {record.actuation_unit}"
+        if "actuation" in record.columns:
+            unit = record.columns["actuation"][1]
+            where, words = "its column", f"{level / actuation_factor(unit)[0]:.4g} {unit}"
+        checks.append(
+            (declared, [level], f"{where} has an actuation of {{level}}", {"level": words})
+        )
+    for figures, measured, text, values in checks:
+        agree = any(_near(size, figure) for figure in figures.values() for size in measured)
+        if figures and not agree:
+            yield Fault.of(
+                "file name",
+                f"the name of {{file}} says {{words}}, but {text}",
+                file=record.path.name,
+                words=" and ".join(figures),
+                **values,
+            )
+
+
+def _lengths(name: str) -> dict[str, float]:
+    """Lengths in a file's name, in, by their words."""
+    return {m[0]: number_in(m[1]) * factor(m[2], "displacement") for m in _LENGTH.finditer(name)}
+
+
+def _sizes(name: str, amplitude: float) -> list[float]:
+    """Sizes that a file's name may give: the amplitude, the whole stroke, or either."""
+    half, full = bool(_HALF.search(name)), bool(_FULL.search(name))
+    return [amplitude] * (half or not full) + [2.0 * amplitude] * (full or not half)
+
+
+def length_in_name(record: Record) -> tuple[str, str] | None:
+    """The one unit with which a displacement, read as inches, is as long as its name says; why."""
+    loops, name = find_loops(record.trace()), record.path.stem
+    if not loops.period.size:
+        return None
+    amplitude = float(np.median(loops.amplitude[loops.strong]))
+    found = {
+        unit: words
+        for unit in ("mm", "cm", "m", "in")
+        for words, length in _lengths(name).items()
+        for size in _sizes(name, amplitude * factor(unit, "displacement"))
+        if _near(size, length)
+    }
+    if len(found) != 1:
+        return None
+    unit, words = found.popitem()
+    why = f"the file's name says {words}, and the numbers have an amplitude of {amplitude:.3g}"
+    return unit, why
+
+
+def number_in(text: str) -> float:
+    """Number that `NUMBER` has found."""
+    return float(text.lower().replace("p", ".").replace(",", "."))
+
+
+def _near(size: float, declared: float) -> bool:
+    return abs(size - declared) <= TOLERANCE * declared + 1e-9

@@ -11,17 +11,15 @@ of the stroke). Zero displacement is the middle of the cycle's stroke, whatever 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.motion import Array, turning_points
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.spikes import without_spikes
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Array, Trace, turning_points, without_spikes
 
 STRONG = 0.95  # a loop is strong from this share of the largest amplitude; others ramp in or out
 TURN = 0.1  # for shapes a motion turns when it goes back by this share of its range
@@ -55,20 +53,20 @@ class Loops:
 
         None without a force, with fewer than `FEWEST` strong loops, or fewer than weak ones.
         """
-        ends = self._ends(self.energy)
-        return None if ends is None or ends[0] == 0.0 else ends[1] / ends[0] - 1.0
+        first, last = self._ends(self.energy)
+        return last / first - 1.0 if first else None
 
     @property
     def offset_drift(self) -> float | None:
         """Change of the offset, kip, from the first third of the strong loops to the last."""
-        ends = self._ends(self.offset)
-        return None if ends is None else ends[1] - ends[0]
+        first, last = self._ends(self.offset)
+        return None if first is None else last - first
 
-    def _ends(self, values: Array | None) -> tuple[float, float] | None:
+    def _ends(self, values: Array | None) -> tuple[float | None, float]:
         """Median of the first third and of the last third of the strong loops."""
         strong = int(np.count_nonzero(self.strong))
         if values is None or strong < max(FEWEST, self.amplitude.size - strong):
-            return None
+            return None, 0.0
         kept, third = values[self.strong], strong // 3
         return float(np.median(kept[:third])), float(np.median(kept[-third:]))
 
@@ -102,10 +100,9 @@ def channels_swapped(trace: Trace) -> bool:
     A friction force follows the direction of the motion and is rougher than the motion; with the
     channels exchanged it is the displacement that does.
     """
-    energy = find_loops(trace).energy
-    if energy is None or not energy.sum() < 0.0:
+    energy, x, force = find_loops(trace).energy, trace.displacement, trace.force
+    if energy is None or force is None or not energy.sum() < 0.0:
         return False
-    x, force = trace.displacement, np.asarray(trace.force)
     rougher = np.log10(roughness(force) / roughness(x))
     return bool(follows(x, force) - follows(force, x) + rougher < 0.0)
 
@@ -118,20 +115,18 @@ def roughness(values: Array) -> float:
 def follows(motion: Array, force: Array) -> float:
     """Size of the correlation of a force with the direction of a motion, (T,) each."""
     turns = turning_points(motion, TURN * float(np.ptp(motion)))
-    if turns.size < 2 or not np.ptp(force) > 0.0:
+    if turns.size < 2:
         return 0.0
-    inside = slice(int(turns[0]), int(turns[-1]))
-    way = np.where(np.searchsorted(turns, np.arange(motion.size), side="right") % 2, 1.0, -1.0)
-    if not np.ptp(way[inside]) > 0.0 or not np.ptp(force[inside]) > 0.0:
+    at = np.arange(turns[0], turns[-1])
+    way = np.searchsorted(turns, at, side="right") % 2
+    if not np.ptp(way) or not np.ptp(force[at]) > 0.0:
         return 0.0
-    return abs(float(np.corrcoef(way[inside], force[inside])[0, 1]))
+    return abs(float(np.corrcoef(way, force[at])[0, 1]))
 
 
 SLIP = (0.5, 0.95)  # shares of a stroke between which the damper slips
 RISE = (0.2, 0.8)  # shares of the plateau between which the force builds up after the gap
 UNLOADING = (0.8, 0.2)  # shares of the slip force between which the slope after a turn is read
-_FASTEST = 0.9  # quantile of the speed that is the speed of a record
-_FALLBACK = 0.05  # of the stroke: length of a build-up that cannot be read
 
 
 @dataclass(frozen=True)
@@ -156,11 +151,13 @@ class LoopFeatures:
 
 @dataclass(frozen=True, eq=False)
 class Strokes:
-    """What each of the S strokes of a motion shows of forces (n, T), (n, S) each, as LoopFeatures.
+    """The S strokes of a motion, and what each shows of forces (n, T), (n, S), as `LoopFeatures`.
 
-    NaN where nothing is seen; `sign` (S,) is its direction, `full` (S,) whether it is a full one.
+    `ends` (S, 2) are the first and the last sample of each, `sign` (S,) is its direction, `full`
+    (S,) whether it is a full one. NaN where nothing is seen.
     """
 
+    ends: NDArray[np.intp]
     sign: Array
     full: NDArray[np.bool_]
     plateau: Array  # kip
@@ -174,24 +171,22 @@ class Strokes:
 
 def stroke_estimates(trace: Trace, force: Array) -> Strokes:
     """What is read off each stroke of a motion under forces (n, T), kip."""
-    x, turns = trace.displacement, trace.cycle_turns
-    first, last = turns[:-1], turns[1:]
-    way = x[last] - x[first]
+    x = trace.displacement
+    ends = np.column_stack([trace.cycle_turns[:-1], trace.cycle_turns[1:]])
+    way = np.diff(x[ends])[:, 0]
     full = np.abs(way) >= STRONG * np.max(np.abs(way), initial=0.0)
-    nothing = np.full((len(force), first.size), np.nan)
-    strokes = Strokes(np.sign(way), full, nothing, nothing.copy(), nothing.copy())
-    spans = list(zip(first.tolist(), last.tolist(), strokes.sign.tolist(), strict=True))
-    for k, (a, b, sign) in enumerate(spans):
-        share = (x[a : b + 1] - x[a]) / (x[b] - x[a])
+    plateau, slope, gap = np.full((3, len(force), way.size), np.nan)
+    strokes = Strokes(ends, np.sign(way), full, plateau, slope, gap)
+    for k, (a, b) in enumerate(ends):
+        share = (x[a : b + 1] - x[a]) / way[k]
         inside = (share >= SLIP[0]) & (share <= SLIP[1])
         if inside.any():
-            strokes.plateau[:, k] = sign * np.median(force[:, a : b + 1][:, inside], axis=1)
+            plateau[:, k] = np.sign(way[k]) * np.median(force[:, a : b + 1][:, inside], axis=1)
     slip = {sign: strokes.slip(sign) for sign in (1.0, -1.0)}
-    for k, (a, b, sign) in enumerate(spans):
+    for k, (a, b) in enumerate(ends):
+        sign = float(np.sign(way[k]))
         travel = np.abs(x[a : b + 1] - x[a])
-        strokes.slope[:, k], strokes.gap[:, k] = _rise(
-            sign * force[:, a : b + 1], travel, slip[sign]
-        )
+        slope[:, k], gap[:, k] = _rise(sign * force[:, a : b + 1], travel, slip[sign])
     return strokes
 
 
@@ -218,25 +213,17 @@ def asymmetry(trace: Trace) -> Array:
     signs swapped has the opposite. NaN without full strokes in both directions.
     """
     along = np.linspace(0.02, 0.98, 60)
-    force, sides = np.asarray(trace.force), []
-    for sign in (1, -1):
-        curves = []
-        for first, last, way in _strokes(trace):
-            x = trace.displacement[first : last + 1]
+    strokes, force = stroke_estimates(trace, np.empty((0, trace.samples))), np.asarray(trace.force)
+    sides = []
+    for sign in (1.0, -1.0):
+        curves = [np.full(along.size, np.nan)]
+        for a, b in strokes.ends[strokes.full & (strokes.sign == sign)]:
+            x = trace.displacement[a : b + 1]
             travel = np.maximum.accumulate((x - x[0]) / (x[-1] - x[0]))
-            if way == sign:
-                curves.append(np.interp(along, travel, force[first : last + 1]))
-        sides.append(np.median(curves, axis=0) if curves else np.full(along.size, np.nan))
+            curves.append(np.interp(along, travel, force[a : b + 1]))
+        sides.append(np.median(curves[1:] or curves, axis=0))
     mean = 0.5 * (sides[0] + sides[1])
     return np.asarray(mean - mean.mean())
-
-
-def _strokes(trace: Trace) -> list[tuple[int, int, int]]:
-    """First and last sample, and direction, of every full stroke."""
-    x = trace.displacement
-    strokes = [(int(a), int(b), 1 if x[b] > x[a] else -1) for a, b in pairwise(trace.cycle_turns)]
-    longest = max((abs(x[b] - x[a]) for a, b, _ in strokes), default=0.0)
-    return [s for s in strokes if abs(x[s[1]] - x[s[0]]) >= STRONG * longest]
 
 
 def _rise(force: Array, travel: Array, slip: Array) -> tuple[Array, Array]:
@@ -292,24 +279,23 @@ class Scales:
 def scales_of(trace: Trace) -> Scales | None:
     """Scales of one record; None where it has no force or no motion."""
     trace = without_spikes(trace)
-    force = trace.force
-    if force is None or not np.ptp(force) > 0.0 or not np.ptp(trace.displacement) > 0.0:
+    force, stroke = trace.force, float(np.ptp(trace.displacement))
+    if force is None or not np.ptp(force) > 0.0 or not stroke > 0.0:
         return None
-    loops = find_loops(trace)
-    known = loops.offset is not None and loops.offset.size
-    offset = float(np.median(np.asarray(loops.offset))) if known else float(np.mean(force))
+    offsets = find_loops(trace).offset
+    offset = float(np.mean(force) if offsets is None or not offsets.size else np.median(offsets))
     read = loop_estimate(trace, offset)
     slip = _positive(read.plateau, 0.5 * float(np.ptp(force)))
+    length = _positive(read.gap, 0.05 * stroke)
     # White noise whose second differences have the size of these.
     noise = float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))
-    length = _positive(read.gap, _FALLBACK * float(np.ptp(trace.displacement)))
     return Scales(
         force=slip,
-        unloading=_positive(_unloading(trace, np.asarray(force) - offset, slip), slip / length),
+        unloading=_positive(_unloading(trace, force - offset, slip), slip / length),
         build_up=_positive(read.slope, slip / length),
         length=length,
-        stroke=float(np.ptp(trace.displacement)),
-        speed=_positive(float(np.quantile(np.abs(trace.velocity), _FASTEST)), 1e-9),
+        stroke=stroke,
+        speed=_positive(float(np.quantile(np.abs(trace.velocity), 0.9)), 1e-9),
         noise=_positive(noise, 1e-3 * slip),
         offset=offset,
     )
@@ -317,10 +303,7 @@ def scales_of(trace: Trace) -> Scales | None:
 
 def middle(scales: Iterable[Scales]) -> Scales:
     """Scales in the middle of several records: the median of each."""
-    several = list(scales)
-    return Scales(
-        **{f.name: float(np.median([getattr(s, f.name) for s in several])) for f in fields(Scales)}
-    )
+    return Scales(*np.median([astuple(each) for each in scales], axis=0).tolist())
 
 
 def _positive(value: float, other: float) -> float:
@@ -329,9 +312,11 @@ def _positive(value: float, other: float) -> float:
 
 def _unloading(trace: Trace, force: Array, slip: float) -> float:
     """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
-    x = trace.displacement
+    strokes, x = stroke_estimates(trace, np.empty((0, trace.samples))), trace.displacement
     slopes = []
-    for first, last, sign in _strokes(trace):
+    for (first, last), sign in zip(
+        strokes.ends[strokes.full], strokes.sign[strokes.full], strict=True
+    ):
         share = -sign * force[first : last + 1] / slip  # falls from 1 after the turn
         below = [int(np.argmax(share <= level)) for level in UNLOADING]
         travel = abs(x[first + below[1]] - x[first + below[0]])
@@ -415,13 +400,13 @@ class MeasuredCycles:
         if missing := [f.name for f in fields(cls) if f.name not in content]:
             raise ValueError(f"{missing[0]} is missing")
         values: dict[str, Any] = {f.name: np.array(content[f.name]) for f in fields(cls)}
-        whole = ("largest_fwd", "largest_bwd", "total_energy")
-        cycles = values["time"].size
-        if wrong := [n for n, v in values.items() if v.size != (1 if n in whole else cycles)]:
-            raise ValueError(f"{wrong[0]} has {values[wrong[0]].size} values")
+        for f in fields(cls):
+            size = values["time"].size if f.type != "float" else 1
+            if values[f.name].size != size:
+                raise ValueError(f"{f.name} has {values[f.name].size} values")
+            if f.type == "float":
+                values[f.name] = float(values[f.name][0])
         values["full_stroke"] = values["full_stroke"] > 0.0
-        for name in whole:
-            values[name] = float(values[name][0])
         return cls(**values)
 
 
@@ -450,36 +435,36 @@ def measured_cycles(record: Record | Trace) -> MeasuredCycles | None:
 
 def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
     """Values of every full cycle of a motion under forces (n, T), kip: (n, L) each, by name."""
-    loops, x = find_loops(trace), trace.displacement
-    n, count = len(force), max(loops.bounds.size - 1, 0)
-    values = {name: np.full((n, count), np.nan) for name in UNITS}
-    if not count:
-        return values
-    strokes = stroke_estimates(trace, force)
-    turns = trace.cycle_turns[: 2 * count + 1]
-    for cycle, (begin, end) in enumerate(pairwise(loops.bounds.tolist())):
+    bounds, x, strokes = (
+        find_loops(trace).bounds,
+        trace.displacement,
+        stroke_estimates(trace, force),
+    )
+    values = {name: np.full((len(force), max(bounds.size - 1, 0)), np.nan) for name in UNITS}
+    for cycle, (begin, end) in enumerate(pairwise(bounds.tolist())):
         kept = slice(begin, end + 1)
         f, motion = force[:, kept], x[kept]
-        high, low = begin + int(motion.argmax()), begin + int(motion.argmin())
-        stroke = x[high] - x[low]
-        stiffness = (force[:, high] - force[:, low]) / stroke
+        high, low = int(motion.argmax()), int(motion.argmin())
+        stroke, energy = motion[high] - motion[low], np.trapezoid(f, motion, axis=1)
+        stiffness = (f[:, high] - f[:, low]) / stroke
         stiffness[stiffness == 0.0] = np.nan
-        energy = np.trapezoid(f, motion, axis=1)
-        values["peak_fwd"][:, cycle], values["peak_bwd"][:, cycle] = f.max(axis=1), -f.min(axis=1)
-        values["effective_stiffness"][:, cycle] = stiffness
-        values["effective_damping"][:, cycle] = 2.0 / np.pi * energy / (stiffness * stroke**2)
-        values["energy"][:, cycle] = energy
-        values["c_eq"][:, cycle] = energy / np.trapezoid(
-            trace.velocity[kept] ** 2, trace.time[kept]
-        )
-        halves = turns[2 * cycle : 2 * cycle + 3].tolist()
-        for first, last in pairwise(halves):
-            sign = 1.0 if x[last] > x[first] else -1.0
-            side = "slip_fwd" if sign > 0.0 else "slip_bwd"
-            values[side][:, cycle] = sign * _at(x, force, first, last, 0.5 * (x[high] + x[low]))
         both = slice(2 * cycle, 2 * cycle + 2)
-        for name, read in (("build_up_slope", strokes.slope), ("gap", strokes.gap)):
-            values[name][:, cycle] = mean_of(read[:, both])
+        own = {
+            "peak_fwd": f.max(axis=1),
+            "peak_bwd": -f.min(axis=1),
+            "effective_stiffness": stiffness,
+            "effective_damping": 2.0 / np.pi * energy / (stiffness * stroke**2),
+            "energy": energy,
+            "c_eq": energy / np.trapezoid(trace.velocity[kept] ** 2, trace.time[kept]),
+            "build_up_slope": mean_of(strokes.slope[:, both]),
+            "gap": mean_of(strokes.gap[:, both]),
+        }
+        for (first, last), sign in zip(strokes.ends[both], strokes.sign[both], strict=True):
+            side = "slip_fwd" if sign > 0.0 else "slip_bwd"
+            zero = 0.5 * (motion[high] + motion[low])
+            own[side] = sign * _at(sign * x[first : last + 1], force[:, first:], sign * zero)
+        for name, value in own.items():
+            values[name][:, cycle] = value
     return values
 
 
@@ -490,11 +475,10 @@ def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _at(x: Array, force: Array, first: int, last: int, level: float) -> Array:
-    """Forces, (n,), where the motion first crosses a displacement between two turns."""
-    away = (x[first : last + 1] - level) * (1.0 if x[last] > x[first] else -1.0)
-    after = first + int(np.argmax(away >= 0.0))
-    if after == first:
-        return force[:, first]
+def _at(x: Array, force: Array, level: float) -> Array:
+    """Forces, (n,), where a motion (T,) first rises to a level."""
+    after = int(np.argmax(x >= level))
+    if after == 0:
+        return force[:, 0]
     share = (level - x[after - 1]) / (x[after] - x[after - 1])
     return np.asarray(force[:, after - 1] + share * (force[:, after] - force[:, after - 1]))

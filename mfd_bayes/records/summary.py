@@ -8,13 +8,10 @@ import numpy as np
 
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.channels import NO_ACTUATION
-from mfd_bayes.records.data_quality import Fault, find_faults
-from mfd_bayes.records.file_name_check import contradictions
+from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
 from mfd_bayes.records.loops import Loops, find_loops, measured_cycles
-from mfd_bayes.records.motion import Array
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.spikes import without_spikes
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Array, Trace, without_spikes
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,105 +57,78 @@ def _facts_of_file(record: Record, trace: Trace) -> dict[str, Message]:
 
 
 def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Message]:
-    x, turns, strong = trace.displacement, trace.cycle_turns.size, loops.strong
-    facts = {"displacement": _range(x, "in")}
+    turns, strong = trace.cycle_turns.size, loops.strong
+    facts = {"displacement": _message("{}", (trace.displacement, "in"))}
     if trace.timed:
-        facts["velocity"] = _range(trace.velocity, "in/s")
+        facts["velocity"] = _message("{}", (trace.velocity, "in/s"))
     facts["turning points"] = Message(f"{turns} ({turns / 2:g} cycles)")
     if strong.size:
         some = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
-        amplitude, stroke = _middle(loops.amplitude[strong], "amplitude", "in")
-        text = f"{strong.size}{some}: amplitude {amplitude}"
-        if trace.timed:
-            frequency, rates = _middle(1.0 / loops.period[strong], "frequency", "Hz")
-            text, stroke = f"{text}, frequency {frequency}", stroke | rates
-        facts["full loops"] = Message(text, stroke)
+        text, values = f"{strong.size}{some}", dict[str, Quantity]()
+        named = {"amplitude": (loops.amplitude, "in"), "frequency": (1.0 / loops.period, "Hz")}
+        for which, (own, unit) in list(named.items())[: 1 + trace.timed]:
+            low, middle, high = (float(v) for v in np.quantile(own[strong], [0.0, 0.5, 1.0]))
+            text += f"{', ' if values else ': '}{which} {{{which}}}"
+            values[which] = Quantity.of(middle, unit=unit)
+            if high - low > 0.01 * middle:
+                text += f" ({{{which}_ends}})"
+                values[f"{which}_ends"] = Quantity.of(low, high, unit=unit)
+        facts["full loops"] = Message(text, values)
     if record.actuation is not None and record.given_actuation != NO_ACTUATION:
-        level = Quantity.of(float(np.mean(record.actuation)), unit=str(record.actuation_unit))
         history = " (mean of a history)" if trace.varying else ""
-        facts["actuation"] = Message(f"{{level}}{history}", {"level": level})
+        level = (float(np.mean(record.actuation)), str(record.actuation_unit))
+        facts["actuation"] = _message(f"{{}}{history}", level, digits=3)
     return facts
 
 
 def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Message]:
-    """Range of the force, measured values of the cycles, and drifts."""
-    force = np.asarray(trace.force)
+    """Range of the force, measured values of the cycles, and drifts.
+
+    Values that not every model's quantities have are left out where the record's have not.
+    """
+    force, has = np.asarray(trace.force), record.axes.has
     at_peak = max(np.count_nonzero(force == end) for end in (force.min(), force.max()))
-    facts = {"force": _range(force, "kip", f", samples at a peak: {at_peak}")}
+    facts = {"force": _message(f"{{}}, samples at a peak: {at_peak}", (force, "kip"))}
     cycles = measured_cycles(record)
-    assert cycles is not None
-    if not cycles.energy.size:
+    if cycles is None or not cycles.energy.size:
         return facts
-    own = cycles.of_test()
-    facts["peak force"] = _both("{fwd} forward, {bwd} backward", own, "peak", "kip")
+    own, since = cycles.of_test(), "from the first loops to the last"
+    sides = "{} forward, {} backward"
+    peaks, slips = ([(own[f"{n}_{s}"], "kip") for s in ("fwd", "bwd")] for n in ("peak", "slip"))
+    facts["peak force"] = _message(sides, *peaks)
     for title, kept, which in (
         ("energy per cycle", cycles.full_stroke, "at full stroke"),
         ("energy of ramps", ~cycles.full_stroke, "smaller"),
     ):
         energy = cycles.energy[kept]
-        if energy.size:
-            mean = Quantity.of(energy.mean(), unit="kip*in", digits=4)
-            ends = Quantity.of(energy.min(), energy.max(), unit="kip*in", digits=4)
-            facts[title] = Message(
-                f"{{mean}} (mean of {energy.size} {which}, {{ends}})", {"mean": mean, "ends": ends}
-            )
-    since = "from the first loops to the last"
-    if loops.energy_drift is not None:
+        if energy.size and has("energy"):
+            text = f"{{}} (mean of {energy.size} {which}, {{}})"
+            facts[title] = _message(text, (energy.mean(), "kip*in"), (energy, "kip*in"))
+    if loops.energy_drift is not None and has("energy"):
         facts["energy drift"] = Message(f"{loops.energy_drift:+.1%} {since}")
-    offset = Quantity.of(np.median(cycles.offset), unit="kip")
-    facts["force offset"] = Message("{offset}, mean along a loop", {"offset": offset})
+    offset = (float(np.median(cycles.offset)), "kip")
+    facts["force offset"] = _message("{}, mean along a loop", offset, digits=3)
     if loops.offset_drift is not None:
-        drift = Quantity.of(loops.offset_drift, unit="kip")
-        facts["force drift"] = Message(f"{{drift}} {since}", {"drift": drift})
-    facts["slip force"] = _both("{fwd} forward, {bwd} backward, at mid-stroke", own, "slip", "kip")
+        facts["force drift"] = _message(f"{{}} {since}", (loops.offset_drift, "kip"), digits=3)
+    if has("slip") and np.isfinite([value for value, _ in slips]).all():
+        facts["slip force"] = _message(f"{sides}, at mid-stroke", *slips)
     for title, name, unit in (
         ("effective stiffness", "effective_stiffness", "kip/in"),
-        ("effective damping", "effective_damping", "1"),
+        ("effective damping", "effective_damping", ""),
         ("equivalent damping", "c_eq", "kip*s/in"),
         ("gap", "gap", "in"),
         ("build-up slope", "build_up_slope", "kip/in"),
     ):
-        value = Quantity.of(own[name], unit=unit, digits=4)
-        text = f"{own[name]:.4g}" if unit == "1" else "{value}"
-        if np.isfinite(own[name]):
-            facts[title] = Message(text, {"value": value})
-    dropped = {title for title, name in _TITLES.items() if not record.axes.has(name)}
-    return {t: fact for t, fact in facts.items() if t not in dropped and "nan" not in str(fact)}
+        if np.isfinite(own[name]) and (has(name) or name == "effective_stiffness"):
+            shown = _message("{}", (own[name], unit)) if unit else Message(f"{own[name]:.4g}")
+            facts[title] = shown
+    return facts
 
 
-_TITLES = {
-    "energy per cycle": "energy",
-    "energy of ramps": "energy",
-    "energy drift": "energy",
-    "slip force": "slip",
-    "effective damping": "effective_damping",
-    "equivalent damping": "c_eq",
-    "gap": "gap",
-    "build-up slope": "build_up_slope",
-}
-"""Facts that not every model's quantities have, and the property that each is of."""
-
-
-def _both(template: str, values: dict[str, float], name: str, unit: str) -> Message:
-    """A sentence with a value of each direction."""
-    sides = {side: Quantity.of(values[f"{name}_{side}"], unit=unit, digits=4) for side in _SIDES}
-    return Message(template, sides)
-
-
-_SIDES = ("fwd", "bwd")
-
-
-def _range(values: Array, unit: str, more: str = "") -> Message:
-    """The smallest and the largest value."""
-    ends = Quantity.of(values.min(), values.max(), unit=unit, digits=4)
-    return Message(f"{{ends}}{more}", {"ends": ends})
-
-
-def _middle(values: Array, name: str, unit: str) -> tuple[str, dict[str, Quantity]]:
-    """Median, with the smallest and the largest where they differ by more than 1 %."""
-    low, middle, high = (float(v) for v in np.quantile(values, [0.0, 0.5, 1.0]))
-    quantities = {name: Quantity.of(middle, unit=unit)}
-    if high - low <= 0.01 * middle:
-        return f"{{{name}}}", quantities
-    ends = Quantity.of(low, high, unit=unit)
-    return f"{{{name}}} ({{{name}_ends}})", quantities | {f"{name}_ends": ends}
+def _message(text: str, *values: tuple[Array | float, str], digits: int = 4) -> Message:
+    """A text with quantities, each a value or the ends of several, and its internal unit."""
+    quantities = {}
+    for number, (value, unit) in enumerate(values):
+        ends = (np.min(value), np.max(value)) if np.ndim(value) else (value,)
+        quantities[f"value{number}"] = Quantity.of(*map(float, ends), unit=unit, digits=digits)
+    return Message(text.format(*(f"{{{name}}}" for name in quantities)), quantities)

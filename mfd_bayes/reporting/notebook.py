@@ -62,7 +62,9 @@ class Notebook:
         fan = fan_of("observation", force.reshape(-1, force.shape[-1]).astype(np.float64))
         shown = convert_fan(fan, self.system.factor("kip"))
         trace = convert_trace(test.trace, self.system)
-        return loops.draw_measured(axes, trace, shown, self.system)
+        return loops.draw_band(
+            axes, shown, trace.time, trace.displacement, self.system, trace.force
+        )
 
     def inference_data(self, result: TestResult | Band) -> Any:
         """Groups of a test, or of a band, as ArviZ's functions take them."""

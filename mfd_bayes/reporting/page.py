@@ -87,23 +87,17 @@ class Picture:
     csv: str
 
     @classmethod
-    def embedded(cls, key: str, png: bytes) -> Picture:
-        """Picture that is part of its page, which stands in the run folder."""
-        uri = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
-        path = f"{key}.png" if key.startswith("tests/") else f"figures/{key}.png"
-        return cls(uri, *_size(png), quote(path), quote(table_of(key)))
-
-    @classmethod
-    def linked(cls, key: str, png: bytes) -> Picture:
-        """Picture that stands beside its page."""
-        name, table = (path.rpartition("/")[2] for path in (f"{key}.png", table_of(key)))
-        return cls(quote(name), *_size(png), quote(name), quote(table))
-
-
-def _size(png: bytes) -> tuple[int, int]:
-    """Width and height, which are in the first chunk of a PNG."""
-    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
-    return width, height
+    def of(cls, key: str, png: bytes, *, embedded: bool = True) -> Picture:
+        """Picture that is part of a page in the run folder, or that stands beside its page."""
+        path, table = key if "/" in key else f"figures/{key}", table_of(key)
+        if not embedded:
+            path, table = path.rpartition("/")[2], table.rpartition("/")[2]
+        path = quote(f"{path}.png")
+        encoded = base64.b64encode(png).decode("ascii") if embedded else ""
+        uri = f"data:image/png;base64,{encoded}" if embedded else path
+        # width and height are in the first chunk of a PNG
+        width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+        return cls(uri, width, height, path, quote(table))
 
 
 def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
@@ -230,7 +224,7 @@ def render(
             view=view,
             test=test,
             judged=judged.get(test.id),
-            pictures={key: Picture.linked(key, png) for key, png in own.items()},
+            pictures={key: Picture.of(key, png, embedded=False) for key, png in own.items()},
         )
     return pages
 
@@ -266,9 +260,7 @@ def _summary(
         missed=[judged for judged in view.judgements if judged.use != Use.USABLE],
         links={test.id: f"tests/{quote(test.id)}/page.html" for test in view.tests},
         pictures={
-            key: Picture.embedded(key, png)
-            for key, png in images.items()
-            if not key.startswith("tests/")
+            key: Picture.of(key, png) for key, png in images.items() if not key.startswith("tests/")
         },
         explorer=explorer,
         parameters=replace(

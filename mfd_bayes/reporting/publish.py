@@ -26,10 +26,11 @@ from mfd_bayes.reporting.tables import (
     datasheet_sheet,
     paper_sheets,
     record_table,
-    report_tables,
+    report_frames,
     shared_tables,
     to_csv,
     to_excel,
+    to_json,
     to_latex,
     to_word,
 )
@@ -123,22 +124,22 @@ def publish(
     MfdError
         When something cannot be written, or no browser prints the PDF.
     """
-    system, symbols, texts = view.system, Symbols(view.model), report_tables(view)
-    table_1, table_2 = (table.to_units(system) for table in paper_sheets(view, symbols))
-    texts["parameters.tex"] = to_latex("parameters", table_1, symbols)
-    texts["laws.tex"] = to_latex("laws", table_2, symbols)
-    sheets = {"Table I": table_1, "Table II": table_2}
+    system, symbols, frames = view.system, Symbols(view.model), report_frames(view)
+    sheets = dict(zip(("parameters", "laws"), paper_sheets(view, symbols), strict=True))
     if sheet is not None:
-        properties = datasheet_sheet(sheet.rows, view.title, symbols, system.axes).to_units(system)
-        sheets = {"Data sheet": properties} | sheets
-        texts["datasheet.csv"] = to_csv(datasheet_frame(sheet.rows, system))
-        texts["datasheet.tex"] = to_latex("datasheet", properties, symbols)
-    for name, text in texts.items():
-        write_text(out / name, text)
+        frames["datasheet"] = datasheet_frame(sheet.rows, system)
+        sheets["datasheet"] = datasheet_sheet(sheet.rows, view.title, symbols, system.axes)
+    for name, frame in frames.items():
+        write_text(out / f"{name}.csv", to_csv(frame))
+    for name in ("parameters", "laws"):
+        write_text(out / f"{name}.json", to_json(view.title, name, frames[name]))
+    for name, table in sheets.items():
+        write_text(out / f"{name}.tex", to_latex(name, table, symbols, system))
     if forms.word:
-        write_bytes(out / "tables.docx", to_word(view.title, sheets.values(), symbols))
+        made = to_word(view.title, sheets.values(), symbols, system)
+        write_bytes(out / "tables.docx", made)
     if forms.excel:
-        write_bytes(out / "tables.xlsx", to_excel(sheets, symbols))
+        write_bytes(out / "tables.xlsx", to_excel({name: frames[name] for name in sheets}))
     observe(Step("report", "figures"))
     images = _draw(view, out, processes, forms)
     for name, text in shared_tables(view):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.reporting.page import Picture, Units, render_page
 from mfd_bayes.reporting.symbols import unit_text
-from mfd_bayes.reporting.tables import escape_tex, to_csv
+from mfd_bayes.reporting.tables import escape_tex
 from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.response.variance_shares import Shares
@@ -20,6 +20,9 @@ from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.store.files import json_text
 from mfd_bayes.units import GRAVITY, percent
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class ResponseView:
 def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:
     """HTML of the page; `images` are PNGs by "profile_us", "profile_si" and so on."""
     units = Units(SYSTEMS, view.metric, _factor_and_name)
-    pictures = {name: Picture.embedded(name, png) for name, png in images.items()}
+    pictures = {name: Picture.of(name, png) for name, png in images.items()}
     return render_page("response.html.j2", units, view=view, pictures=pictures)
 
 
@@ -98,51 +101,60 @@ def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
     return by, unit_text(name) or name
 
 
-def peaks_csv(rows: Iterable[Row], system: System) -> str:
-    """Peaks and bands as CSV."""
-    lines = []
+def _in_system(row: Row | Passing, system: System, names: Iterable[str]) -> dict[str, Any]:
+    """Fields of a row, those of `names` in the unit in which a system shows them."""
+    unit, by = shown_unit(row.unit, system)
+    return {**vars(row), "unit": unit} | {name: by * getattr(row, name) for name in names}
+
+
+def _peaks(rows: Iterable[Row], system: System) -> list[dict[str, Any]]:
+    peaks = []
     for row in rows:
-        unit, by = shown_unit(row.unit, system)
-        line: dict[str, Any] = {"quantity": row.quantity, "ground": row.ground, "place": row.place}
-        line |= {"unit": unit, "median": by * row.median, "mean": by * row.mean}
-        for p, (low, high) in zip(PROBABILITIES, row.bands, strict=True):
-            line |= {f"lower_{percent(p)}": by * low, f"upper_{percent(p)}": by * high}
-        line |= {"without_dampers": by * row.bare, "plain_friction": by * row.plain}
-        lines.append(
-            line | {"all_at_lower_bound": by * row.lower, "all_at_upper_bound": by * row.upper}
-        )
-    return _csv(lines, ("quantity", "ground", "place", "unit", "median", "mean"))
+        figures = ("median", "mean", "bare", "plain", "lower", "upper")
+        peak = _in_system(row, system, figures)
+        by = shown_unit(row.unit, system)[1]
+        pairs = zip(PROBABILITIES, row.bands, strict=True)
+        bands = {percent(p): [by * end for end in band] for p, band in pairs}
+        peaks.append(peak | {"bands": bands})
+    return peaks
 
 
-def limits_csv(limits: Iterable[Passing], system: System) -> str:
-    """Probabilities of passing limits as CSV."""
-    lines = []
-    for row in limits:
-        unit, by = shown_unit(row.unit, system)
-        line = {"quantity": row.quantity, "ground": row.ground, "limit": by * row.limit}
-        line |= {"unit": unit, "probability": row.probability, "standard_error": row.error}
-        lines.append(line)
-    return _csv(lines, ("quantity", "ground", "limit", "unit", "probability", "standard_error"))
-
-
-def shares_csv(shares: Iterable[Shares]) -> str:
-    """Shares of variance as CSV."""
-    names = ("quantity", "ground", "source", "share")
-    lines = [
-        dict(zip(names, (row.quantity, row.ground, source, share), strict=True))
-        for row in shares
-        for source, share in row.shares.items()
-    ]
-    return _csv(lines, names)
-
-
-def _csv(lines: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+def peaks_frame(rows: Iterable[Row], system: System) -> pd.DataFrame:
+    """Peaks and bands, a line each."""
     import pandas as pd
 
-    return to_csv(pd.DataFrame(lines) if lines else pd.DataFrame(columns=list(names)))
+    names = {"bare": "without_dampers", "plain": "plain_friction"}
+    names |= {"lower": "all_at_lower_bound", "upper": "all_at_upper_bound"}
+    lines = []
+    for peak in _peaks(rows, system):
+        bands = {
+            f"{end}_{share}": value
+            for share, band in peak.pop("bands").items()
+            for end, value in zip(("lower", "upper"), band, strict=True)
+        }
+        others = {name: peak.pop(key) for key, name in names.items()}
+        lines.append(peak | bands | others)
+    return pd.DataFrame(lines, columns=None if lines else ["quantity", "ground", "place", "unit"])
 
 
-def draws_csv(response: Response, system: System) -> str:
+def limits_frame(limits: Iterable[Passing], system: System) -> pd.DataFrame:
+    """Probabilities of passing limits."""
+    import pandas as pd
+
+    lines = [_in_system(row, system, ["limit"]) for row in limits]
+    names = ["quantity", "ground", "limit", "unit", "probability", "error"]
+    return pd.DataFrame(lines, columns=names).rename(columns={"error": "standard_error"})
+
+
+def shares_frame(shares: Iterable[Shares]) -> pd.DataFrame:
+    """Shares of variance."""
+    import pandas as pd
+
+    lines = [(r.quantity, r.ground, source, v) for r in shares for source, v in r.shares.items()]
+    return pd.DataFrame(lines, columns=["quantity", "ground", "source", "share"])
+
+
+def draws_frame(response: Response, system: System) -> pd.DataFrame:
     """The largest of each quantity over the building, for each draw and ground motion."""
     import pandas as pd
 
@@ -159,12 +171,11 @@ def draws_csv(response: Response, system: System) -> str:
         "unstable": response.unstable.astype(int),
         "settled": (~(response.unstable | response.unsettled)).astype(int),
     }
-    frame = pd.DataFrame({name: np.ravel(values) for name, values in columns.items()})
-    return to_csv(frame.replace([np.inf, -np.inf], np.nan))
+    return pd.DataFrame({name: np.ravel(values) for name, values in columns.items()})
 
 
-def sweep_csv(sweep: Sweep, system: System) -> str:
-    """Drift and acceleration against the actuation as CSV."""
+def sweep_frame(sweep: Sweep, system: System) -> pd.DataFrame:
+    """Drift and acceleration against the actuation."""
     import pandas as pd
 
     unit, by_level = shown_unit(sweep.unit, system)
@@ -179,53 +190,33 @@ def sweep_csv(sweep: Sweep, system: System) -> str:
         low, middle, high = np.quantile(values, [0.025, 0.5, 0.975], axis=1)
         parts = {"median": middle, "mean": values.mean(axis=1), "lower_95": low, "upper_95": high}
         columns |= {f"{name}_{part}_{of}": numbers for part, numbers in parts.items()}
-    return to_csv(pd.DataFrame(columns).replace([np.inf, -np.inf], np.nan))
+    return pd.DataFrame(columns)
 
 
 def response_json(
     rows: Iterable[Row], limits: Iterable[Passing], about: dict[str, object], system: System
 ) -> str:
     """All rows and limits as JSON, in the units of the tables."""
-    peaks = []
-    for row in rows:
-        unit, by = shown_unit(row.unit, system)
-        pairs = zip(PROBABILITIES, row.bands, strict=True)
-        peaks.append(
-            {
-                **{key: getattr(row, key) for key in ("quantity", "ground", "place")},
-                "unit": unit,
-                **{
-                    key: by * getattr(row, key)
-                    for key in ("median", "mean", "bare", "plain", "lower", "upper")
-                },
-                "bands": {percent(p): [by * end for end in band] for p, band in pairs},
-            }
-        )
-    passing = []
-    for limit in limits:
-        unit, by = shown_unit(limit.unit, system)
-        passing.append({**vars(limit), "limit": by * limit.limit, "unit": unit})
-    return json_text({**about, "peaks": peaks, "limits": passing}, indent=2) + "\n"
+    passing = [_in_system(limit, system, ["limit"]) for limit in limits]
+    return json_text({**about, "peaks": _peaks(rows, system), "limits": passing}, indent=2) + "\n"
 
 
 def peaks_tex(rows: Iterable[Row], system: System) -> str:
     """Peaks of the storeys as a LaTeX table in the manner of booktabs."""
-    lines = [
-        "% Peaks of the response: median and equal-tailed 95 % band.",
-        r"\begin{tabular}{lllrrr}",
-        r"\toprule",
-        r"Quantity & Ground & Place & Median & 95\,\% band & Without dampers \\",
-        r"\midrule",
-    ]
-    for row in rows:
-        if row.quantity.startswith("damper"):
-            continue
-        unit, by = shown_unit(row.unit, system)
-        low, high = (by * end for end in row.bands[-1])
-        cells = map(escape_tex, (f"{row.quantity}, {unit}", row.ground, row.place))
-        figures = f"{by * row.median:.3g} & {low:.3g} to {high:.3g} & {by * row.bare:.3g}"
-        lines.append(" & ".join([*cells, figures]) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+    import pandas as pd
+
+    lines = []
+    for row in _peaks(rows, system):
+        if not row["quantity"].startswith("damper"):
+            low, high = row["bands"]["95"]
+            quantity = f"{row['quantity']}, {row['unit']}"
+            names = map(escape_tex, (quantity, row["ground"], row["place"]))
+            figures = f"{row['median']:.3g}", f"{low:.3g} to {high:.3g}", f"{row['bare']:.3g}"
+            lines.append((*names, *figures))
+    heads = ["Quantity", "Ground", "Place", "Median", r"95\,\% band", "Without dampers"]
+    table = pd.DataFrame(lines, columns=heads).style.hide(axis="index")
+    text = table.to_latex(hrules=True, column_format="lllrrr")
+    return f"% Peaks of the response: median and equal-tailed 95 % band.\n{text}"
 
 
 _GOALS = {

@@ -15,54 +15,46 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import html_of
 from mfd_bayes.runs.unit_system import System
 
-# Of what is no quantity of a test: name: (mathtext, HTML, what it is)
 _SYMBOLS = {
-    "gap_width": (r"D_\mathrm{slip}", "D<sub>slip</sub>", "travel from slip to slip"),
-    "K_c_fwd": (r"K_{c,\mathrm{fwd}}", "K<sub>c,fwd</sub>", "kinetic friction per actuation"),
-    "K_c_bwd": (r"K_{c,\mathrm{bwd}}", "K<sub>c,bwd</sub>", "kinetic friction per actuation"),
-    "K_s_fwd": (r"K_{s,\mathrm{fwd}}", "K<sub>s,fwd</sub>", "static friction per actuation"),
-    "K_s_bwd": (r"K_{s,\mathrm{bwd}}", "K<sub>s,bwd</sub>", "static friction per actuation"),
-    "alpha_sigma0": (r"\alpha_{\sigma_0}", "α<sub>σ0</sub>", "bristle stiffness per actuation"),
-    "energy_per_cycle": ("E", "E", "energy dissipated in a cycle at full stroke, their mean"),
-    "energy_of_ramps": (r"E_\mathrm{ramp}", "E<sub>ramp</sub>", "the same of smaller full cycles"),
-    "energy_in_all": (r"E_\mathrm{all}", "E<sub>all</sub>", "energy of the whole record"),
-    "slip_fwd": (r"F_{0,\mathrm{fwd}}", "F<sub>0,fwd</sub>", "slip force at zero displacement"),
-    "slip_bwd": (r"F_{0,\mathrm{bwd}}", "F<sub>0,bwd</sub>", "slip force at zero displacement"),
-    "effective_stiffness": (r"K_\mathrm{eff}", "K<sub>eff</sub>", "effective stiffness"),
-    "effective_damping": (r"\beta_\mathrm{eff}", "β<sub>eff</sub>", "effective damping ratio"),
-    "build_up_slope": (r"k_\mathrm{up}", "k<sub>up</sub>", "slope of the build-up"),
-    "c_eq": (r"c_\mathrm{eq}", "c<sub>eq</sub>", "equivalent viscous damping coefficient"),
-    "peak_fwd": (r"F_{\max,\mathrm{fwd}}", "F<sub>max,fwd</sub>", "peak force, forward"),
-    "peak_bwd": (r"F_{\max,\mathrm{bwd}}", "F<sub>max,bwd</sub>", "peak force, backward"),
-    "C_fwd": (r"C_\mathrm{fwd}", "C<sub>fwd</sub>", "self-energizing factor, forward"),
-    "C_bwd": (r"C_\mathrm{bwd}", "C<sub>bwd</sub>", "self-energizing factor, backward"),
-    "sigma0_0": (r"\sigma_0|_{p=0}", "σ<sub>0</sub>|<sub>p=0</sub>", "bristle stiffness at p = 0"),
-} | {
-    f"{force}_{side}_0": (
-        rf"F_{{{force[1]},\mathrm{{{side}}}}}|_{{p=0}}",
-        f"F<sub>{force[1]},{side}</sub>|<sub>p=0</sub>",
-        f"residual friction at p = 0, {side}",
-    )
-    for force in ("Fc", "Fy")
-    for side in ("fwd", "bwd")
+    "gap_width": (r"D_\mathrm{slip}", "travel from slip to slip"),
+    "alpha_sigma0": (r"\alpha_{\sigma0}", "bristle stiffness per actuation"),
+    "energy_per_cycle": ("E", "energy dissipated in a cycle at full stroke, their mean"),
+    "energy_of_ramps": (r"E_\mathrm{ramp}", "the same of smaller full cycles"),
+    "energy_in_all": (r"E_\mathrm{all}", "energy of the whole record"),
+    "effective_stiffness": (r"K_\mathrm{eff}", "effective stiffness"),
+    "effective_damping": (r"\beta_\mathrm{eff}", "effective damping ratio"),
+    "build_up_slope": (r"k_\mathrm{up}", "slope of the build-up"),
+    "c_eq": (r"c_\mathrm{eq}", "equivalent viscous damping coefficient"),
+    "sigma0_0": (r"\sigma_0|_{p=0}", "bristle stiffness at p = 0"),
 }
+for _side, _words in (("fwd", "forward"), ("bwd", "backward")):
+    _SYMBOLS |= {
+        f"K_c_{_side}": (rf"K_{{c,\mathrm{{{_side}}}}}", "kinetic friction per actuation"),
+        f"K_s_{_side}": (rf"K_{{s,\mathrm{{{_side}}}}}", "static friction per actuation"),
+        f"slip_{_side}": (rf"F_{{0,\mathrm{{{_side}}}}}", "slip force at zero displacement"),
+        f"peak_{_side}": (rf"F_{{\max,\mathrm{{{_side}}}}}", f"peak force, {_words}"),
+        f"C_{_side}": (rf"C_\mathrm{{{_side}}}", f"self-energizing factor, {_words}"),
+    } | {
+        f"{force}_{_side}_0": (
+            rf"F_{{{force[1]},\mathrm{{{_side}}}}}|_{{p=0}}",
+            f"residual friction at p = 0, {_side}",
+        )
+        for force in ("Fc", "Fy")
+    }
+"""Of what is no quantity of a test: symbol in mathtext, and what it is."""
+
 _LONGEST = 60
 
 # Prefix of a population's quantity: the words for it, and its meaning.
 _PREFIXES = {
     "scatter": ("scatter of", "scatter from test to test, standard deviation of the logarithm"),
-    "deviation_level": (
-        "deviation by level,",
-        "deviation from the law that all tests of a level have in common, standard deviation",
-    ),
-    "deviation_session": (
-        "deviation by session,",
-        "deviation from the law that all tests of a session have in common, standard deviation",
-    ),
-    "deviation_device": (
-        "deviation by device,",
-        "deviation from the law that all tests of a device have in common, standard deviation",
-    ),
+    **{
+        f"deviation_{of}": (
+            f"deviation by {of},",
+            f"deviation from the law that all tests of a {of} have in common, standard deviation",
+        )
+        for of in ("level", "session", "device")
+    },
     "exponent": ("exponent of", "exponent of the power law"),
     "share": ("share of", "share of the value at the reference that grows with the actuation"),
     "dependence": (
@@ -87,7 +79,7 @@ class Symbols:
     """Symbols and meanings of quantities; those of a `model` stand before others of their name."""
 
     def __init__(self, model: Model | None = None) -> None:
-        self.written = dict(_SYMBOLS)
+        self.written = {n: (maths, html_of(maths), what) for n, (maths, what) in _SYMBOLS.items()}
         for name, quantity in known_quantities(model).items():
             html = quantity.html or html_of(quantity.maths)
             self.written[name] = quantity.maths, html, quantity.meaning

@@ -1,8 +1,7 @@
 """Tables of a report as CSV, JSON, LaTeX, Excel and Word.
 
 A frame has a row for each value, for other programs. A `Sheet` is for reading: quantities are rows,
-tests are columns. Both are made in internal units, and converted once. pandas is imported late, for
-many commands need no table.
+tests are columns, numbers are in internal units.
 """
 
 from __future__ import annotations
@@ -11,11 +10,9 @@ import csv
 import io
 import json
 import math
-import string
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +24,7 @@ from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import convert_rows, to_units
+from mfd_bayes.reporting.conversion import to_units
 from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
 from mfd_bayes.runs.scores import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
@@ -101,13 +98,12 @@ def frame_of(table: str, rows: Iterable[Any], system: System = US) -> pd.DataFra
 
     columns = _columns(table)
     records = [row if isinstance(row, dict) else vars(row) for row in rows]
-    frame = pd.DataFrame(records, columns=list(columns)).rename(columns=columns)
-    return to_units(frame, system)
+    return to_units(pd.DataFrame(records, columns=list(columns)).rename(columns=columns), system)
 
 
-def report_tables(view: CampaignView) -> dict[str, str]:
-    """CSV and JSON tables in the units of a report, by the name of the file."""
-    tests, system = view.tests, view.system
+def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
+    """Tables of a report in its units, by name."""
+    tests = view.tests
     rows: dict[str, Iterable[Any]] = {
         "parameters": (row for test in tests for row in test.rows),
         "derived": (row for test in tests for row in test.derived),
@@ -123,102 +119,66 @@ def report_tables(view: CampaignView) -> dict[str, str]:
         rows["drift"] = view.drifts
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
-    frames = {name: frame_of(name, lines, system) for name, lines in rows.items()}
-    texts = {f"{name}.csv": to_csv(frame) for name, frame in frames.items()}
-    others = [
-        convert_rows(_deciding(test, row["name"]), system) for test in tests for row in test.rows
-    ]
-    parameters, notes = frames["parameters"], []
-    for note, noises in zip(parameters["note"], others, strict=True):
-        values = "; ".join(_other_line(row).text for row in noises)
-        decides = f"the noise model decides: {values}" if values else ""
-        notes.append("; ".join(filter(None, (note, decides))))
-    texts["parameters.csv"] = to_csv(parameters.assign(note=notes))
-    texts["parameters.json"] = _to_json(view.title, "parameters", parameters, others)
-    texts["laws.json"] = _to_json(view.title, "laws", frames["laws"], [()] * len(frames["laws"]))
-    return texts
+    frames = {name: frame_of(name, lines, view.system) for name, lines in rows.items()}
+    decided = {(r["test"], r["name"]) for test in tests for r in test.noises if r["decides"]}
+    frame = frames["parameters"]
+    for at, (test, name, note) in enumerate(frame[["test", "parameter", "note"]].to_numpy()):
+        if (test, name) in decided:
+            more = "the noise model decides: see noises.csv"
+            frame.loc[at, "note"] = f"{note}; {more}" if note else more
+    return frames
 
 
-def _deciding(test: TestView, name: str) -> Rows:
-    """A quantity of a test under other noises, where the choice of the noise decides it."""
-    return tuple(row for row in test.noises if row["decides"] and row["name"] == name)
-
-
-def _other_line(row: Row) -> Line:
-    name = row["other"].replace("{", "{{").replace("}", "}}")
-    figures = row["other_median"], row["other_lower"], row["other_upper"]
-    return Line(f"{name}: {{}} [{{}}, {{}}]", figures)
-
-
-def to_csv(frame: pd.DataFrame, about: Sequence[str] = ()) -> str:
+def to_csv(frame: pd.DataFrame, about: Iterable[str] = ()) -> str:
     """A table as CSV, below lines of comments: six digits, and no text that a spreadsheet runs."""
+    text = _safe(frame).to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    return _comments(about) + text
+
+
+def _comments(about: Iterable[str]) -> str:
+    return "".join(f"# {' '.join(line.split())}\n" for line in about)
+
+
+def _safe(frame: pd.DataFrame) -> pd.DataFrame:
+    """A table with no text that a spreadsheet takes for a formula, and "yes" or "no" for truths."""
+
+    def safe(value: object) -> object:
+        if isinstance(value, bool | np.bool_):
+            return "yes" if value else "no"
+        if not isinstance(value, str):
+            return value
+        text = printable(value)
+        return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
+
     shown = frame.copy()
     for name in frame.columns:
-        if frame[name].dtype.kind == "b":
-            shown[name] = frame[name].map({True: "yes", False: "no"})
-        elif frame[name].dtype.kind not in "fiu":
-            shown[name] = frame[name].map(_safe)
-    lines = "".join(f"# {' '.join(line.split())}\n" for line in about)
-    return lines + shown.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+        if frame[name].dtype.kind not in "fiu":
+            shown[name] = frame[name].astype(object).map(safe)
+    return shown
 
 
-def _csv_text(
-    about: Iterable[str], names: Iterable[str], rows: Iterable[Iterable[object]], digits: int = 6
-) -> str:
-    """CSV below lines of comments, without pandas, which takes long to import."""
+def _csv(about: Iterable[str], columns: Mapping[str, Iterable[Any]], digits: int = 6) -> str:
+    """CSV of columns without pandas, which takes long to import."""
     text = io.StringIO()
-    text.writelines(f"# {' '.join(line.split())}\n" for line in about)
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(names)
-    for row in rows:
-        cells = ("" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row)
-        table.writerow(f"{c:.{digits}g}" if isinstance(c, float) else c for c in cells)
-    return text.getvalue()
+    table.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        cells = (f"{c:.{digits}g}" if isinstance(c, float) else c for c in row)
+        table.writerow("" if cell == "nan" else cell for cell in cells)
+    return _comments(about) + text.getvalue()
 
 
-def _records_csv(table: str, rows: Iterable[Row], about: Iterable[str] = ()) -> str:
-    """Rows of a table of `_COLUMNS` as CSV."""
-    columns = _columns(table)
-    cells = ([_safe(row[key]) for key in columns] for row in rows)
-    return _csv_text(about, columns.values(), cells)
-
-
-def _safe(value: object) -> object:
-    """A text that no spreadsheet takes for a formula; "yes" or "no" of a truth; numbers stay."""
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    if not isinstance(value, str):
-        return value
-    text = printable(str(value))
-    return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
-
-
-def _to_json(title: str, name: str, frame: pd.DataFrame, others: Iterable[Sequence[Row]]) -> str:
+def to_json(title: str, name: str, frame: pd.DataFrame) -> str:
     """JSON with the meaning of its figures; null where one is not finite."""
-    figures = {"q2.5": "lower", "q50": "median", "q97.5": "upper"}
-    rows = []
-    for row, noises in zip(frame.rename(columns=figures).to_dict("records"), others, strict=True):
-        rows.append({str(key): _finite(value) for key, value in row.items()})
-        rows[-1]["other_noises"] = [
-            {"noise": o["other"]}
-            | {key: _finite(o[f"other_{key}"]) for key in ("lower", "median", "upper")}
-            for o in noises
-        ]
+    frame = frame.rename(columns={"q2.5": "lower", "q50": "median", "q97.5": "upper"})
     content = {
         "title": title,
         "table": name,
         "interval": {"kind": "equal-tailed", "probability": 0.95, "bounds": ["lower", "upper"]},
         "null": "not defined, or not finite",
-        "rows": rows,
+        "rows": json.loads(frame.to_json(orient="records", double_precision=15)),
     }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    """A text, or a number with six digits; None where it is not finite."""
-    if isinstance(value, str):
-        return value
-    return float(f"{value:.6g}") if math.isfinite(value) else None
+    return json.dumps(content, indent=1) + "\n"
 
 
 # --- tables for reading
@@ -241,14 +201,10 @@ class Line:
         """Whether it has a number."""
         return any(map(math.isfinite, self.numbers))
 
-    @property
-    def text(self) -> str:
-        """The line with three digits."""
-        return self.template.format(*(number(value, 3) for value in self.numbers))
-
-
-NONE = Line("–", ())
-"""What a cell without a number shows."""
+    def text(self, by: float = 1.0) -> str:
+        """The line with three digits, its numbers times a factor."""
+        by = 1.0 if self.ratio else by
+        return self.template.format(*(number(by * value, 3) for value in self.numbers))
 
 
 @dataclass(frozen=True)
@@ -257,16 +213,6 @@ class Cell:
 
     lines: tuple[Line, ...] = ()
     note: str = ""
-
-    @property
-    def shown(self) -> list[Line]:
-        """Lines that have a number; a dash where none has."""
-        return [line for line in self.lines if line.finite] or [NONE]
-
-    @property
-    def marked(self) -> bool:
-        """Whether one of its lines is."""
-        return any(line.marked for line in self.lines)
 
 
 @dataclass(frozen=True)
@@ -282,55 +228,29 @@ class SheetRow:
     @property
     def used(self) -> list[int]:
         """Numbers of the lines that a cell has."""
-        size = max((len(cell.lines) for cell in self.cells), default=0)
-        cells = [cell for cell in self.cells if cell.lines]
-        return [at for at in range(size) if any(cell.lines[at].finite for cell in cells)]
+        return sorted({i for c in self.cells for i, line in enumerate(c.lines) if line.finite})
 
 
 @dataclass(frozen=True)
 class Sheet:
     """A table for reading: quantities as rows, tests as columns.
 
-    Attributes
-    ----------
-    heads : tuple of str
-        Of the columns.
-    numbers, lines : tuple of str
-        What each number of a cell is, in their order, and what each of its lines is.
-    conditions : tuple of tuple of (float, str)
-        Of the columns of a data sheet: values with their internal units.
+    `heads` are those of the columns, `lines` what each line of a cell is, and `conditions` those of
+    the columns of a data sheet: values with their internal units.
     """
 
     title: str
     heads: tuple[str, ...]
     rows: tuple[SheetRow, ...]
-    numbers: tuple[str, ...] = ("median", "2.5 %", "97.5 %")
-    lines: tuple[str, ...] = ("median", "95 % interval")
+    lines: tuple[str, ...] = ()
     conditions: tuple[tuple[tuple[float, str], ...], ...] = ()
 
-    def to_units(self, system: System) -> Sheet:
-        """The sheet in the units of a system, from internal ones."""
-
-        def line(line: Line, by: float) -> Line:
-            return (
-                line if line.ratio else replace(line, numbers=tuple(by * v for v in line.numbers))
-            )
-
-        def row(row: SheetRow) -> SheetRow:
-            by = system.factor(row.unit)
-            cells = (replace(c, lines=tuple(line(one, by) for one in c.lines)) for c in row.cells)
-            return replace(row, unit=system.unit(row.unit), cells=tuple(cells))
-
-        return replace(self, rows=tuple(map(row, self.rows)))
-
     def blocks(self, most: int) -> list[Sheet]:
-        """Parts of the sheet with at most so many columns, numbered if there are several."""
-        parts = -(-len(self.heads) // most)
-        most = max(-(-len(self.heads) // max(parts, 1)), 1)
+        """Parts of the sheet with about as many columns each, and at most so many."""
+        most = -(-len(self.heads) // max(-(-len(self.heads) // most), 1)) or 1
         return [
             replace(
                 self,
-                title=f"{self.title} ({at // most + 1} of {parts})" if parts > 1 else self.title,
                 heads=self.heads[at : at + most],
                 conditions=self.conditions[at : at + most],
                 rows=tuple(replace(row, cells=row.cells[at : at + most]) for row in self.rows),
@@ -338,46 +258,42 @@ class Sheet:
             for at in range(0, len(self.heads), most)
         ]
 
-    def marks(self) -> dict[str, str]:
-        """A letter for each note of the cells: a to z, then aa, ab, and so on."""
-        cells = (cell for row in self.rows for cell in row.cells)
-        notes = dict.fromkeys(printable(cell.note) for cell in cells if cell.note)
-        words = (product(string.ascii_lowercase, repeat=length) for length in count(1))
-        return dict(zip(notes, ("".join(word) for group in words for word in group), strict=False))
-
 
 def paper_sheets(view: CampaignView, symbols: Symbols) -> tuple[Sheet, Sheet]:
-    """The paper's Tables I and II, with uncertainty, in internal units."""
+    """The paper's Tables I and II, with uncertainty."""
     tests = {test.id: test for test in view.tests if test.rows}
-    heads = {
-        name: ", ".join(
-            filter(None, (printable(name), view.system.actuation(test.trace, view.actuation_unit)))
-        )
-        for name, test in tests.items()
-    }
-    rows = [(row, _deciding(test, row["name"])) for test in tests.values() for row in test.rows]
-    laws = [(row | {"test": "all tests"}, ()) for row in view.law_rows]
+    levels = {n: view.system.actuation(t.trace, view.actuation_unit) for n, t in tests.items()}
+    heads = {n: ", ".join(filter(None, (printable(n), level))) for n, level in levels.items()}
+    noises = [row for test in tests.values() for row in test.noises if row["decides"]]
+    rows = [row for test in tests.values() for row in test.rows]
+    laws = [row | {"test": "all tests"} for row in view.law_rows]
     return (
-        _sheet("Table I: parameters of the tests", rows, heads, symbols),
-        _sheet("Table II: constants of the laws", laws, {"all tests": "all tests"}, symbols),
+        _sheet("Table I: parameters of the tests", rows, noises, heads, symbols),
+        _sheet("Table II: constants of the laws", laws, (), {"all tests": "all tests"}, symbols),
     )
 
 
 def _sheet(
     title: str,
-    rows: Iterable[tuple[Row, Rows]],
+    rows: Sequence[Row],
+    noises: Iterable[Row],
     heads: Mapping[str, str],
     symbols: Symbols,
 ) -> Sheet:
     """Sheet of posteriors: the median, below it the interval and the values under other noises."""
+    under: dict[tuple[str, str], list[Line]] = {}
+    for row in noises:
+        name = row["other"].replace("{", "{{").replace("}", "}}")
+        figures = row["other_median"], row["other_lower"], row["other_upper"]
+        line = Line(f"{name}: {{}} [{{}}, {{}}]", figures)
+        under.setdefault((row["test"], row["name"]), []).append(line)
     cells: dict[tuple[str, str], dict[str, Cell]] = {}
-    for row, noises in rows:
-        interval = row["lower"], row["upper"]
-        lines = [Line("{}", (row["median"],)), Line("[{}, {}]", interval)]
+    for row in rows:
+        lines = [Line("{}", (row["median"],)), Line("[{}, {}]", (row["lower"], row["upper"]))]
         if row.get("disagrees", False):
             joint = tuple(row[f"joint_{key}"] for key in ("median", "lower", "upper"))
             lines.append(Line("with the others: {} [{}, {}]", joint, marked=True))
-        lines += map(_other_line, noises)
+        lines += under.get((row["test"], row["name"]), [])
         of_quantity = cells.setdefault((row["name"], row["unit"]), {})
         of_quantity[row["test"]] = Cell(tuple(lines), row["note"])
     made = tuple(
@@ -388,68 +304,50 @@ def _sheet(
     return Sheet(title, tuple(heads.values()), made)
 
 
-_PROPERTY_LINES = ("measured", "cycles", "nominal", "bounds", "λ")
-_PROPERTY_NUMBERS = (
-    *("measured", "smallest cycle", "largest cycle"),
-    *("nominal", "lower", "upper", "λ min", "λ max"),
-)
-
-
 def datasheet_frame(rows: pd.DataFrame, system: System) -> pd.DataFrame:
     """Rows of a data sheet in the units of a system, with those of its conditions in the heads."""
     frame = rows.rename(columns={"stroke": "stroke_in", "frequency": "frequency_Hz"})
-    levels = [system.of_actuation(unit) for unit in rows["actuation_unit"]]
-    frame["actuation"] = rows["actuation"] * np.array([by for by, _ in levels])
-    frame["actuation_unit"] = [name for _, name in levels]
     if not system.axes.actuated:
-        frame = frame.drop(columns=["actuation", "actuation_unit"])
-    return to_units(frame, system)
-
-
-def _records(frame: pd.DataFrame) -> list[Row]:
-    return [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
+        return to_units(frame.drop(columns=["actuation", "actuation_unit"]), system)
+    levels = rows["actuation_unit"].map(system.of_actuation)
+    frame["actuation"] = rows["actuation"] * levels.str[0].astype(float)
+    return to_units(frame.assign(actuation_unit=levels.str[1]), system)
 
 
 def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes) -> Sheet:
-    """The properties of a data sheet for reading, in internal units: conditions are columns."""
+    """The properties of a data sheet for reading: conditions are columns."""
     conditions: dict[str, tuple[tuple[float, str], ...]] = {}
-    for row in _records(rows.drop_duplicates("condition")):
+    properties: dict[tuple[str, str, int, str], dict[str, Cell]] = {}
+    order = list(dict.fromkeys(rows["quantity"]))
+    table: list[Row] = rows.to_dict("records")  # type: ignore[assignment]
+    for row in sorted(table, key=lambda row: order.index(row["quantity"])):
         parts = [(row["stroke"], "in")]
         if axes.actuated:
             parts.insert(0, (row["actuation"], ACTUATION + row["actuation_unit"]))
         if axes.timed:
             parts.append((row["frequency"], "Hz"))
-        conditions[row["condition"]] = tuple(part for part in parts if math.isfinite(part[0]))
+        conditions.setdefault(row["condition"], tuple(p for p in parts if math.isfinite(p[0])))
+        several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
+        ends = (row["measured_low"], row["measured_high"]) if several else (math.nan, math.nan)
+        lines = (
+            Line("{}", (row["measured"],), marked=outside and not several),
+            Line("{}–{}", ends, marked=outside),
+            Line("{}", (row["nominal"],)),
+            Line("{}–{}", (row["lower"], row["upper"])),
+            Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
+        )
+        key = row["quantity"], row["direction"], row["cycle"], row["unit"]
+        properties.setdefault(key, {})[row["condition"]] = Cell(lines, row["note"])
     made = []
-    order = {name: at for at, name in enumerate(dict.fromkeys(rows["quantity"]))}
-    ordered = rows.sort_values("quantity", key=lambda names: names.map(order), kind="stable")
-    for key, group in ordered.groupby(["quantity", "direction", "cycle", "unit"], sort=False):
-        quantity, direction, cycle, unit = map(str, key)
-        cells = {}
-        for row in _records(group):
-            several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
-            ends = (row["measured_low"], row["measured_high"]) if several else (math.nan, math.nan)
-            lines = (
-                Line("{}", (row["measured"],), marked=outside and not several),
-                Line("{}–{}", ends, marked=outside),
-                Line("{}", (row["nominal"],)),
-                Line("{}–{}", (row["lower"], row["upper"])),
-                Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
-            )
-            cells[row["condition"]] = Cell(lines, row["note"])
+    for (quantity, direction, cycle, unit), cells in properties.items():
         name = axes.text(quantity.replace("_", " ").replace("gap", "gap width"))
-        detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle != "0" else "")))
-        of = tuple(cells.get(condition, Cell()) for condition in conditions)
+        detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle else "")))
         meaning = ", ".join(filter(None, (symbols.meaning(name), detail)))
+        of = tuple(cells.get(condition, Cell()) for condition in conditions)
         made.append(SheetRow(name, unit, of, meaning, detail))
-    return Sheet(
-        f"{title}: data sheet",
-        tuple(conditions),
-        tuple(made),
-        _PROPERTY_NUMBERS,
-        _PROPERTY_LINES,
-        tuple(conditions.values()),
-    )
+    lines_of = ("measured", "cycles", "nominal", "bounds", "λ")
+    heads, values = tuple(conditions), tuple(conditions.values())
+    return Sheet(f"{title}: data sheet", heads, tuple(made), lines_of, values)
 
 
 _SCORE_ROWS = (
@@ -467,7 +365,7 @@ _SCORE_ROWS = (
 
 
 def score_sheet(rows: Sequence[Row], title: str = "Scores") -> Sheet:
-    """Scores of predicted tests, in internal units: tests are columns."""
+    """Scores of predicted tests: tests are columns."""
     made = []
     for words, name, unit in _SCORE_ROWS:
         values = [(100.0 if unit == "%" else 1.0) * row.get(name, math.nan) for row in rows]
@@ -477,9 +375,12 @@ def score_sheet(rows: Sequence[Row], title: str = "Scores") -> Sheet:
     return Sheet(title, tuple(row["test"] for row in rows), tuple(made))
 
 
-# --- LaTeX
+# --- LaTeX, Excel and Word
 
-_ESCAPED = {
+WIDE = 3
+"""Columns of tests side by side in LaTeX and Word, so that they fit the width of a page."""
+
+_TEX = {
     **{character: f"\\{character}" for character in "_%&#${}"},
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
@@ -496,30 +397,22 @@ _ESCAPED = {
     "³": "$^3$",
     "−": "$-$",
     "–": "--",
-    "…": r"\ldots{}",
+    "∞": r"$\infty$",
     "γ": r"$\gamma$",
     "λ": r"$\lambda$",
     "σ": r"$\sigma$",
     "ℓ": r"$\ell$",
 }
 
-WIDE = 3
-"""Columns of tests side by side in LaTeX and Word, so that they fit the width of a page."""
-
-LONG = 14
-"""Rows of one tabular in LaTeX, so that it fits the height of a page."""
-
 
 def escape_tex(text: str) -> str:
     """Text escaped for LaTeX; a letter that its fonts may not have becomes ``?``."""
 
     def letter(character: str) -> str:
-        if not character.isprintable():
-            return " "
         base = unicodedata.normalize("NFD", character)[0]
         return character if base.isascii() and character < "\u0180" else "?"
 
-    return "".join(_ESCAPED.get(c) or letter(c) for c in text)
+    return "".join(_TEX.get(c) or letter(c) for c in printable(text))
 
 
 def symbol_tex(name: str, symbols: Symbols) -> str:
@@ -532,219 +425,100 @@ def symbol_tex(name: str, symbols: Symbols) -> str:
     return escape_tex(name.replace("_", " "))
 
 
-def number_tex(value: float) -> str:
-    """A number with three digits as maths."""
-    text = number(value, 3).replace("−", "-").replace("∞", r"\infty").replace("–", r"\mbox{--}")
-    mantissa, _, power = text.partition("e")
-    return rf"${mantissa}\times 10^{{{power}}}$" if power else f"${mantissa}$"
+def _texts(cell: Cell, by: float) -> list[str]:
+    return [line.text(by) for line in cell.lines if line.finite] or ["–"]
 
 
-def to_latex(name: str, sheet: Sheet, symbols: Symbols) -> str:
-    """A file of tables in the manner of booktabs, numbered if there are several."""
-    parts = [
-        replace(part, rows=part.rows[at : at + LONG])
-        for part in sheet.blocks(WIDE)
-        for at in range(0, len(part.rows), LONG)
-    ]
-    lines = [
-        f"% {printable(sheet.title)}.",
-        r"% \usepackage{booktabs,array} in the preamble, then " + f"\\input{{{name}.tex}} here.",
-    ]
-    text = r">{\raggedright\arraybackslash}p"
-    for at, part in enumerate(parts, start=1):
-        label = f"{name}-{at}" if len(parts) > 1 else name
-        columns = (
-            rf"@{{}}{text}{{0.28\linewidth}}{text}{{0.08\linewidth}}{'l' * len(part.heads)}@{{}}"
-        )
-        marks = part.marks()
-        notes = [rf"  $^{{{mark}}}$ {escape_tex(note)}." for note, mark in marks.items()]
-        rows = (line for row in part.rows for line in _tex_lines(row, marks, symbols))
-        lines += [
-            r"\begin{table}[htbp]",
-            r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
-            rf"  \caption{{{escape_tex(part.title)}.}}",
-            rf"  \label{{tab:{label}}}",
-            rf"  \begin{{tabular}}{{{columns}}}",
-            r"    \toprule",
-            f"    {' & '.join(['Quantity', 'Unit', *map(escape_tex, part.heads)])} \\\\",
-            r"    \midrule",
-            *(f"    {line} \\\\" for line in rows),
-            r"    \bottomrule",
-            r"  \end{tabular}",
-            *([r"  \par\smallskip"] if notes else []),
-            *notes,
-            r"\end{table}",
-        ]
-    return "\n".join(lines) + "\n"
+def _notes(sheet: Sheet) -> dict[str, int]:
+    """Numbers of the notes of the cells."""
+    notes = dict.fromkeys(c.note for row in sheet.rows for c in row.cells if c.note)
+    return {note: at for at, note in enumerate(notes, start=1)}
 
 
-def _tex_lines(row: SheetRow, marks: Mapping[str, str], symbols: Symbols) -> Iterator[str]:
-    """Lines of a quantity: the first line of each cell, below it the others and its meaning."""
-    cells = [cell.shown for cell in row.cells]
-    for at in range(max(map(len, cells))):
-        head = [symbol_tex(row.name, symbols), escape_tex(unit_text(row.unit)) or "--"]
-        if at:
-            head = [rf"\scriptsize {escape_tex(row.meaning)}" if at == 1 else "", ""]
-        shown = []
-        for cell, lines in zip(row.cells, cells, strict=True):
-            text = _tex_line(lines[at]) if at < len(lines) else ""
-            if at == 0 and cell.note:
-                text += f"$^{{{marks[printable(cell.note)]}}}$"
-            shown.append(rf"\scriptsize {text}" if at and text else text)
-        yield " & ".join([*head, *shown])
-
-
-def _tex_line(line: Line) -> str:
-    texts = map(escape_tex, line.template.split("{}"))
-    values = (*map(number_tex, line.numbers), "")
-    return "".join(text + value for text, value in zip(texts, values, strict=True))
-
-
-# --- Excel and Word
-
-
-def to_excel(sheets: Mapping[str, Sheet], symbols: Symbols) -> bytes:
-    """A workbook (.xlsx) with a sheet of each name; every number of a cell has a column."""
+def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: System = US) -> str:
+    """A file of longtables in the manner of booktabs, in the units of a system."""
     import pandas as pd
-    from openpyxl.styles import Alignment, Font
-    from openpyxl.utils import get_column_letter
+
+    texts = [
+        f"% {printable(sheet.title)}.\n% \\usepackage{{booktabs,longtable,array}} in the preamble, "
+        f"then \\input{{{name}.tex}} here.\n"
+    ]
+    for at, part in enumerate(sheet.blocks(WIDE) if sheet.rows else (), start=1):
+        notes, lines = _notes(part), []
+        for row in part.rows:
+            by, small = system.factor(row.unit), r"\newline\scriptsize "
+            about = f"{small}{escape_tex(row.meaning)}" if row.meaning else ""
+            unit = escape_tex(unit_text(system.unit(row.unit))) or "--"
+            lines.append([symbol_tex(row.name, symbols) + about, unit])
+            for cell in row.cells:
+                first, *more = map(escape_tex, _texts(cell, by))
+                first += f"$^{{{notes[cell.note]}}}$" if cell.note else ""
+                lines[-1].append(small.join([first, *more]))
+        heads = ["Quantity", "Unit", *map(escape_tex, part.heads)]
+        column = r">{{\raggedright\arraybackslash}}p{{{:.2f}\linewidth}}"
+        widths = (0.25, 0.1, *[0.55 / len(part.heads)] * len(part.heads))
+        style = pd.DataFrame(lines, columns=range(len(heads))).style.hide(axis="index")
+        # pandas takes a head for a format
+        labels = [head.replace("{", "{{").replace("}", "}}") for head in heads]
+        table = style.relabel_index(labels, axis="columns").to_latex(
+            environment="longtable",
+            hrules=True,
+            column_format="".join(map(column.format, widths)),
+            caption=f"{escape_tex(part.title)}.",
+            label=f"tab:{name}-{at}",
+        )
+        below = "".join(rf"$^{{{i}}}$ {escape_tex(note)}.\par" "\n" for note, i in notes.items())
+        texts.append(f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}{below}}}\n")
+    return "".join(texts)
+
+
+def to_excel(frames: Mapping[str, pd.DataFrame]) -> bytes:
+    """A workbook (.xlsx) with a sheet for each table, whose lines can be filtered."""
+    import pandas as pd
 
     stream = io.BytesIO()
     with pd.ExcelWriter(stream, engine="openpyxl") as writer:
         writer.book.properties.creator = "mfd_bayes"
-        for name, sheet in sheets.items():
-            frame = _flat(sheet, symbols)
-            frame.map(_safe).to_excel(writer, sheet_name=name, index=False, freeze_panes=(1, 3))
+        for name, frame in frames.items():
+            _safe(frame).to_excel(writer, sheet_name=name, index=False, freeze_panes=(1, 2))
             page = writer.sheets[name]
-            for at, column in enumerate(frame.columns, start=1):
-                letter, texts = get_column_letter(at), frame[column].dtype.kind != "f"
-                longest = max((len(str(value)) for value in frame[column]), default=0)
-                page.column_dimensions[letter].width = max(min(longest + 2, 60) * texts, 11)
-                head, *cells = page[letter]
-                head.alignment = Alignment(vertical="top", wrap_text=True)
-                for cell in cells if not texts else ():
-                    cell.number_format = _format(abs(cell.value or 0.0))
-            for at, row in enumerate(sheet.rows, start=2):
-                for head, cell in enumerate(row.cells):
-                    if cell.marked:
-                        first = page.cell(at, 4 + head * len(sheet.numbers))
-                        first.font = Font(bold=True, color="C00000")
-            page.row_dimensions[1].height = 48
-            page.page_setup.orientation = "landscape"
-            page.print_title_rows, page.print_title_cols = "1:1", "A:A"
+            page.auto_filter.ref = page.dimensions
     return stream.getvalue()
 
 
-def _flat(sheet: Sheet, symbols: Symbols) -> pd.DataFrame:
-    """A line for each quantity, a column for each number of each test, and the notes."""
-    import pandas as pd
-
-    heads = [f"{head}: {what}" for head in sheet.heads for what in sheet.numbers]
-    size, lines = len(sheet.numbers), []
-    for row in sheet.rows:
-        symbol = "".join(f"_{text}" if low else text for text, low in symbols.parts(row.name))
-        numbers: list[float] = []
-        notes: dict[str, list[str]] = {}
-        for head, cell in zip(sheet.heads, row.cells, strict=True):
-            values = [value for line in cell.lines for value in line.numbers][:size]
-            finite = [value if math.isfinite(value) else math.nan for value in values]
-            numbers += finite + [math.nan] * (size - len(finite))
-            more = (f"with {line.text}" for line in cell.lines[len(sheet.lines) :])
-            for note in filter(None, (cell.note, *more)):
-                notes.setdefault(note, []).append(head)
-        texts = (
-            note if len(where) == len(sheet.heads) else f"{note} ({', '.join(where)})"
-            for note, where in notes.items()
-        )
-        unit = unit_text(row.unit) or "–"
-        lines.append([symbol, row.meaning, unit, *numbers, "; ".join(texts)])
-    return pd.DataFrame(lines, columns=["quantity", "meaning", "unit", *heads, "note"])
-
-
-def _format(size: float) -> str:
-    """Format of a cell that shows four digits of a number of this size: "0.00" of 12.3456."""
-    if not 1e-4 <= size < 1e6:
-        return "General" if size == 0.0 else "0.000E+00"
-    places = max(3 - math.floor(math.log10(size)), 0)
-    return f"0.{'0' * places}" if places else "0"
-
-
-_MARGIN, _UNIT, _VALUE = 0.75, 0.8, 1.3
-"""Margins of a page in Word, and widths of the columns of units and values, in."""
-
-
-def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols) -> bytes:
-    """A Word document (.docx); each part of a sheet begins a page and is as wide as the page."""
+def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols, system: System = US) -> bytes:
+    """A Word document (.docx) in the units of a system; each part of a sheet begins a page."""
     from docx import Document
-    from docx.shared import Inches
+    from docx.shared import Pt
 
     document = Document()
     document.core_properties.author = "mfd_bayes"
-    page = document.sections[0]
-    page.left_margin = page.right_margin = page.top_margin = page.bottom_margin = Inches(_MARGIN)
+    document.styles["Normal"].font.size = Pt(9)
     document.add_heading(printable(title), level=1)
-    parts = [part for sheet in sheets for part in sheet.blocks(WIDE)]
-    for at, sheet in enumerate(parts):
-        caption = document.add_paragraph(printable(sheet.title), style="Caption")
+    for at, part in enumerate(part for sheet in sheets for part in sheet.blocks(WIDE)):
+        caption = document.add_paragraph(printable(part.title), style="Caption")
         caption.paragraph_format.page_break_before = at > 0
-        caption.paragraph_format.keep_with_next = True
-        marks = sheet.marks()
-        _add_table(document, sheet, marks, symbols)
-        for note, mark in marks.items():
-            paragraph = document.add_paragraph()
-            paragraph.paragraph_format.space_after = 0
-            paragraph.add_run(mark).font.superscript = True
-            _small(paragraph, f" {note[:1].upper()}{note[1:]}.")
+        notes = _notes(part)
+        grid = document.add_table(rows=1, cols=2 + len(part.heads), style="Light List")
+        for cell, head in zip(grid.rows[0].cells, ("Quantity", "Unit", *part.heads), strict=True):
+            cell.text = printable(head)
+        for row in part.rows:
+            name, unit, *others = grid.add_row().cells
+            for text, low in symbols.parts(row.name):
+                name.paragraphs[0].add_run(text).font.subscript = low
+            if row.meaning:
+                name.add_paragraph().add_run(row.meaning).font.size = Pt(7.5)
+            unit.text = unit_text(system.unit(row.unit)) or "–"
+            for place, value in zip(others, row.cells, strict=True):
+                place.text = "\n".join(_texts(value, system.factor(row.unit)))
+                if value.note:
+                    run = place.paragraphs[0].add_run(f" {notes[value.note]}")
+                    run.font.superscript = True
+        for note, i in notes.items():
+            document.add_paragraph(f"{i} {printable(note)}.")
     stream = io.BytesIO()
     document.save(stream)
     return stream.getvalue()
-
-
-def _add_table(document: Any, sheet: Sheet, marks: Mapping[str, str], symbols: Symbols) -> None:
-    """Add a sheet, with a head that is repeated on each page."""
-    from docx.oxml import OxmlElement
-    from docx.shared import Inches, Pt, RGBColor
-
-    heads = ("Quantity", "Unit", *sheet.heads)
-    grid = document.add_table(rows=1, cols=len(heads), style="Light List")
-    grid.autofit = False
-    for cell, head in zip(grid.rows[0].cells, heads, strict=True):
-        cell.text = printable(head)
-    for row in sheet.rows:
-        name, unit, *others = grid.add_row().cells
-        for text, low in symbols.parts(row.name):
-            name.paragraphs[0].add_run(text).font.subscript = low
-        if row.meaning:
-            _small(name.add_paragraph(), row.meaning)
-        unit.text = unit_text(row.unit) or "–"
-        for place, value in zip(others, row.cells, strict=True):
-            first, *more = value.shown
-            run = place.paragraphs[0].add_run(first.text)
-            if value.marked:
-                run.font.color.rgb = RGBColor(0xC0, 0, 0)
-            if value.note:
-                run = place.paragraphs[0].add_run(marks[printable(value.note)])
-                run.font.superscript = True
-            for line in more:
-                _small(place.add_paragraph(), line.text)
-    for at, row in enumerate(grid.rows):
-        for element in ("w:cantSplit", *(["w:tblHeader"] if at == 0 else [])):
-            row._tr.get_or_add_trPr().append(OxmlElement(element))
-    values = [_VALUE] * len(sheet.heads)
-    width = document.sections[0].page_width.inches - 2 * _MARGIN - _UNIT - sum(values)
-    for column, inches in zip(grid.columns, (width, _UNIT, *values), strict=True):
-        column.width = Inches(inches)
-        for cell in column.cells:  # Word reads the column's width, LibreOffice that of the cells
-            cell.width = Inches(inches)
-            for run in (run for paragraph in cell.paragraphs for run in paragraph.runs):
-                run.font.size = run.font.size or Pt(9)
-
-
-def _small(paragraph: Any, text: str) -> None:
-    from docx.shared import Pt
-
-    run = paragraph.add_run(text)
-    run.font.size, run.bold = Pt(7.5), False
 
 
 # --- tables of other commands
@@ -752,13 +526,18 @@ def _small(paragraph: Any, text: str) -> None:
 
 def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
     """Scores of each model on unseen cycles, per test and in all."""
-    return _records_csv("comparison", map(vars, rows))
+    return to_csv(frame_of("comparison", rows))
 
 
 def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
     """Candidates for the next test, the best first, and what each is expected to tell."""
-    rows = advice_rows(advice, system, actuation_unit)
-    return _csv_text((), rows[0], (map(_safe, row.values()) for row in rows))
+    import pandas as pd
+
+    return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
+
+
+def _by_column(table: str, rows: Rows) -> dict[str, list[Any]]:
+    return {name: [row[key] for row in rows] for key, name in _columns(table).items()}
 
 
 def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "force") -> str:
@@ -769,7 +548,7 @@ def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "
         f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
         "as it is",
     )
-    return _records_csv("prediction", rows, about)
+    return _csv(about, _by_column("prediction", rows))
 
 
 def design_csv(rows: Rows, actuation: str, probability: float) -> str:
@@ -780,7 +559,7 @@ def design_csv(rows: Rows, actuation: str, probability: float) -> str:
         "lambda: bound over the nominal value, which is the mean of the mean property",
         *([f"actuation {actuation}"] if actuation else []),
     )
-    return _records_csv("design", rows, about)
+    return _csv(about, _by_column("design", rows))
 
 
 def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
@@ -789,18 +568,17 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     `about` are lines of its head, besides what the band is; the columns are in the units of
     `system`.
     """
+    forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
+    forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
     columns: dict[str, Any] = {
         # may be seconds since 1970
         "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
         system.column("displacement", "in"): trace.displacement * system.factor("in"),
+    } | {
+        system.column(name, "kip"): values * system.factor("kip")
+        for name, values in forces.items()
+        if values is not None
     }
-    forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
-    forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
-    for name, values in forces.items():
-        if values is not None:
-            columns[system.column(name, "kip")] = values * system.factor("kip")
-    if band.given is not None:
-        columns["given"] = band.given.holds(trace.time).astype(np.float64)
     head = [
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}"
@@ -808,10 +586,13 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     if band.whole_lower is not None:
         head.append("whole: band of the whole history, of the same probability")
     if band.given is not None:
+        columns["given"] = band.given.holds(trace.time).astype(int)
         head.append(system.text("given: 1 where the force was given, 0 elsewhere"))
     head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(about)
-    return _csv_text(head, list(columns), zip(*columns.values(), strict=True), 8)
+    return _csv(head, columns, 8)
 
+
+# --- tables behind the figures
 
 _LOOP = 400
 """Most samples of each loop in the overview's table; a test's own table holds all."""
@@ -833,11 +614,12 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     if view.tests:
         loops = []
         for test in view.tests:
-            step = max(1, test.trace.samples // _LOOP)
-            frame = _record(test)[::step].drop(columns=["time_s", "velocity_in_per_s"])
-            loops.append(frame.assign(test=test.id, role=test.role))
-        frame = to_units(pd.concat(loops), system)
-        yield table_of("overview"), to_csv(frame[["test", "role", *frame.columns[:-2]]])
+            frame = _record(test)[:: max(1, test.trace.samples // _LOOP)]
+            frame = frame.drop(columns=["time_s", "velocity_in_per_s"])
+            frame.insert(0, "role", test.role)
+            frame.insert(0, "test", test.id)
+            loops.append(frame)
+        yield table_of("overview"), to_csv(to_units(pd.concat(loops), system))
     if view.laws:
         yield table_of("laws"), to_csv(_laws(view, system))
     if view.truth:
@@ -887,19 +669,20 @@ def _laws(view: CampaignView, system: System) -> pd.DataFrame:
     """Every law's curve with its bands, and the tests beside it."""
     import pandas as pd
 
-    unit = view.actuation_unit
-    along, lines = system.factor(unit), []
+    unit, frames = view.actuation_unit, []
+    at = f"actuation_{system.unit(unit)}"
+    columns = ["what", at, "lower", "median", "upper"]
     for law in view.laws:
-        by = system.factor(law.unit)
-        what = law.name, system.unit(law.unit), law.law
+        parts: list[tuple[Any, ...]] = []
         for fan in (law.device, law.new_test):
-            widest = fan.widest
-            about = f"{KIND_NAMES[fan.kind]}, {percent(widest.probability)} %"
-            curve = zip(law.actuation, widest.lower, fan.median, widest.upper, strict=True)
-            lines += [(*what, about, at * along, a * by, b * by, c * by) for at, a, b, c in curve]
-        lines += [
-            (*what, f"test {name}, 95 %", at * along, a * by, b * by, c * by)
-            for name, at, a, b, c in law.tested
-        ]
-    head = ("quantity", "unit", "law", "what", f"actuation_{system.unit(unit)}")
-    return pd.DataFrame(lines, columns=[*head, "lower", "median", "upper"])
+            what = f"{KIND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
+            curve = zip(law.actuation, fan.widest.lower, fan.median, fan.widest.upper, strict=True)
+            parts += [(what, *values) for values in curve]
+        parts += [(f"test {name}, 95 %", *values) for name, *values in law.tested]
+        frame = pd.DataFrame(parts, columns=columns)
+        frame[columns[2:]] *= system.factor(law.unit)
+        frame[at] *= system.factor(unit)
+        for head in (("law", law.law), ("unit", system.unit(law.unit)), ("quantity", law.name)):
+            frame.insert(0, *head)
+        frames.append(frame)
+    return pd.concat(frames)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from mfd_bayes.errors import BuildingError, MfdError, UnitError
-from mfd_bayes.records.columns import header_unit
+from mfd_bayes.records.channels import header_unit
 from mfd_bayes.records.numbers import real_number, real_numbers
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.regular import file_inside, path_of, why_no_file

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.records.motion import Array
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Array, Trace
 from mfd_bayes.store.arviz import import_arviz
 from mfd_bayes.store.files import json_text, write_bytes
 

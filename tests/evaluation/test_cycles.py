@@ -74,14 +74,12 @@ def test_density_of_a_left_out_block_is_that_of_a_dense_normal(name, times):
     assert (np.abs(given - alone).max() > 0.1) == (name != "iid")
 
 
-@pytest.mark.parametrize("times", TIMES)
-def test_the_whole_density_of_student_t_noise_is_the_noise_models_own(times):
-    time = TIMES[times]
-    residual, _, values, (decay, scale) = noise_of("student_t", time)
-    _, whole = conditional_density(residual, decay, scale, STARTS, values["noise_dof"])
-    np.testing.assert_allclose(
-        whole, NOISES["student_t"].log_density(residual, time, values), rtol=1e-9
-    )
+def test_the_whole_density_of_student_t_noise_is_the_noise_models_own():
+    for time in TIMES.values():
+        residual, _, values, (decay, scale) = noise_of("student_t", time)
+        _, whole = conditional_density(residual, decay, scale, STARTS, values["noise_dof"])
+        own = NOISES["student_t"].log_density(residual, time, values)
+        np.testing.assert_allclose(whole, own, rtol=1e-9)
 
 
 @pytest.mark.parametrize("behind", [-2.0, 0.0, 0.7, 3.0])
@@ -113,18 +111,14 @@ def harmonic(hertz=1.0, seconds=6.0, rate=64):
 def test_cycles_of_a_harmonic_record_are_its_periods():
     trace = harmonic()
     cycles = find_cycles(trace)
-    assert cycles[0] == 0
-    assert cycles[-1] == trace.samples
+    assert (cycles[0], cycles[-1], len(cycles) - 1) == (0, trace.samples, 6)
     assert set(cycles[1:-1]) <= set(trace.turning_points)
     np.testing.assert_allclose(np.diff(trace.time[cycles[1:-1]]), 1.0, atol=0.02)
-    assert len(cycles) - 1 == 6
-
-
-def test_what_is_left_at_the_end_is_joined_to_the_last_cycle():
-    trace = harmonic(seconds=6.0)
-    shorter = harmonic(seconds=4.0)  # ends a quarter of a period after a turn
-    for found in (find_cycles(trace), find_cycles(shorter)):
-        assert np.diff(found).min() >= 0.5 * 64
+    assert find_cycles(trace, first=100)[0] == 100
+    # what is left at the end is joined to the last cycle: a quarter of a period after a turn
+    assert np.diff(find_cycles(harmonic(seconds=4.0))).min() >= 0.5 * 64
+    with pytest.raises(FitError, match=rf"at least {FEWEST_CYCLES} cycles, got 2"):
+        find_cycles(harmonic(seconds=2.2))
 
 
 def test_small_loops_are_joined_until_they_last_half_a_mean_period():
@@ -138,16 +132,6 @@ def test_small_loops_are_joined_until_they_last_half_a_mean_period():
     assert np.all(lasting >= period / 2 - 0.02)
     # the control: every second turning point by itself would be far shorter
     assert np.diff(time[trace.turning_points[::2]]).min() < 0.5 * period / 2
-
-
-def test_cycles_begin_behind_what_is_masked():
-    cycles = find_cycles(harmonic(), first=100)
-    assert cycles[0] == 100
-
-
-def test_a_record_of_too_few_cycles_is_refused():
-    with pytest.raises(FitError, match=rf"at least {FEWEST_CYCLES} cycles, got 2"):
-        find_cycles(harmonic(seconds=2.2))
 
 
 @pytest.mark.parametrize(

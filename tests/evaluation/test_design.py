@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.design import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
+from mfd_bayes.evaluation.properties import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
 from mfd_bayes.population.settings import KIND_NAMES, KINDS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BAND_NAMES, BANDS
@@ -25,19 +25,15 @@ def bounds(probability=0.9, drawn=DRAWN):
     return {(r["name"], r["basis"]): r for r in bounds_of(drawn, probability)}
 
 
-def test_bounds_are_the_quantiles_that_their_probability_says():
+def test_bounds_are_quantiles_and_factors_relative_to_the_mean_property():
     row = bounds(0.9)["slip_fwd", "new_test"]
-    assert row["lower"] == pytest.approx(1.1, abs=1e-3)
-    assert row["upper"] == pytest.approx(2.9, abs=1e-3)
+    figures = [row[key] for key in ("lower", "nominal", "upper", "lambda_min", "lambda_max")]
+    assert figures == pytest.approx([1.1, 2.0, 2.9, 0.55, 1.45], abs=1e-3)
     narrow = bounds(0.5)["slip_fwd", "new_test"]
     assert (narrow["lower"], narrow["upper"]) == pytest.approx((1.5, 2.5), abs=1e-3)
-
-
-def test_factors_are_relative_to_the_mean_of_the_mean_property():
-    row = bounds()["slip_fwd", "new_test"]
-    assert row["nominal"] == pytest.approx(2.0)
-    assert row["lambda_min"] == pytest.approx(0.55, abs=1e-3)
-    assert row["lambda_max"] == pytest.approx(1.45, abs=1e-3)
+    (metric,) = convert_rows((row,), SI)
+    assert (metric["unit"], metric["lambda_max"]) == ("kN", row["lambda_max"])
+    assert metric["upper"] == pytest.approx(row["upper"] * 4.4482216)
 
 
 def test_another_device_is_not_known_from_tests_of_one():
@@ -49,22 +45,11 @@ def test_another_device_is_not_known_from_tests_of_one():
     assert known["note"] == ""
 
 
-def test_a_slip_force_is_no_measurement():
+def test_what_a_basis_or_a_motion_does_not_have_is_left_out():
     assert ("slip_fwd", "observation") not in bounds()
     assert ("energy_per_cycle", "observation") in bounds()
-
-
-def test_a_motion_without_a_cycle_has_no_energy():
     none = {basis: {"energy_per_cycle": np.full(9, np.nan)} for basis in ("device", "new_test")}
     assert bounds_of(none, 0.9) == ()
-
-
-def test_bounds_in_metric_units_keep_their_factors():
-    row = bounds()["energy_per_cycle", "new_test"]
-    (metric,) = convert_rows((row,), SI)
-    assert metric["unit"] == "kN*mm"
-    assert metric["upper"] == pytest.approx(row["upper"] * 4.4482216 * 25.4)
-    assert metric["lambda_max"] == pytest.approx(row["lambda_max"])
 
 
 def test_the_table_says_its_probability_and_names():

@@ -687,13 +687,6 @@ def test_wide_brackets_and_unit_signs_are_read(tmp_path, encoding, head):
     assert "displacement -12 to 12 mm" in seen
 
 
-def test_a_column_of_a_matrix_has_no_unit_in_its_name(tmp_path):
-    savemat(tmp_path / "a_5bar.mat", {"t_s": TIME, "data": ROWS[:, 1:]})
-    init(tmp_path)
-    said = run("inspect", tmp_path / "campaign.toml", code=2)
-    assert re.search("unit of displacement", said)
-
-
 @pytest.mark.slow
 def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
     content = '[campaign]\nmodel = "lugre"\npriors = "priors.toml"\n'

@@ -14,11 +14,14 @@ from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BANDS
-from mfd_bayes.reporting.figures import campaign as shared
-from mfd_bayes.reporting.figures import draw_inspection, loops, style
-from mfd_bayes.reporting.figures.campaign import draw_laws, figures_of_test, shared_figures
+from mfd_bayes.reporting.figures import draw_inspection, loops
+from mfd_bayes.reporting.figures.campaign import (
+    draw_laws,
+    figures_of_test,
+    shared_figures,
+    spread,
+)
 from mfd_bayes.reporting.figures.loops import (
-    Marks,
     draw_history,
     draw_loops,
     draw_overview,
@@ -56,18 +59,16 @@ def drawn(campaign):
     return figures_of(campaign)
 
 
-def test_every_figure_is_drawn_once_under_its_key(drawn):
+def test_every_figure_is_drawn_once_with_units_on_its_axes(drawn):
     kinds = ("loops", "history", "residuals", "corner", "ranks", "marginals")
     per_test = {f"tests/p800_f0.25/{kind}" for kind in kinds}
     predicted = {"tests/held/loops", "tests/held/history"}
     assert set(drawn) == {"overview", "laws", "truth"} | per_test | predicted
-
-
-@pytest.mark.parametrize("key", ["overview", "laws", "tests/held/loops", "tests/held/history"])
-def test_axes_have_units(drawn, key):
-    assert labels(drawn[key])
-    for text in labels(drawn[key]):
-        assert UNIT.search(text), text
+    for key in ("overview", "laws", *predicted):
+        assert labels(drawn[key])
+        assert all(UNIT.search(text) for text in labels(drawn[key])), key
+    titles = [axes.get_title(loc="left") for axes in drawn["tests/p800_f0.25/marginals"].axes]
+    assert titles == ["", "", "not informed by the data"]
 
 
 def test_a_metric_report_is_drawn_in_metric_units(campaign, drawn):
@@ -80,6 +81,16 @@ def test_a_metric_report_is_drawn_in_metric_units(campaign, drawn):
     inches = drawn["tests/held/loops"].axes[0].get_xlim()
     millimetres = metric["tests/held/loops"].axes[0].get_xlim()
     assert millimetres == pytest.approx([25.4 * limit for limit in inches])
+
+
+def test_pngs_are_the_same_each_time_whatever_the_users_settings(campaign, images, draw):
+    with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "red"}):
+        before = dict(mpl.rcParams)
+        assert draw(campaign) == images
+        assert dict(mpl.rcParams) == before
+
+
+# --- posteriors
 
 
 def test_residuals_are_shown_by_stage(campaign):
@@ -108,28 +119,6 @@ def test_ranks_show_a_chain_that_differs(test_view):
     assert draw_ranks("ranks", [marginal], 1, NAMES) is None
 
 
-def test_rows_are_frequencies_and_columns_actuations(test_view):
-    def at(name, frequency, level):
-        time = np.arange(300) / 25.0
-        motion = np.sin(2 * np.pi * frequency * time)
-        one = test_view(name, samples=300)
-        return replace(one, trace=replace(one.trace, **vars_of(time, motion, level)))
-
-    def vars_of(time, motion, level):
-        trace = Trace.from_arrays(time, motion, level)
-        return {n: getattr(trace, n) for n in ("displacement", "velocity", "actuation")}
-
-    tests = [at("a", 1.0, 0.8), at("b", 0.25, 0.8), at("c", 0.25, 0.5), at("d", 1.0, 0.5)]
-    figure = draw_overview("all", tests)
-    names = [axes.get_title(loc="left").split("\n")[0] for axes in figure.axes]
-    assert names == ["c", "b", "d", "a"]
-
-
-def test_uninformed_quantities_are_marked(drawn):
-    titles = [axes.get_title(loc="left") for axes in drawn["tests/p800_f0.25/marginals"].axes]
-    assert titles == ["", "", "not informed by the data"]
-
-
 def test_wide_positive_priors_are_logarithmic_and_uniform_ones_are_not():
     rng = np.random.default_rng(1)
     wide, uniform = np.exp(rng.normal(size=500)), rng.uniform(size=500)
@@ -138,30 +127,49 @@ def test_wide_positive_priors_are_logarithmic_and_uniform_ones_are_not():
     assert [axes.get_xscale() for axes in figure.axes] == ["log", "linear"]
 
 
-def test_pngs_are_the_same_each_time(campaign, images, draw):
-    assert draw(campaign) == images
-
-
-def test_the_users_settings_neither_matter_nor_change(test_view):
+def test_constant_quantities_are_left_out_of_the_corner(test_view):
     test = test_view("a")
-    plain = to_png(draw_loops("a", test.trace, [test.observation]))
-    with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "red"}):
-        before = dict(mpl.rcParams)
-        assert to_png(draw_loops("a", test.trace, [test.observation])) == plain
-        assert dict(mpl.rcParams) == before
+    still = [replace(test.marginals[0], posterior=np.ones(60)), *test.marginals[1:]]
+    names = ("Fc_fwd", "k3", "gamma1", "unknown")
+    assert draw_corner("a", still, test.corner, NAMES) is None
+    assert len(draw_corner("a", test.marginals, names, NAMES).axes) == 9  # of three
+    assert len(draw_corner("a", still, names, NAMES).axes) == 4
 
 
-def test_bands_follow_each_stretch_of_motion(test_view):
-    trace = test_view("a").trace
-    parts = stretches(trace.turning_points, trace.samples)
-    assert len(parts) == trace.turning_points.size + 1
+def test_truths_that_are_not_positive_are_left_out(campaign):
+    figure = draw_truth("truth", campaign.truth, NAMES)
+    assert len(figure.axes[0].get_yticks()) == 2
+    assert draw_truth("truth", campaign.truth[2:], NAMES) is None
+
+
+# --- loops and histories
+
+
+def test_rows_are_frequencies_and_columns_actuations(test_view, monkeypatch):
+    def at(name, frequency, level):
+        time = np.arange(300) / 25.0
+        trace = Trace.from_arrays(time, np.sin(2 * np.pi * frequency * time), level)
+        test = test_view(name, samples=300)
+        changed = {n: getattr(trace, n) for n in ("displacement", "velocity", "actuation")}
+        return replace(test, trace=replace(test.trace, **changed))
+
+    tests = [at("a", 1.0, 0.8), at("b", 0.25, 0.8), at("c", 0.25, 0.5), at("d", 1.0, 0.5)]
+    figure = draw_overview("all", tests)
+    names = [axes.get_title(loc="left").split("\n")[0] for axes in figure.axes]
+    assert names == ["c", "b", "d", "a"]
+    monkeypatch.setattr(loops, "PANELS", 3)
+    figure = draw_overview("all", tests)
+    assert "first 3 of 4" in figure.get_suptitle()
+    assert len([axes for axes in figure.axes if axes.lines]) == 3
+
+
+def test_bands_follow_each_stretch_of_motion_and_do_not_close_the_loop(test_view):
+    test = test_view("a")
+    parts = stretches(test.trace.turning_points, test.trace.samples)
+    assert len(parts) == test.trace.turning_points.size + 1
     for part in parts:
-        steps = np.diff(trace.displacement[part])
+        steps = np.diff(test.trace.displacement[part])
         assert np.all(steps >= 0) or np.all(steps <= 0)
-
-
-def test_forward_and_backward_bands_do_not_close_the_loop(test_view):
-    test = test_view("a")
     figure = draw_loops("a", test.trace, [test.observation])
     bands = figure.axes[0].collections[0].get_paths()
     # in mid-stroke the force is near ±1 kip; no band may reach from one branch to the other
@@ -169,50 +177,27 @@ def test_forward_and_backward_bands_do_not_close_the_loop(test_view):
     assert sum(path.contains_point((0.0, 1.0)) for path in bands[1:]) > 0
 
 
-def test_a_motion_without_a_force_can_be_drawn(test_view):
-    test = test_view("a")
-    trace = Trace.from_arrays(test.trace.time, test.trace.displacement, 0.8)
-    assert to_png(draw_loops("a", trace, [test.observation]))
-    assert to_png(draw_history("a", trace, [test.observation]))
+def test_every_kind_of_band_a_motion_without_force_and_odd_names_are_drawn(test_view):
+    test = test_view("$\\frac{x$ 試験 \n<script>")
+    for kind in ("device", "new_test", "observation", "prior"):
+        fan = replace(test.observation, kind=kind, intervals=test.observation.intervals[1:])
+        figure = draw_loops(test.id, test.trace, [fan])
+        assert "95 %" in figure.legends[0].get_texts()[1].get_text()
+    assert to_png(figure)
+    silent = Trace.from_arrays(test.trace.time, test.trace.displacement, 0.8)
+    assert to_png(draw_loops("a", silent, [test.observation]))
+    assert to_png(draw_history("a", silent, [test.observation]))
     assert to_png(draw_history("a", test.trace))
-
-
-@pytest.mark.parametrize("kind", ["device", "new_test", "observation", "prior"])
-def test_every_kind_of_band_can_be_drawn(test_view, kind):
-    test = test_view("a")
-    fan = replace(test.observation, kind=kind, intervals=test.observation.intervals[1:])
-    figure = draw_loops("a", test.trace, [fan])
-    assert "95 %" in figure.legends[0].get_texts()[1].get_text()
 
 
 def test_long_records_show_the_strongest_motion(test_view):
     test = test_view("a", samples=12_000)
-    figure = draw_history("a", test.trace, [test.observation], marks=Marks(test.first))
+    figure = draw_history("a", test.trace, [test.observation], first=test.first)
     assert len(figure.axes) == 6
     assert all(len(line.get_xdata()) <= 4500 for axes in figure.axes for line in axes.lines)
 
 
-def test_constant_quantities_are_left_out_of_the_corner(test_view):
-    test = test_view("a")
-    still = replace(test.marginals[0], posterior=np.ones(60))
-    assert draw_corner("a", [still, *test.marginals[1:]], test.corner, NAMES) is None
-    wanted = ("Fc_fwd", "k3", "gamma1", "unknown")
-    assert (
-        len(draw_corner("a", test.marginals, wanted, NAMES).axes) == 6
-    )  # of three: pairs below the diagonal
-    assert len(draw_corner("a", [still, *test.marginals[1:]], wanted, NAMES).axes) == 3
-
-
-def test_names_from_files_are_text_for_matplotlib_too(test_view):
-    test = test_view("$\\frac{x$ 試験 \n<script>")
-    figure = draw_loops(test.id, test.trace, [test.observation])
-    assert to_png(figure)
-
-
-def test_truths_that_are_not_positive_are_left_out(campaign):
-    figure = draw_truth("truth", campaign.truth, NAMES)
-    assert len(figure.axes[0].get_yticks()) == 2
-    assert draw_truth("truth", campaign.truth[2:], NAMES) is None
+# --- laws
 
 
 def test_tests_at_zero_are_drawn_inside_the_panel(campaign):
@@ -226,25 +211,16 @@ def test_tests_at_zero_are_drawn_inside_the_panel(campaign):
     assert plain.get_xlim()[0] == 0.0
 
 
-def test_more_tests_than_panels_are_announced(test_view, monkeypatch):
-    monkeypatch.setattr(loops, "PANELS", 4)
-    figure = draw_overview("all", [test_view("a", samples=30)] * 5)
-    assert "first 4 of 5" in figure.get_suptitle()
-    assert len([axes for axes in figure.axes if axes.lines]) == 4
-
-
-def test_one_colour_has_one_meaning():
-    colours = [colour for kind in BANDS.values() for colour in kind]
-    assert len(set(colours)) == len(colours)
-
-
 @pytest.mark.parametrize("number", [1, 3, 50])
 def test_tests_at_one_level_stay_near_it(number):
     levels = np.array([0.5, 0.6, 1.5])
-    shifted = shared.spread(np.repeat(levels, number)).reshape(3, number)
+    shifted = spread(np.repeat(levels, number)).reshape(3, number)
     assert np.max(np.abs(shifted - levels[:, None])) < 0.05  # half of the way to the next one
     assert len(np.unique(shifted)) == 3 * number
     np.testing.assert_allclose(shifted.mean(axis=1), levels)
+
+
+# --- records as they were read
 
 
 def trace_of(*, force=True, spikes=()):
@@ -278,27 +254,19 @@ def test_a_record_without_force_or_full_loop_is_drawn(force):
     assert to_png(figure).startswith(b"\x89PNG")
 
 
-def test_paper_surfaces_and_dots_keep_their_colours_in_a_png(monkeypatch):
+def test_colours_have_one_meaning_and_stay_what_they_are_in_a_png():
     """A pale surface, grey lines on white, and one small red dot, with soft edges."""
+    all_bands = [colour for kind in BANDS.values() for colour in kind]
+    assert len(set(all_bands)) == len(all_bands)
     pale, grey, red = (255, 243, 214), (230, 230, 230), (213, 94, 0)
-
-    def png():
-        figure = Figure(figsize=(4, 3), dpi=100)
-        axes = figure.add_axes((0, 0, 1, 1))
-        axes.set_axis_off()
-        axes.axvspan(0.0, 0.3, color=np.divide(pale, 255))
-        for height in np.linspace(0.0, 1.0, 23):
-            axes.plot([0.0, 1.0], [height, 1.0 - 0.7 * height], color=np.divide(grey, 255))
-        axes.plot([0.8], [0.05], "o", color=np.divide(red, 255), markersize=4)
-        return np.asarray(Image.open(io.BytesIO(to_png(figure))).convert("RGB"))
-
-    def number(picture, colour):
-        return int(np.count_nonzero(np.all(picture == colour, axis=2)))
-
-    picture = png()
-    assert number(picture, (255, 255, 255)) > 10_000
-    assert number(picture, pale) > 5_000
+    figure = Figure(figsize=(4, 3), dpi=100)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    axes.axvspan(0.0, 0.3, color=np.divide(pale, 255))
+    for height in np.linspace(0.0, 1.0, 23):
+        axes.plot([0.0, 1.0], [height, 1.0 - 0.7 * height], color=np.divide(grey, 255))
+    axes.plot([0.8], [0.05], "o", color=np.divide(red, 255), markersize=4)
+    picture = np.asarray(Image.open(io.BytesIO(to_png(figure))).convert("RGB"))
+    assert np.count_nonzero(np.all(picture == 255, axis=2)) > 10_000
+    assert np.count_nonzero(np.all(picture == pale, axis=2)) > 5_000
     assert np.count_nonzero(np.abs(picture.astype(int) - red).max(axis=2) < 20) > 4
-    means = lambda few, _: np.reshape(few.getpalette(), (-1, 3))  # noqa: E731
-    monkeypatch.setattr(style, "_most_frequent", means)  # the control: an octree's means
-    assert number(png(), (255, 255, 255)) == 0

@@ -15,6 +15,7 @@ import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError, ReportError
 from mfd_bayes.runs.run import open_run as open_plain
+from mfd_bayes.store.cards import card, grid
 from tests.run_folders import write_run
 
 with warnings.catch_warnings():
@@ -41,16 +42,14 @@ def band(run):
 
 def test_what_a_notebook_shows_is_html_with_the_names_and_units(run, band):
     test = run.tests["a"]
-    assert "<table" in run._repr_html_()
-    assert "<td>a</td>" in run._repr_html_()
-    assert "Fc_fwd" in test._repr_html_()
-    assert "kip" in band._repr_html_()
-    assert "three_stage" in test.posterior._repr_html_()
-
-
-def test_texts_of_a_run_are_escaped(run):
-    from mfd_bayes.store.cards import card, grid
-
+    for shown, words in (
+        (run, "<table"),
+        (run, "<td>a</td>"),
+        (test, "Fc_fwd"),
+        (band, "kip"),
+        (test.posterior, "three_stage"),
+    ):
+        assert words in shown._repr_html_()
     assert "<b>" not in card("<b>", [("<b>", "<b>")], "<b>")
     assert "<b>" not in grid("<b>", ["<b>"], [["<b>"]], "<b>")
 
@@ -83,14 +82,15 @@ def test_what_cannot_be_drawn_is_named(run, band):
             draw("x")
 
 
-def test_the_loops_of_a_test_are_drawn_with_its_force(run):
+def test_the_loops_of_a_test_are_drawn_with_its_force(run, folder):
     test = run.tests["a"]
-    axes = test.plot_loops()
-    drawn = axes.get_lines()[0].get_ydata()
+    drawn = test.plot_loops().get_lines()[0].get_ydata()
     np.testing.assert_allclose(drawn, test.trace.force * run.system.factor("kip"))
+    with pytest.raises(FitError, match=r"mfd_bayes\.open_run"):
+        open_plain(folder).tests["a"].plot_loops()
 
 
-def test_arviz_takes_a_test_without_a_change(run):
+def test_arviz_takes_a_test_and_a_band_without_a_change(run, band):
     data = run.tests["a"].inference_data()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # few draws: weights are not to be trusted
@@ -99,19 +99,9 @@ def test_arviz_takes_a_test_without_a_change(run):
     summary = az.summary(data, var_names=["Fc_fwd"])
     drawn = run.tests["a"].draws["Fc_fwd"].to_numpy()
     assert float(summary["mean"].iloc[0]) == pytest.approx(drawn.mean(), abs=2e-3)
-
-
-def test_arviz_takes_a_band(band):
-    data = band.inference_data()
-    force = data["predictions"]["force"]
+    force = band.inference_data()["predictions"]["force"]
     np.testing.assert_array_equal(np.asarray(force)[0], band.draws)
     assert force.attrs["units"] == "kip"
-
-
-def test_results_that_no_notebook_opened_say_so(folder):
-    plain = open_plain(folder)
-    with pytest.raises(FitError, match=r"mfd_bayes\.open_run"):
-        plain.tests["a"].plot_loops()
 
 
 def test_opening_a_run_imports_no_matplotlib(folder):

@@ -33,22 +33,11 @@ def test_a_report_holds_every_figure_and_every_table(campaign, datasheet, tmp_pa
     expected = {f"tests/p800_f0.25/{name}.png" for name in own}
     expected |= {f"tests/held/{name}.png" for name in ("loops", "history")}
     expected |= {
-        f"tests/{name}/{file}"
-        for name in ("held", "p800_f0.25")
-        for file in ("page.html", "record.csv")
+        f"tests/{n}/{f}" for n in ("held", "p800_f0.25") for f in ("page.html", "record.csv")
     }
     expected |= {f"figures/{n}.{s}" for n in ("overview", "laws", "truth") for s in ("png", "csv")}
-    names = (
-        "parameters",
-        "derived",
-        "loop_estimates",
-        "noises",
-        "laws",
-        "law_scores",
-        "checks",
-        "scores",
-    )
-    expected |= {f"{name}.csv" for name in (*names, "tested_range", "crossvalidation", "datasheet")}
+    names = "parameters derived loop_estimates noises laws law_scores checks scores tested_range"
+    expected |= {f"{name}.csv" for name in (*names.split(), "crossvalidation", "datasheet")}
     expected |= {f"{name}.{end}" for name in ("parameters", "laws") for end in ("json", "tex")}
     expected |= {"datasheet.tex", "report.html", "datasheet.html", "tables.docx", "tables.xlsx"}
     assert set(found) == expected

@@ -11,12 +11,13 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.reporting.figures import style, to_png
 from mfd_bayes.reporting.response import (
     ResponseView,
-    peaks_csv,
+    peaks_frame,
     render_response,
     response_json,
-    sweep_csv,
+    sweep_frame,
     sweep_sentence,
 )
+from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.response.result import Passing, Row
 from mfd_bayes.response.sweep import Sweep
 from mfd_bayes.runs.tested_range import Span
@@ -39,7 +40,7 @@ LIMITS = [
 @pytest.mark.parametrize("system", [US, SI])
 def test_json_and_csv_of_peaks_say_the_same(system):
     told = json.loads(response_json(ROWS, LIMITS, {"title": "t"}, system))
-    table = list(csv.DictReader(io.StringIO(peaks_csv(ROWS, system))))
+    table = list(csv.DictReader(io.StringIO(to_csv(peaks_frame(ROWS, system)))))
     for row, one in zip(table, told["peaks"], strict=True):
         assert row["unit"] == one["unit"]
         assert float(row["median"]) == pytest.approx(one["median"], rel=1e-5)
@@ -72,7 +73,7 @@ def test_the_actuation_of_a_sweep_is_in_the_units_of_its_system(unit, system, na
     levels = np.array([0.5, 1.0])
     values = dict.fromkeys(("drift", "acceleration"), np.ones((2, 3, 1)))
     sweep = Sweep(levels, unit, values, "drift", "mean", np.ones(2), 0.5, (0.5, 1.0))
-    rows = list(csv.DictReader(io.StringIO(sweep_csv(sweep, system))))
+    rows = list(csv.DictReader(io.StringIO(to_csv(sweep_frame(sweep, system)))))
     assert [float(row[name]) for row in rows] == pytest.approx(by * levels, rel=1e-5)
 
 
@@ -104,83 +105,46 @@ def test_a_page_of_a_response_has_both_systems_of_units():
 TESTED = (Span("stroke", "in", 1.0, 2.0), Span("actuation", "ksi", 0.5, 1.5))
 
 
-def swept(best, low, high, goal="mean"):
-    """A sweep of five levels between these, with the best one of them."""
-    levels = np.linspace(low, high, 5)
-    scores = np.arange(5.0)
-    return Sweep(levels, "ksi", {}, "drift", goal, scores, best, (0.9 * best, best))
+def sentence(levels, best, scores=(), goal="mean", interval=None, tested=TESTED, system=US):
+    """What is said of a sweep of these levels with their scores and the best of them."""
+    scores = np.array(scores or range(len(levels)), dtype=float)
+    interval = interval or (0.9 * best, best)
+    sweep = Sweep(np.array(levels), "ksi", {}, "drift", goal, scores, best, interval)
+    return sweep_sentence(sweep, tested, system)
 
 
-@pytest.mark.parametrize(
-    ("best", "low", "high", "more"),
-    [
+def test_what_to_do_where_the_best_level_is_at_an_end():
+    upper, lower = "This is the upper end of the sweep", "This is the lower end of the sweep"
+    for best, low, high, more in (
         (1.0, 0.5, 1.5, ""),
-        (1.2, 0.8, 1.2, " This is the upper end of the sweep: sweep further."),
-        (0.8, 0.8, 1.2, " This is the lower end of the sweep: sweep further."),
-        (
-            1.5,
-            0.8,
-            1.5,
-            " This is the upper end of the sweep and of the tests: make a test above it before you "
-            "sweep further.",
-        ),
-        (
-            0.5,
-            0.5,
-            1.2,
-            " This is the lower end of the sweep and of the tests: make a test below it before you "
-            "sweep further.",
-        ),
-        (
-            1.8,
-            0.8,
-            2.0,
-            " No test was made there (tests: 500 to 1500 psi): make one before you use this "
-            "actuation.",
-        ),
-    ],
-)
-def test_what_to_do_where_the_best_level_is_at_an_end(best, low, high, more):
-    told = sweep_sentence(swept(best, low, high), TESTED, US)
-    ends = f"{900 * best:.4g} to {1000 * best:.4g} psi"
-    assert told == (
-        f"The mean of the largest drift is smallest at {1000 * best:.4g} psi (90 % interval: "
-        f"{ends}).{more}"
-    )
+        (1.2, 0.8, 1.2, f" {upper}: sweep further."),
+        (0.8, 0.8, 1.2, f" {lower}: sweep further."),
+        (1.5, 0.8, 1.5, f" {upper} and of the tests: make a test above it before you"),
+        (0.5, 0.5, 1.2, f" {lower} and of the tests: make a test below it before you"),
+        (1.8, 0.8, 2.0, " No test was made there (tests: 500 to 1500 psi): make one before you"),
+    ):
+        ends = f"{900 * best:.4g} to {1000 * best:.4g} psi"
+        told = sentence(np.linspace(low, high, 5), best)
+        start = f"The mean of the largest drift is smallest at {1000 * best:.4g} psi (90 % interval"
+        assert told.startswith(f"{start}: {ends}).{more}"), best
+        assert bool(more) == (not told.endswith(f"{ends})."))
+    told = sentence(np.linspace(0.5, 1.5, 5), 1.0, goal="passing", system=SI)
+    assert told.startswith("The probability that the largest drift exceeds its limit is smallest")
+    assert "6.89" in told
 
 
-def test_the_goal_and_the_system_of_units_are_told():
-    told = sweep_sentence(swept(1.0, 0.5, 1.5, "passing"), TESTED, SI)
-    assert told.startswith(
-        "The probability that the largest drift exceeds its limit is smallest at"
-    )
-    assert "6890 kPa" in told or "6.89 MPa" in told
-
-
-@pytest.mark.parametrize(
-    ("scores", "words"),
-    [
-        ((0, 0, 0), "is the same at all 3 levels, 500 to 1500 psi: none of them is better."),
-        (
-            (0.1, 0, 0),
-            "is smallest at 2 levels alike, 1000 to 1500 psi: none of them is better (90 % "
-            "interval: 500 to 1500 psi).",
-        ),
-        ((0, 0, np.inf), "is the same at all 2 levels, 500 to 1000 psi: none of them is better."),
-        ((0, np.inf, np.inf), "is smallest at 500 psi (90 % interval: 500 to 1500 psi)."),
-    ],
-)
-def test_levels_that_are_best_alike_are_no_optimum(scores, words):
-    levels, scores = np.array([0.5, 1.0, 1.5]), np.array(scores, dtype=float)
-    sweep = Sweep(levels, "ksi", {}, "drift", "passing", scores, 0.5, (0.5, 1.5))
-    told = sweep_sentence(sweep, (Span("actuation", "ksi", 0.1, 2.0),), US)
-    assert told.startswith(f"The probability that the largest drift exceeds its limit {words}")
-
-
-def test_levels_that_are_best_alike_and_were_not_tested_are_told():
-    levels, scores = np.array([0.5, 1.0, 1.5]), np.array([0.1, 0.0, 0.0])
-    sweep = Sweep(levels, "ksi", {}, "drift", "passing", scores, np.nan, (1.0, 1.5))
-    told = sweep_sentence(sweep, (Span("actuation", "ksi", 0.5, 1.2),), US)
-    assert told.endswith(
-        "No test was made there (tests: 500 to 1200 psi): make one before you use this actuation."
-    )
+def test_levels_that_are_best_alike_are_no_optimum():
+    levels, wide = [0.5, 1.0, 1.5], (Span("actuation", "ksi", 0.1, 2.0),)
+    for scores, words in (
+        ((0, 0, 0), "the same at all 3 levels, 500 to 1500 psi: none of them is better."),
+        ((0.1, 0, 0), "smallest at 2 levels alike, 1000 to 1500 psi: none of them is better (90 %"),
+        ((0, 0, np.inf), "the same at all 2 levels, 500 to 1000 psi: none of them is better."),
+        ((0, np.inf, np.inf), "smallest at 500 psi (90 % interval: 500 to 1500 psi)."),
+    ):
+        told = sentence(levels, 0.5, scores, "passing", (0.5, 1.5), wide)
+        assert told.startswith(
+            f"The probability that the largest drift exceeds its limit is {words}"
+        )
+    narrow = (Span("actuation", "ksi", 0.5, 1.2),)
+    told = sentence(levels, np.nan, (0.1, 0.0, 0.0), "passing", (1.0, 1.5), narrow)
+    assert "No test was made there (tests: 500 to 1200 psi): make one" in told

@@ -1,7 +1,5 @@
 import math
 
-import pytest
-
 from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.reporting import symbols
 
@@ -14,6 +12,8 @@ def test_every_quantity_has_a_symbol():
         assert NAMES.in_html(name), name
         assert NAMES.meaning(name), name
     assert NAMES.parts("Fc_fwd") == [("F", False), ("c,fwd", True)]
+    assert NAMES.label("sigma0", "kip/in") == r"$\sigma_0$, kip/in"
+    assert NAMES.label("gamma1", "1") == r"$\gamma_1$"
 
 
 def test_unknown_names_are_escaped():
@@ -22,42 +22,18 @@ def test_unknown_names_are_escaped():
     assert symbols.plain("a\nb" + "x" * 80) == "a b" + "x" * 56 + "…"
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (1.3, "1.300"),
-        (1234.4, "1234"),
-        (0.00012345, "0.0001234"),
-        (1.25e-7, "1.250e−7"),
-        (-2.5, "−2.500"),
-        (123456.0, "123500"),
-        (1.5e7, "1.500e7"),
-        (0.0, "0.000"),
-        (math.nan, "–"),
-        (-math.inf, "−∞"),
-    ],
-)
-def test_numbers_have_four_digits(value, text):
-    assert symbols.number(value) == text
-
-
-@pytest.mark.parametrize(
-    ("unit", "text"), [("kip*s/in", "kip·s/in"), ("1", ""), ("in**2", "in²"), ("", "")]
-)
-def test_units_are_written_as_engineers_do(unit, text):
-    assert symbols.unit_text(unit) == text
-
-
-def test_labels_carry_units():
-    assert NAMES.label("sigma0", "kip/in") == r"$\sigma_0$, kip/in"
-    assert NAMES.label("gamma1", "1") == r"$\gamma_1$"
+def test_numbers_and_units_are_written_as_engineers_do():
+    values = (1.3, 1234.4, 0.00012345, 1.25e-7, -2.5, 123456.0, 1.5e7, 0.0, math.nan, -math.inf)
+    texts = ["1.300", "1234", "0.0001234", "1.250e−7", "−2.500", "123500", "1.500e7", "0.000"]
+    assert [symbols.number(value) for value in values] == [*texts, "–", "−∞"]
+    units = [symbols.unit_text(unit) for unit in ("kip*s/in", "1", "in**2", "")]
+    assert units == ["kip·s/in", "", "in²", ""]
     assert symbols.percent(0.95, 0) == "95\u00a0%"
     assert symbols.count(1234.4) == "1\u202f234"
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "meaning"),
-    [
+def test_quantities_of_the_population_are_written_in_words():
+    for name, text, meaning in (
         ("scatter_Fc_fwd", "scatter of slip force fwd", "slip force at a common speed"),
         ("scatter_d3", "scatter of d3/d2", "ratio d3/d2"),
         ("scatter_sigma0", "scatter of σ<sub>0</sub>", "of the logarithm: aggregate bristle"),
@@ -66,20 +42,15 @@ def test_labels_carry_units():
         ("exponent_Fc_bwd", "exponent of F<sub>c,bwd</sub>", "exponent of the power law"),
         ("share_sigma0", "share of σ<sub>0</sub>", "share of the value"),
         ("dependence_d2_velocity", "dependence of d<sub>2</sub> on velocity", "on velocity"),
-    ],
-)
-def test_quantities_of_the_population_are_written_in_words(name, text, meaning):
-    assert NAMES.in_html(name) == text
-    assert meaning in NAMES.meaning(name)
+    ):
+        assert NAMES.in_html(name) == text
+        assert meaning in NAMES.meaning(name), name
 
 
-@pytest.mark.parametrize(
-    ("text", "html"),
-    [
+def test_a_sentence_has_symbols_and_no_code_names():
+    for text, html in (
         ("not determined: sigma1 (7), k3", "not determined: σ<sub>1</sub> (7), k<sub>3</sub>"),
         ("the gap of a<b is Fc_fwd.", "the gap of a&lt;b is F<sub>c,fwd</sub>."),
         ("test run-d2 of d2.csv, noise_check = true", "test run-d2 of d2.csv, noise_check = true"),
-    ],
-)
-def test_a_sentence_has_symbols_and_no_code_names(text, html):
-    assert NAMES.sentence(text) == html
+    ):
+        assert NAMES.sentence(text) == html

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.evaluation.design import design_rows
+from mfd_bayes.evaluation.properties import design_rows
 from mfd_bayes.population.population import LawDraws
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import read_building

@@ -28,12 +28,11 @@ from mfd_bayes.campaign.draft.guesses import (
 from mfd_bayes.campaign.draft.priors import Units, knows, priors_text
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.records.data_quality import force_sign
-from mfd_bayes.records.file_name_check import contradictions, length_in_name
+from mfd_bayes.records.data_quality import contradictions, force_sign, length_in_name
 from mfd_bayes.records.loops import Scales, channels_swapped, scales_of
 from mfd_bayes.records.readers import SUFFIXES, Table, read_table
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.spikes import without_spikes
+from mfd_bayes.records.trace import without_spikes
 from mfd_bayes.store.toml import commented, quoted
 from mfd_bayes.units import ActuationUnit, actuation_factor
 

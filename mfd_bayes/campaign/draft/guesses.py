@@ -14,14 +14,12 @@ from unicodedata import normalize
 import numpy as np
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.channels import Source, step_of
-from mfd_bayes.records.columns import stated_unit
-from mfd_bayes.records.file_name_check import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
+from mfd_bayes.records.channels import Source, stated_unit, step_of
+from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
-from mfd_bayes.records.motion import Array, cycle_turns
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.table import own_name
-from mfd_bayes.records.trace import check_magnitude
+from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,

@@ -13,8 +13,8 @@ import io
 import json
 import logging
 import math
+import multiprocessing
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -30,17 +30,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.grid import Grid, Layout, find_table
-from mfd_bayes.records.readers.table import COLUMNS, Cell, Column, Table, bare_unit
+from mfd_bayes.records.readers.table import (
+    COLUMNS,
+    Cell,
+    Column,
+    Grid,
+    Layout,
+    Table,
+    bare_unit,
+    find_table,
+)
 from mfd_bayes.units import factor, measure
 
 Content = tuple[dict[str, Any], Mapping[str, NDArray[np.generic]]]
 """Texts and numbers of a file, and its arrays by name."""
+Arrays = Iterator[tuple[str, NDArray[np.generic]]]
 
 MEMORY, SECONDS = 2 * 2**30, 120.0
 """Bytes beyond what the process has already, and seconds, that the reading of a file may take."""
-
-_ADVICE = "save only the test's own columns, or as .csv"
+EXCEL_CELLS = 2_000_000  # most cells of a workbook: eight minutes of four columns at 1024 Hz
+SAMPLES = 50_000_000  # most of all channels of a TDMS file: an hour and a half of ten at 1024 Hz
+SIGNALS, SHORTEST = 32, 20
+"""Most signals of a matrix and fewest samples of each; another matrix is left out."""
+DEEPEST = 4  # structs in structs
+EVEN, SHARE = 1e-6, 0.02
+"""Steps of time that differ by a smaller share are equal; channels that are out of step by less
+than so much of a step are in step."""
 
 
 class UnreadableError(Exception):
@@ -63,96 +78,82 @@ def read_in_child(
             f"reading {path} needs {library}, which is not installed: "
             f'pip install "mfd_bayes[{extra}]"'
         ) from error
-    forks = hasattr(os, "fork") and threading.active_count() == 1
+    advice = "save only the test's own columns, or as .csv"
     try:
-        content = (_fork if forks else _spawn)(read, path)
-        with np.load(io.BytesIO(content)) as stored:
+        with np.load(io.BytesIO(_from_child(read, path))) as stored:
             arrays = {name: stored[name] for name in stored.files}
         facts = json.loads(str(arrays.pop("facts")))
-    except subprocess.TimeoutExpired as error:
-        raise RecordError(f"{path} takes more than {SECONDS:g} s to read: {_ADVICE}") from error
+    except (TimeoutError, subprocess.TimeoutExpired) as error:
+        raise RecordError(f"{path} takes more than {SECONDS:g} s to read: {advice}") from error
     except (ValueError, EOFError, zipfile.BadZipFile):  # the process ended before it wrote all
         facts, arrays = {"error": ""}, {}
     error_text = facts.pop("error", None)
-    if error_text is None:
-        return facts, arrays
     if error_text == "memory":
-        raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {_ADVICE}")
-    raise RecordError(f"{path} {error_text or f'is not {kind} that can be read'}")
+        raise RecordError(f"{path} needs more than {MEMORY >> 30} GB to be read: {advice}")
+    if error_text is not None:
+        raise RecordError(f"{path} {error_text or f'is not {kind} that can be read'}")
+    return facts, arrays
 
 
-def _fork(read: Callable[[Path], Content], path: Path) -> bytes:
-    """What a copy of this process writes, which has the libraries already."""
-    source, target = os.pipe()
+def _from_child(read: Callable[[Path], Content], path: Path) -> bytes:
+    """What a copy of this process says, or a new one: a copy of threads may wait for ever."""
+    alone = threading.active_count() == 1 and not multiprocessing.current_process().daemon
+    if not alone or "fork" not in multiprocessing.get_all_start_methods():
+        code = (
+            "import sys; sys.path[:] = sys.argv[3:]\nfrom pathlib import Path\n"
+            "from mfd_bayes.records.readers import binary\nstream = open(binary.os.dup(1), 'wb')\n"
+            "stream.write(binary.limited(getattr(binary, sys.argv[1]), Path(sys.argv[2])))"
+        )
+        words = [sys.executable, "-c", code, read.__name__, str(path), *sys.path]
+        return subprocess.run(words, capture_output=True, timeout=SECONDS, check=False).stdout
+    context = multiprocessing.get_context("fork")
+    source, target = context.Pipe(duplex=False)
+    child = context.Process(target=lambda: target.send_bytes(limited(read, path)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about threads of other libraries, which wait
-        pid = os.fork()
-    if not pid:
-        try:
-            os.close(source)
-            faulthandler.disable()
-            serve(read, path, target)
-        finally:
-            os._exit(0)
-    os.close(target)
-    alarm = threading.Timer(SECONDS, os.kill, (pid, signal.SIGKILL))
-    alarm.start()
+        child.start()
+    target.close()
     try:
-        with os.fdopen(source, "rb") as stream:
-            content = stream.read()
+        if not source.poll(SECONDS):
+            raise TimeoutError
+        return source.recv_bytes()
     finally:
-        late = not alarm.is_alive()
-        alarm.cancel()
-        alarm.join()
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-    if late:
-        raise subprocess.TimeoutExpired(str(path), SECONDS)
-    return content
+        child.kill()
+        child.join()
+        source.close()
 
 
-def _spawn(read: Callable[[Path], Content], path: Path) -> bytes:
-    """As `_fork`, of a new interpreter: a copy of a process with threads may wait for ever."""
-    code = (
-        "import sys; sys.path[:] = sys.argv[3:]\nfrom pathlib import Path\n"
-        "from mfd_bayes.records.readers import binary\n"
-        "binary.serve(getattr(binary, sys.argv[1]), Path(sys.argv[2]), 1)"
-    )
-    words = [sys.executable, "-c", code, read.__name__, str(path), *sys.path]
-    return subprocess.run(words, capture_output=True, timeout=SECONDS, check=False).stdout
+def limited(read: Callable[[Path], Content], path: Path) -> bytes:
+    """What is read of a file, in a process whose memory is limited from here on."""
+    faulthandler.disable()
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for output in (1, 2):
+        os.dup2(nowhere, output)
+    with contextlib.suppress(ImportError, OSError, ValueError):  # as on Windows
+        import resource
 
-
-def serve(read: Callable[[Path], Content], path: Path, number: int) -> None:
-    """Read a file within limits, and write what is read to a descriptor."""
-    with os.fdopen(os.dup(number), "wb") as stream:
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for output in (1, 2):
-            os.dup2(nowhere, output)
-        with contextlib.suppress(ImportError, OSError, ValueError):  # as on Windows
-            import resource
-
-            has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-            most = resource.getrlimit(resource.RLIMIT_AS)[1]
-            limit = has + MEMORY if most == resource.RLIM_INFINITY else min(has + MEMORY, most)
-            resource.setrlimit(resource.RLIMIT_AS, (limit, most))
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        arrays: Mapping[str, NDArray[np.generic]] = {}
-        try:
-            facts, arrays = read(path)
-        except UnreadableError as error:
-            facts = {"error": str(error)}
-        except MemoryError:
-            facts = {"error": "memory"}
-        except BaseException:  # the libraries raise dozens of kinds
-            facts = {"error": ""}
+        has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        limit = has + MEMORY if most == resource.RLIM_INFINITY else min(has + MEMORY, most)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, most))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    facts: dict[str, Any] = {"error": ""}
+    arrays: Mapping[str, Any] = {}
+    stream = io.BytesIO()
+    try:
+        facts, arrays = read(path)
         contents: dict[str, Any] = {"facts": np.array(json.dumps(facts)), **arrays}
         np.savez(stream, **contents)
-
-
-EXCEL_CELLS = 2_000_000  # most cells of a workbook: eight minutes of four columns at 1024 Hz
-_OLE = bytes.fromhex("D0CF11E0")  # first bytes of old .xls workbooks and of encrypted ones
-_FORMULA = "(a formula without a stored value: save it in Excel)"
+        return stream.getvalue()
+    except UnreadableError as error:
+        facts = {"error": str(error)}
+    except MemoryError:
+        facts = {"error": "memory"}
+    except BaseException:  # the libraries raise dozens of kinds
+        facts = {"error": ""}
+    stream = io.BytesIO()
+    np.savez(stream, facts=np.array(json.dumps(facts)))
+    return stream.getvalue()
 
 
 def read_excel(path: Path) -> Table:
@@ -162,26 +163,21 @@ def read_excel(path: Path) -> Table:
     that Excel stored.
     """
     with path.open("rb") as file:
-        if file.read(len(_OLE)) == _OLE:
+        if file.read(4) == bytes.fromhex("D0CF11E0"):
             raise RecordError(
                 f"{path} is an old .xls workbook or has a password; save it as .xlsx without one"
             )
     kind = "an Excel workbook (.xlsx)"
     sheets = read_in_child(_sheets, path, kind, library="openpyxl", extra="excel")[0]["sheets"]
     grids: list[tuple[Grid, Layout]] = []
-    for title, rows in sheets:
-        grid = Grid(path, [r for _, r in rows], [n for n, _ in rows], "row", f"sheet {title!r}")
-        if (layout := find_table(grid.rows)) is not None:
-            grids.append((grid, layout))
+    for title, numbers, rows in sheets:
+        if (layout := find_table(rows)) is not None:
+            grids.append((Grid(path, rows, numbers, "row", f"sheet {title!r}"), layout))
     if not grids:
-        held = "; ".join(
-            f"sheet {title!r} begins with "
-            + ", ".join([repr(cell) for cell in rows[0][1] if cell is not None][:4])
-            if rows
-            else f"sheet {title!r} is empty"
-            for title, rows in sheets[:5]
+        titles = ", ".join(repr(title) for title, _, _ in sheets[:5])
+        raise RecordError(
+            f"{path} holds no row of two names or more above numbers in its sheets {titles}"
         )
-        raise RecordError(f"{path} holds no row of two names or more above numbers: {held}")
     best, layout = max(grids, key=lambda each: (each[1].names is not None, each[1].weight))
     doubts: tuple[str, ...] = ()
     if layout.names is not None:
@@ -192,23 +188,23 @@ def read_excel(path: Path) -> Table:
             if grid is not best and other.names is not None and grid.rows[other.names] == names
         ]
         if alike:
-            have, are = ("has", "is") if len(alike) == 1 else ("have", "are")
-            others = f"{', '.join(alike[:4])} {have} the same columns, and {are} not"
-            doubts = (f"{best.sheet} is read; {others}",)
-    return best.table(layout, doubts=doubts)[0]
+            doubts = (
+                f"{best.sheet} is read; not read, with the same columns: {', '.join(alike[:4])}",
+            )
+    return best.table(layout, doubts=doubts)
 
 
 def _sheets(path: Path) -> Content:
-    """Title of each sheet, and number and cells of its rows that are not blank."""
+    """Title of each sheet, and numbers and cells of its rows that are not blank."""
     from openpyxl import load_workbook
 
     warnings.simplefilter("ignore")  # about styles and extensions
     workbook = load_workbook(path, read_only=True, keep_links=False, data_only=True)
-    sheets: list[tuple[str, list[tuple[int, list[Any]]]]] = []
+    sheets: list[tuple[str, list[int], list[list[Cell]]]] = []
     count = 0
     for sheet in workbook.worksheets:
         sheet.reset_dimensions()  # those that the sheet declares may be false
-        rows = []
+        numbers, rows = [], []
         for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
             count += max(len(row), 1)
             if count > EXCEL_CELLS:
@@ -218,17 +214,9 @@ def _sheets(path: Path) -> Content:
                 )
             cells = [_cell(cell) for cell in row]
             if any(cell is not None for cell in cells):
-                rows.append((number, cells))
-        sheets.append((sheet.title, rows))
-    if any(None in cells for _, rows in sheets for _, cells in rows):
-        formulas = load_workbook(path, read_only=True, keep_links=False)
-        for (_, rows), sheet in zip(sheets, formulas.worksheets, strict=True):
-            sheet.reset_dimensions()
-            given = dict(enumerate(sheet.iter_rows(values_only=True), start=1))
-            for number, cells in rows:
-                for at, formula in enumerate(given.get(number, ())[: len(cells)]):
-                    if cells[at] is None and str(formula or "")[:1] == "=":
-                        cells[at] = _FORMULA
+                numbers.append(number)
+                rows.append(cells)
+        sheets.append((sheet.title, numbers, rows))
     return {"sheets": sheets}, {}
 
 
@@ -247,22 +235,12 @@ def _cell(cell: Any) -> Cell:
     return None if cell is None else str(cell)
 
 
-SIGNALS, SHORTEST = 32, 20
-"""Most signals of a matrix and fewest samples of each; another matrix is left out."""
-
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_USER_BLOCK = 512  # bytes of text before the HDF5 part of a v7.3 file
-_DEEPEST = 4  # structs in structs
-
-Arrays = Iterator[tuple[str, NDArray[np.generic]]]
-
-
 def read_matlab(path: Path) -> Table:
     """Table of a .mat file: vectors, columns of matrices, fields of structs as ``struct.field``."""
     import scipy.io  # noqa: F401  # a copy of this process has it then
 
     kind = "a MATLAB file, v5 or v7.3,"
-    facts, arrays = read_in_child(_arrays, path, kind, library="h5py")
+    facts, arrays = read_in_child(_matlab, path, kind, library="h5py")
     if not arrays:
         raise RecordError(f"{path} holds no numeric column")
     columns = {
@@ -271,13 +249,14 @@ def read_matlab(path: Path) -> Table:
     return Table(path, columns, head=tuple(facts["settings"]))
 
 
-def _arrays(path: Path) -> Content:
+def _matlab(path: Path) -> Content:
     """Signals of a file and their names, and its scalars as "name: value"."""
+    hdf5 = b"\x89HDF\r\n\x1a\n"  # v7.3, behind 512 bytes of text
     with path.open("rb") as file:
-        head = file.read(_USER_BLOCK + len(_HDF5))
+        head = file.read(512 + len(hdf5))
     signals: dict[str, NDArray[np.generic]] = {}
     settings = []
-    variables = _v73(path) if head.startswith(_HDF5) or head.endswith(_HDF5) else _v5(path)
+    variables = _v73(path) if head.startswith(hdf5) or head.endswith(hdf5) else _v5(path)
     for name, array in variables:
         if array.size == 1:
             settings.append(f"{name}: {array.reshape(-1)[0]:.9g}")
@@ -306,22 +285,18 @@ def _inside(name: str, value: Any, depth: int) -> Arrays:
     """A variable's numbers, or those of its fields; Simulink's label follows a signal's name."""
     if not isinstance(value, np.ndarray):
         return
-    if value.dtype.names is None:
-        if value.dtype.kind in "fiub":
-            yield name, value
-        return
-    if depth >= _DEEPEST or value.size > SIGNALS:
+    if value.dtype.kind in "fiub":
+        yield name, value
+    if value.dtype.names is None or depth >= DEEPEST or value.size > SIGNALS:
         return
     for number, element in enumerate(value.reshape(-1), start=1):
         place = f"{name}({number})" if value.size > 1 else name
         fields = dict(zip(value.dtype.names, element, strict=True))
-        label: Any = fields.get("label")
-        words = ""
-        if isinstance(label, np.ndarray) and label.dtype.kind == "U" and label.size == 1:
-            words = f" {str(label.reshape(-1)[0]).strip()}".rstrip()
+        label = np.asarray(fields.get("label", ""))
+        text = label.dtype.kind == "U" and label.size == 1
+        words = f" {label.reshape(-1)[0]}".rstrip() if text else ""
         for field, content in fields.items():
-            own = words if field == "values" else ""
-            yield from _inside(f"{place}.{field}{own}", content, depth + 1)
+            yield from _inside(f"{place}.{field}{words * (field == 'values')}", content, depth + 1)
 
 
 def _v73(path: Path) -> Arrays:
@@ -329,36 +304,26 @@ def _v73(path: Path) -> Arrays:
     os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # a plugin would be foreign code
     import h5py
 
+    def arrays_of(group: Any, above: str, depth: int) -> Arrays:
+        for name in group:
+            if name.startswith("#"):  # the contents of cells and objects
+                continue
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise UnreadableError(f"has a link to elsewhere, {name[:60]!r}")
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                if depth < DEEPEST and "MATLAB_sparse" not in item.attrs:
+                    yield from arrays_of(item, f"{above}{name}.", depth + 1)
+            elif isinstance(item, h5py.Dataset):
+                if item.is_virtual or item.external:
+                    raise UnreadableError(f"takes {name[:60]!r} from another file")
+                kind = bytes(item.attrs.get("MATLAB_class", b""))
+                numeric = item.dtype.kind in "fiub" and kind not in (b"char", b"cell")
+                if numeric and item.shape and "MATLAB_empty" not in item.attrs:
+                    yield above + name, np.asarray(item[()]).T  # in MATLAB's order
+
     with h5py.File(path, "r") as file:
-        yield from _group(h5py, file, "", 0)
-
-
-def _group(h5py: Any, group: Any, above: str, depth: int) -> Arrays:
-    """Arrays of a group of HDF5; one that leads to another file is refused."""
-    for name in group:
-        if name.startswith("#"):  # the contents of cells and objects
-            continue
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            raise UnreadableError(f"has a link to elsewhere, {name[:60]!r}")
-        item = group[name]
-        if isinstance(item, h5py.Group):
-            if depth < _DEEPEST and "MATLAB_sparse" not in item.attrs:
-                yield from _group(h5py, item, f"{above}{name}.", depth + 1)
-        elif isinstance(item, h5py.Dataset):
-            if item.is_virtual or item.external:
-                raise UnreadableError(f"takes {name[:60]!r} from another file")
-            kind = item.attrs.get("MATLAB_class", b"")
-            numeric = item.dtype.kind in "fiub" and bytes(kind) not in (b"char", b"cell")
-            if numeric and item.shape and "MATLAB_empty" not in item.attrs:
-                yield above + name, np.asarray(item[()]).T  # in MATLAB's order
-
-
-SAMPLES = 50_000_000  # most samples of all channels: an hour and a half of ten at 1024 Hz
-EVEN = 1e-6  # steps of time that differ by a smaller share are equal
-SHARE = 0.02  # of a step: channels that are out of step by less are in step
-_NUMBERS = "fiub"  # kinds of NumPy's types that are numbers
-_KINDS = {"O": "text", "U": "text", "c": "complex numbers"}
-_LABVIEW = np.datetime64("1904-01-01", "us")  # a start time that a writer left at its zero
+        yield from arrays_of(file, "", 0)
 
 
 class _Clock(NamedTuple):
@@ -393,39 +358,36 @@ def read_tdms(path: Path) -> Table:
     if not channels:
         raise RecordError(f"{path} holds no channel with data")
     columns: dict[str, Column] = {name: arrays[str(k)] for k, name in enumerate(channels)}
-    texts = {name: c["kind"] for name, c in channels.items() if c["kind"] not in "fiubM"}
-    starts = [c["properties"].get("wf_start_time") for c in channels.values()]
-    first = min((start for start in starts if isinstance(start, float)), default=0.0)
+    starts = [c["began"] for c in channels.values() if c["began"] is not None]
     clocks: dict[str, _Clock] = {}
-    units = {}
+    units = {name: c["unit"] for name, c in channels.items() if c["unit"]}
     timed = set()  # channels that are a time by their kind, their name or their unit
-    for name, channel in channels.items():
-        own, kind = channel["properties"], channel["kind"]
-        units[name] = bare_unit(str(own.get("unit_string") or own.get("NI_UnitDescription") or ""))
-        if kind == "M":
-            units[name] = "s"
-        elif kind in _NUMBERS and (clock := _clock(channel, first)) is not None:
-            clocks[name] = clock
-        is_time = "time" in channel["name"].lower() or measure(units[name]) == "time"
-        if kind in _NUMBERS + "M" and is_time:
+    for name, c in channels.items():
+        is_time = "time" in c["name"].lower() or measure(c["unit"]) == "time"
+        if c["numeric"] and is_time:
             timed.add(name)
+        if c["numeric"] and c["step"] is not None:
+            began = None if c["began"] is None else c["began"] - min(starts)
+            begin = c["offset"] + (began or 0.0)
+            clocks[name] = _Clock(c["step"], begin, columns[name].size, began is not None)  # type: ignore[union-attr]
     times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
     for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
         inside = [clock for name, clock in clocks.items() if channels[name]["group"] == group]
-        earliest = min(inside, key=lambda clock: clock.begin)
-        if all(clock.even(earliest) for clock in inside):
-            ends = [round((c.begin - earliest.begin) / c.step) + c.samples for c in inside]
-            times[f"{group}/time"] = earliest._replace(samples=max(ends))
+        first = min(inside, key=lambda clock: clock.begin)
+        if all(clock.even(first) for clock in inside):
+            ends = [round((c.begin - first.begin) / c.step) + c.samples for c in inside]
+            times[f"{group}/time"] = first._replace(samples=max(ends))
     if len(set(times.values())) == 1:  # one for all
         times = {"time": next(iter(times.values()))}
     times = {name: clock for name, clock in times.items() if name not in columns}
     values: dict[str, Column] = {
         name: clock.begin + clock.step * np.arange(clock.samples) for name, clock in times.items()
     }
+    texts = {name for name, c in channels.items() if not c["numeric"]}
     return Table(
         path,
         values | columns,
-        units={name: unit for name, unit in units.items() if unit} | dict.fromkeys(times, "s"),
+        units=units | dict.fromkeys(times, "s"),
         align=lambda used: _align(path, used, times | clocks, texts, timed),
         notes=_differences(clocks),
         head=tuple(facts["settings"]),
@@ -454,20 +416,29 @@ def _channels(path: Path) -> Content:
         for channel in every:
             if not len(channel):
                 continue
-            kind, values = np.dtype(channel.dtype).kind, np.empty(0)
+            kind, values, own = np.dtype(channel.dtype).kind, np.empty(0), channel.properties
+            unit = bare_unit(str(own.get("unit_string") or own.get("NI_UnitDescription") or ""))
             if kind == "M":
                 stamps = channel[:].astype("M8[us]")
-                values = (stamps - stamps[0]) / np.timedelta64(1, "s")
-            elif kind in _NUMBERS:
+                values, unit = (stamps - stamps[0]) / np.timedelta64(1, "s"), "s"
+            elif kind in "fiub":
                 values = np.asarray(channel[:], dtype=np.float64)
+            step, offset = (own.get(f"wf_{name}", 0.0) for name in ("increment", "start_offset"))
+            step_unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
+            numbers = all(isinstance(v, int | float | np.number) for v in (step, offset))
+            if not (numbers and measure(step_unit) == "time" and 0.0 < step < math.inf):
+                step = offset = math.nan
+            scale = factor(step_unit, "time") if math.isfinite(step * offset) else math.nan
             arrays[str(len(channels))] = values
             channels.append(
                 {
                     "group": channel.group_name,
                     "name": channel.name,
-                    "kind": kind,
-                    "samples": len(channel),
-                    "properties": {n: _property(value) for n, value in channel.properties.items()},
+                    "numeric": kind in "fiubM",
+                    "unit": unit,
+                    "step": float(step) * scale if math.isfinite(scale) else None,
+                    "offset": float(offset) * scale if math.isfinite(scale) else 0.0,
+                    "began": _moment(own.get("wf_start_time")),
                 }
             )
         settings = [
@@ -478,30 +449,11 @@ def _channels(path: Path) -> Content:
     return {"channels": channels, "settings": settings}, arrays
 
 
-def _property(value: Any) -> float | str | None:
-    """A property as a number or a text; a moment as its seconds since 2020, about."""
-    if isinstance(value, np.datetime64):
-        if np.isnat(value) or abs(value - _LABVIEW) < np.timedelta64(3650, "D"):
-            return None
-        return float((value - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        return str(value)
-    return float(value)
-
-
-def _clock(channel: dict[str, Any], first: float) -> _Clock | None:
-    """Clock of a waveform over time; start times count from that of the first channel."""
-    own = channel["properties"]
-    step, offset, began = (own.get(f"wf_{n}") for n in ("increment", "start_offset", "start_time"))
-    offset = 0.0 if offset is None else offset
-    unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
-    if not (isinstance(step, float) and isinstance(offset, float) and measure(unit) == "time"):
+def _moment(value: Any) -> float | None:
+    """Seconds since 2020 of a start time, None where there is none; 1904 is a writer's zero."""
+    if not isinstance(value, np.datetime64) or np.isnat(value) or value < np.datetime64("1914"):
         return None
-    if not (0.0 < step < math.inf and math.isfinite(offset)):
-        return None
-    scale, dated = factor(unit, "time"), isinstance(began, float)
-    begin = offset * scale + (began - first if isinstance(began, float) else 0.0)
-    return _Clock(step * scale, begin, channel["samples"], dated)
+    return float((value - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
 
 
 def _differences(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
@@ -527,7 +479,7 @@ def _align(
     path: Path,
     columns: Mapping[str, Column],
     every: Mapping[str, _Clock],
-    texts: Mapping[str, str],
+    texts: Collection[str],
     timed: Collection[str],
 ) -> Mapping[str, Column]:
     """Columns while all of them were measured, at the samples of the one that began last.
@@ -535,10 +487,8 @@ def _align(
     Refused where they have no numbers or other steps, are never measured together, or differ though
     the file has channels that are its time, `timed`.
     """
-    for name in columns:
-        if name in texts:
-            held = _KINDS.get(texts[name], "no numbers")
-            raise RecordError(f"channel {name!r} of {path} holds {held}; expected numbers")
+    if wrong := next((name for name in columns if name in texts), None):
+        raise RecordError(f"channel {wrong!r} of {path} holds no real numbers; expected numbers")
     clocks = {n: every[n] for n in columns if n in every and n not in timed}
     if len(set(clocks.values())) < 2:
         return columns
@@ -561,13 +511,11 @@ def _align(
     size = math.floor((end - start) / reference.step + SHARE)
     if size < 1:
         raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
-    aligned = {}
+    aligned = dict(columns)
     for name, clock in clocks.items():
         begin = (start - clock.begin) / reference.step
+        begin = round(begin) if abs(begin - round(begin)) < SHARE else begin
         values = np.asarray(columns[name], dtype=np.float64)
-        if abs(begin - round(begin)) < SHARE:
-            aligned[name] = values[round(begin) : round(begin) + size]
-        else:
-            aligned[name] = np.interp(begin + np.arange(size), np.arange(values.size), values)
-    size = min(column.size for column in aligned.values())
-    return {**columns, **{name: column[:size] for name, column in aligned.items()}}
+        at = begin + np.arange(min(size, math.floor(values.size - begin)))
+        aligned[name] = np.interp(at, np.arange(values.size), values)
+    return aligned

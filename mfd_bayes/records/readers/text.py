@@ -14,23 +14,21 @@ import numpy as np
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.numbers import why_invalid
-from mfd_bayes.records.readers.grid import (
-    SEARCHED,
-    Grid,
-    Layout,
-    Row,
-    find_table,
-    gives_units,
-    kinds,
-)
 from mfd_bayes.records.readers.table import (
+    SEARCHED,
     SURELY_DECIMAL,
     Array,
     Column,
+    Grid,
+    Layout,
+    Row,
     Table,
     bare_unit,
     check_names,
+    find_table,
+    gives_units,
     is_stamp,
+    kinds,
     labels,
 )
 
@@ -66,26 +64,32 @@ def read_text(path: Path) -> Table:
     body = [lines[i] for i in kept[layout.data :]]
     columns = _columns(body, separator, width)
     if columns is None:  # line by line, for what stands between the numbers
-        unclosed = next((i for i in kept[layout.data :] if _OPEN.search(lines[i])), None)
-        if unclosed is not None:
-            raise RecordError(
-                f"line {unclosed + 1} of {path} has a quotation mark without its partner, which "
-                "would join it with the next lines"
-            )
+        for at in kept[layout.data :]:
+            if _OPEN.search(lines[at]):
+                raise RecordError(
+                    f"line {at + 1} of {path} has a quotation mark without its partner, which "
+                    "would join it with the next lines"
+                )
         rows = [*rows[: layout.data], *(_split(line, separator) for line in body)]
-    grid = Grid(path, rows, [i + 1 for i in kept])
-    decimals = (".",) if separator == "," else (".", ",")
-    table, used = grid.table(layout, heading, columns, decimals=decimals, head=tuple(lines[:top]))
-    if table.headed and len(lines) > len(kept):
+    numbers = [i + 1 for i in kept]
+    table = Grid(path, rows, numbers).table(
+        layout,
+        heading,
+        columns,
+        decimals=(".",) if separator == "," else (".", ","),
+        head=tuple(lines[:top]),
+    )
+    if table.headed:
         _check_order(path, lines, table.names, top)
-    for number in used if columns is None else ():
-        row = rows[number]
+    used = set(table.rows)
+    for number, row in zip(numbers, rows, strict=False) if columns is None else ():
         # Between blanks no cell can be empty.
-        if any(row[width:]) or (separator == BLANKS and len(row) < width):
+        short = separator == BLANKS and len(row) < width
+        if number in used and (any(row[width:]) or short):
             as_in = "one for each name in" if table.headed else "as many as in"
             raise RecordError(
-                f"{grid.place(number)} of {path}: expected {width} cells, {as_in} line {top + 1}, "
-                f"found {len(row)}"
+                f"line {number} of {path}: expected {width} cells, {as_in} line {top + 1}, found "
+                f"{len(row)}"
             )
     return table
 

@@ -19,7 +19,7 @@ from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test
 from mfd_bayes.reporting.figures import posteriors
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.figures.loops import Marks, draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
@@ -105,7 +105,7 @@ OF_TEST: Mapping[str, Draw] = MappingProxyType(
     {
         "loops": lambda t, s, names: draw_loops(_title(t), t.trace, _fans(t), s, names),
         "history": lambda t, s, names: draw_history(
-            _title(t), t.trace, _fans(t), s, Marks(t.first), names
+            _title(t), t.trace, _fans(t), s, names, t.first
         ),
         "residuals": lambda t, s, names: posteriors.draw_residuals(
             _title(t, ": residuals"), t, s, names
@@ -200,32 +200,14 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     for row in advice:
         place = row.candidate.actuation * by, row.candidate.frequency
         gains[place] = max(gains.get(place, 0.0), 100.0 * row.reduction)
-    shown = left.scatter(
-        *np.array(list(gains)).T,
-        c=list(gains.values()),
-        s=130,
-        cmap="YlGnBu",
-        vmin=0.0,
-        edgecolors="#888888",
-        linewidths=0.5,
-    )
-    best: dict[str, Any] = {
-        "s": 240,
-        "facecolors": "none",
-        "edgecolors": colours.DATA,
-        "linewidths": 1.6,
-    }
+    look_of: dict[str, Any] = {"s": 130, "cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
+    places = np.array(list(gains)).T
+    shown = left.scatter(*places, c=list(gains.values()), linewidths=0.5, **look_of)
     first = advice[0].candidate
-    left.scatter([first.actuation * by], [first.frequency], label="best", **best)
-    levels = [test.actuation * by for test in advice.tests]
-    made: dict[str, Any] = {
-        "marker": "x",
-        "s": 28,
-        "color": "#c0392b",
-        "zorder": 4,
-        "label": "tests made",
-    }
-    left.scatter(levels, [test.frequency for test in advice.tests], **made)
+    ring: dict[str, Any] = {"mfc": "none", "mec": colours.DATA, "mew": 1.6, "ms": 15}
+    left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
+    made = [(test.actuation * by, test.frequency) for test in advice.tests]
+    left.plot(*np.reshape(made, (-1, 2)).T, "x", color="#c0392b", ms=5, label="tests made")
     left.set_yscale("log")
     left.yaxis.set_major_formatter(ScalarFormatter())
     left.yaxis.set_minor_formatter(ScalarFormatter())

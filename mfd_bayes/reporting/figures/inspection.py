@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from mfd_bayes.evaluation.views import Array
 from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import Loops
 from mfd_bayes.records.trace import Trace
@@ -21,12 +23,8 @@ from mfd_bayes.runs.unit_system import US, System
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
 _COLOURS = (
-    colours.VERMILLION,
-    colours.BLUE,
-    colours.GREEN,
-    colours.PURPLE,
-    colours.ORANGE,
-    colours.SKY,
+    *(colours.VERMILLION, colours.BLUE, colours.GREEN),
+    *(colours.PURPLE, colours.ORANGE, colours.SKY),
 )
 _MARKS = 60  # more of one kind would hide the curve
 
@@ -40,50 +38,51 @@ def draw_inspection(
     Faults are marked at their samples, if they have any, and named below the panels. Without
     a force there is only the displacement. Trace and loops are in the units of `system`.
     """
-    marked = [fault for fault in faults if fault.samples.size]
-    figure = look.new_figure(10, 5.6, title)
+    figure, x, time = look.new_figure(10, 5.6, title), trace.displacement, trace.time
+    curves: list[tuple[Axes, Array, Array]]
     if trace.force is None:
-        _draw_displacement(figure.subplots(), trace, marked, system)
+        place = figure.subplots()
+        curves = [(place, time, x)]
     else:
         panels = figure.subplot_mosaic(
             [["loop", "displacement"], ["loop", "force"], ["energy", "force"]],
             width_ratios=(1.0, 1.35),
-            height_ratios=(1.0, 1.0, 1.0),
         )
-        _draw_loop(panels["loop"], trace, marked, system)
-        _draw_displacement(panels["displacement"], trace, marked, system)
-        panels["force"].sharex(panels["displacement"])
-        _draw_force(panels["force"], trace, marked, system)
+        loop, place, history = (panels[name] for name in ("loop", "displacement", "force"))
+        curves = [(loop, x, trace.force), (place, time, x), (history, time, trace.force)]
+        step = max(1, trace.samples // (2 * POINTS))
+        loop.plot(x[::step], trace.force[::step], color=colours.DATA, linewidth=0.5)
+        loop.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
+        loop.set_title(system.text("Force–displacement"))
+        history.sharex(place)
+        history.plot(*thinned(time, trace.force), color=colours.DATA, linewidth=0.6)
+        history.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
+        history.set_title("Force")
         _draw_energy(panels["energy"], loops, system)
-    _legend(figure, faults)
-    return figure
-
-
-def _draw_loop(axes: Axes, trace: Trace, marked: list[Fault], system: System) -> None:
-    step = max(1, trace.samples // (2 * POINTS))
-    x, force = trace.displacement, np.asarray(trace.force)
-    axes.plot(x[::step], force[::step], color=colours.DATA, linewidth=0.5)
-    axes.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
-    axes.set_title(system.text("Force–displacement"))
-    _mark(axes, x, force, marked)
-
-
-def _draw_displacement(axes: Axes, trace: Trace, marked: list[Fault], system: System) -> None:
-    axes.plot(*thinned(trace.time, trace.displacement), color="#555555", linewidth=0.8)
     turns = trace.turning_points
-    axes.plot(trace.time[turns], trace.displacement[turns], ".", color="#999999", markersize=3)
-    axes.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
-    axes.set_title(f"Displacement, {turns.size} turning points")
-    axes.margins(x=0.01, y=0.12)  # space for the marks at the turns
-    _mark(axes, trace.time, trace.displacement, marked)
-
-
-def _draw_force(axes: Axes, trace: Trace, marked: list[Fault], system: System) -> None:
-    force = np.asarray(trace.force)
-    axes.plot(*thinned(trace.time, force), color=colours.DATA, linewidth=0.6)
-    axes.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
-    axes.set_title("Force")
-    _mark(axes, trace.time, force, marked)
+    place.plot(*thinned(time, x), color="#555555", linewidth=0.8)
+    place.plot(time[turns], x[turns], ".", color="#999999", markersize=3)
+    place.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
+    place.set_title(f"Displacement, {turns.size} turning points")
+    place.margins(x=0.01, y=0.12)  # space for the marks at the turns
+    handles, looks = [], zip(cycle(_SIGNS), cycle(_COLOURS), strict=False)
+    for fault in faults:  # one without samples has no mark
+        sign, colour = next(looks) if fault.samples.size else ("", colours.DATA)
+        at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
+        mark: dict[str, Any] = {
+            "marker": sign,
+            "mfc": "none",
+            "mec": colour,
+            "mew": 1.1,
+            "ms": 5,
+            "ls": "",
+        }
+        for axes, across, up in curves if at.size else ():
+            axes.plot(across[at], up[at], **mark)
+        handles.append(Line2D([], [], label=f"warning: {fault.name}", **mark))
+    if handles:
+        figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    return figure
 
 
 def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
@@ -99,44 +98,3 @@ def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
     faces = [colours.BLUE if strong else "white" for strong in loops.strong]
     axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=colours.BLUE, linewidths=0.8)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-
-
-def _mark(
-    axes: Axes, abscissa: NDArray[np.float64], ordinate: NDArray[np.float64], marked: list[Fault]
-) -> None:
-    for number, fault in enumerate(marked):
-        at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
-        sign, colour = _look_of(number)
-        axes.plot(
-            *(abscissa[at], ordinate[at], sign),
-            markersize=5,
-            markerfacecolor="none",
-            markeredgecolor=colour,
-            markeredgewidth=1.1,
-        )
-
-
-def _legend(figure: Figure, faults: Sequence[Fault]) -> None:
-    """Every fault by name; one without samples has no mark."""
-    handles, number = [], 0
-    for fault in faults:
-        sign, colour = "", colours.DATA
-        if fault.samples.size:
-            sign, colour = _look_of(number)
-            number += 1
-        handles.append(
-            Line2D(
-                *([], []),
-                linestyle="",
-                marker=sign,
-                markerfacecolor="none",
-                markeredgecolor=colour,
-                label=f"warning: {fault.name}",
-            )
-        )
-    if handles:
-        figure.legend(handles=handles, loc="outside lower left", ncols=4)
-
-
-def _look_of(number: int) -> tuple[str, str]:
-    return _SIGNS[number % len(_SIGNS)], _COLOURS[number % len(_COLOURS)]

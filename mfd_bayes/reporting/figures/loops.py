@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -20,8 +19,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import Array, Fan, TestView
 from mfd_bayes.population.settings import SAME_LEVEL
-from mfd_bayes.records.motion import HYSTERESIS, turning_points
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import Symbols, plain
@@ -36,22 +34,6 @@ PANELS = 60
 """Most panels of an overview."""
 NAMES = Symbols()
 _NOT_FITTED, _GIVEN = "#eeeeee", "#fff3d6"
-
-
-@dataclass(frozen=True)
-class Marks:
-    """What is marked along the time.
-
-    Attributes
-    ----------
-    first : int
-        Samples before it were not fitted.
-    given : (float, float), s, or None
-        From and to when the force was known to the prediction.
-    """
-
-    first: int = 0
-    given: tuple[float, float] | None = None
 
 
 @look.style()
@@ -76,7 +58,7 @@ def draw_loops(
         _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
         right.set(xlabel=system.label("velocity", "in/s"), ylabel=symbols.response(system))
         right.set_title(system.text("Force–velocity"))
-    _legend(figure, fans, measured=trace.force is not None)
+    _legend(figure, fans, trace.force is not None)
     return figure
 
 
@@ -86,14 +68,16 @@ def draw_history(
     trace: Trace,
     fans: Sequence[Fan] = (),
     system: System = US,
-    marks: Marks = Marks(),
     symbols: Symbols = NAMES,
+    first: int = 0,
+    given: tuple[float, float] | None = None,
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
     The residual is the force minus the first fan's median. There is none where the force is NaN at
     a sample. Trace and fans are in the units of `system`. A long record has a second column with
-    its strongest motion.
+    its strongest motion. Shaded: samples before `first`, which were not fitted, and the times, s,
+    between which the force was `given` to the prediction.
     """
     whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
     rows = 3 if fans and whole else 2
@@ -114,7 +98,12 @@ def draw_history(
                 column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
                 column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
-            _mark(axes, trace.time, window, marks)
+            begin, end = float(time[0]), float(time[-1])
+            if trace.time[first] > begin:
+                axes.axvspan(begin, float(trace.time[first]), color=_NOT_FITTED, zorder=0)
+            if given is not None and max(given[0], begin) < min(given[1], end):
+                axes.axvspan(max(given[0], begin), min(given[1], end), color=_GIVEN, zorder=0)
+                axes.axvline(min(given[1], end), color=colours.DATA, lw=0.8, linestyle="--")
         column[-1].set_xlabel(clock(trace))
         column[-1].margins(x=0.005)
     below = symbols.response(system), symbols.response(system, "residual")
@@ -124,7 +113,9 @@ def draw_history(
     if len(windows) > 1:
         grid[0, 0].set_title("Whole record")
         grid[0, 1].set_title("Strongest motion")
-    _legend(figure, fans, measured=trace.force is not None, marks=marks)
+    shades = {"not fitted": _NOT_FITTED} if first > 0 else {}
+    shades |= {"given to the prediction": _GIVEN} if given is not None else {}
+    _legend(figure, fans, trace.force is not None, shades)
     return figure
 
 
@@ -159,7 +150,7 @@ def draw_overview(
             axes.set_ylabel(symbols.response(system))
             axes.tick_params(labelleft=True)
     if shown:
-        _legend(figure, [shown[0].observation], measured=True)
+        _legend(figure, [shown[0].observation], True)
     return figure
 
 
@@ -199,47 +190,40 @@ def _draw_panel(axes: Axes, test: TestView) -> None:
             spine.set(edgecolor=colour, linewidth=1.3, visible=True)
 
 
-def draw_band(axes: Any, fan: Fan, time: Array, displacement: Array | None, system: System) -> Axes:
-    """Axes with a band in the units of a system over time, s, or over a displacement."""
-    axes = _checked_axes(axes)
-    if displacement is None:
-        _draw_bands(axes, time, fan)
-        axes.plot(*thinned(time, fan.median), color=colours.BANDS[fan.kind][2], lw=0.9)
-    else:
-        turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
-        _draw_loop(axes, [fan], displacement, turns)
-    timed = "time, s" if system.axes.timed else "sample"
-    below = timed if displacement is None else NAMES.motion(system)
-    return _labelled(axes, below, fan, system)
+def draw_band(
+    axes: Any,
+    fan: Fan,
+    time: Array,
+    displacement: Array | None,
+    system: System,
+    force: Array | None = None,
+) -> Axes:
+    """Axes with a band in the units of a system over time, s, or over a displacement.
 
-
-def draw_measured(axes: Any, trace: Trace, fan: Fan, system: System) -> Axes:
-    """Axes with the measured loops of a trace over a band, both in the units of a system."""
-    axes = _checked_axes(axes)
-    _draw_loop(axes, [fan], trace.displacement, trace.turning_points, trace.force)
-    return _labelled(axes, NAMES.motion(system), fan, system)
-
-
-def clock(trace: Trace) -> str:
-    """Label of an axis of time, or of numbered samples."""
-    return "time, s" if trace.timed else "sample"
-
-
-def _checked_axes(axes: Any) -> Axes:
-    """The axes that are given, or those of a new figure."""
+    Over it are its median, or a measured force. `axes` are None for those of a new figure.
+    """
     if axes is None:
         pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
         figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
         axes = figure.add_subplot()
     if not isinstance(axes, Axes):
         raise ReportError(f"axes must be axes of Matplotlib, got {axes!r}")
-    return axes
-
-
-def _labelled(axes: Axes, below: str, fan: Fan, system: System) -> Axes:
-    axes.set(xlabel=below, ylabel=NAMES.response(system))
+    if displacement is None:
+        _draw_bands(axes, time, fan)
+        axes.plot(*thinned(time, fan.median), color=colours.BANDS[fan.kind][2], lw=0.9)
+        axes.set_xlabel("time, s" if system.axes.timed else "sample")
+    else:
+        turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
+        _draw_loop(axes, [fan], displacement, turns, force)
+        axes.set_xlabel(NAMES.motion(system))
+    axes.set_ylabel(NAMES.response(system))
     axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
+
+
+def clock(trace: Trace) -> str:
+    """Label of an axis of time, or of numbered samples."""
+    return "time, s" if trace.timed else "sample"
 
 
 def stretches(turns: NDArray[np.intp], samples: int) -> list[slice]:
@@ -272,15 +256,11 @@ def _draw_loop(
             bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
             axes.add_collection(bands)
             axes.autoscale_view()
+    colour = colours.DATA
+    if force is None and fans:
+        force, colour = fans[0].median, colours.BANDS[fans[0].kind][2]
     if force is not None:
-        _line(axes, abscissa, force)
-    elif fans:
-        _line(axes, abscissa, fans[0].median, colours.BANDS[fans[0].kind][2])
-
-
-def _line(axes: Axes, abscissa: Array, force: Array, colour: str = colours.DATA) -> None:
-    step = max(1, abscissa.size // POINTS)
-    axes.plot(abscissa[::step], force[::step], color=colour, linewidth=0.6)
+        axes.plot(abscissa[::step], force[::step], color=colour, linewidth=0.6)
 
 
 def _windows(trace: Trace) -> list[slice]:
@@ -314,19 +294,12 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
     return np.repeat(time[edges], 2), np.column_stack([low, high]).ravel()
 
 
-def _mark(axes: Axes, time: Array, window: slice, marks: Marks) -> None:
-    """Shade what was not fitted, and what was given, in a window of time."""
-    begin, end = float(time[window][0]), float(time[window][-1])
-    if time[marks.first] > begin:
-        axes.axvspan(begin, float(time[marks.first]), color=_NOT_FITTED, zorder=0)
-    if marks.given is not None:
-        begin, end = max(marks.given[0], begin), min(marks.given[1], end)
-        if begin < end:
-            axes.axvspan(begin, end, color=_GIVEN, zorder=0)
-            axes.axvline(end, color=colours.DATA, linewidth=0.8, linestyle="--")
-
-
-def _legend(figure: Figure, fans: Sequence[Fan], *, measured: bool, marks: Marks = Marks()) -> None:
+def _legend(
+    figure: Figure,
+    fans: Sequence[Fan],
+    measured: bool,
+    shades: Mapping[str, str] | None = None,
+) -> None:
     handles: list[Line2D | Patch] = []
     if measured:
         handles.append(Line2D([], [], color=colours.DATA, linewidth=0.9, label="measured"))
@@ -334,9 +307,6 @@ def _legend(figure: Figure, fans: Sequence[Fan], *, measured: bool, marks: Marks
         wide, narrow, _ = colours.BANDS[fan.kind]
         text = f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}"
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
-    if marks.first > 0:
-        handles.append(Patch(facecolor=_NOT_FITTED, label="not fitted"))
-    if marks.given is not None:
-        handles.append(Patch(facecolor=_GIVEN, label="given to the prediction"))
+    handles += [Patch(facecolor=colour, label=name) for name, colour in (shades or {}).items()]
     if handles:
         figure.legend(handles=handles, loc="outside lower left", ncols=4)

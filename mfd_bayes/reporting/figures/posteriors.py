@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -28,22 +26,23 @@ RANKS = 10
 STAGES = {2: "stick", 4: "gap", 3: "build-up", 1: "slip"}
 """Stages in their order within a stroke."""
 
-_COLUMNS = 4
 _PLAIN = "{x:.4g}"  # of tick labels
 _BLUE = colours.BANDS["observation"][1]
 
 
 def _small_panels(title: str, number: int) -> tuple[Figure, list[Axes]]:
     """Panels in four columns; fixed margins are much faster than the constrained layout."""
-    columns = min(_COLUMNS, number)
+    columns = min(4, number)
     rows = -(-number // columns)
     height = 1.4 * rows + 0.75
     figure = look.new_figure(10, height, layout="none")
-    above = 1.0 - 0.08 / height
-    figure.suptitle(title, x=0.01, y=above, ha="left", va="top")
+    figure.suptitle(title, x=0.01, y=1.0 - 0.08 / height, ha="left", va="top")
     edges = {"left": 0.065, "right": 0.985, "top": 1 - 0.55 / height, "bottom": 0.65 / height}
     figure.subplots_adjust(**edges, wspace=0.28, hspace=0.75)
-    return figure, [figure.add_subplot(rows, columns, at + 1) for at in range(number)]
+    panels = [figure.add_subplot(rows, columns, at + 1) for at in range(number)]
+    for axes in panels:
+        axes.tick_params(labelsize=7)
+    return figure, panels
 
 
 @look.style()
@@ -59,30 +58,15 @@ def draw_ranks(
         return None
     figure, panels = _small_panels(title, len(shown))
     for axes, marginal in zip(panels, shown, strict=True):
-        for heights, colour in zip(rank_heights(marginal, chains), _cycle(chains), strict=True):
-            axes.stairs(heights, np.linspace(0, 1, RANKS + 1), color=colour, linewidth=1.0)
+        ranks = marginal.posterior.argsort(kind="stable").argsort() / marginal.posterior.size
+        for chain, own in enumerate(np.array_split(ranks, chains)):
+            heights, edges = np.histogram(own, RANKS, (0.0, 1.0), density=True)
+            axes.stairs(heights, edges, color=colours.CHAINS[chain % len(colours.CHAINS)])
         axes.axhline(1.0, color=colours.DATA, linewidth=0.6)
         axes.set_title(symbols.in_figure(marginal.name), fontsize=8)
-        axes.set_ylim(0.0, max(2.0, axes.get_ylim()[1]))
-        axes.set_xlim(0.0, 1.0)
-        axes.tick_params(labelsize=7)
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, max(2.0, axes.get_ylim()[1])))
     figure.supxlabel("rank among the draws of all chains, as a share", fontsize=8, y=0.01)
     return figure
-
-
-def rank_heights(marginal: Marginal, chains: int) -> Array:
-    """Density of the ranks of each chain, (chain, `RANKS`); 1 where chains agree.
-
-    The draws of a marginal stand chain by chain.
-    """
-    ranks = marginal.posterior.argsort(kind="stable").argsort() / marginal.posterior.size
-    parts = np.array_split(ranks, chains)
-    counts = [np.histogram(part, RANKS, (0.0, 1.0), density=True)[0] for part in parts]
-    return np.array(counts)
-
-
-def _cycle(number: int) -> list[str]:
-    return [colours.CHAINS[i % len(colours.CHAINS)] for i in range(number)]
 
 
 @look.style()
@@ -94,51 +78,40 @@ def draw_marginals(title: str, marginals: Sequence[Marginal], symbols: Symbols) 
     if not marginals:
         return None
     figure, panels = _small_panels(title, len(marginals))
+    looks = ("#dddddd", colours.PRIOR), (_BLUE, colours.POSTERIOR)
     for axes, marginal in zip(panels, marginals, strict=True):
-        _draw_marginal(axes, marginal, symbols)
-    handles = [
-        Patch(facecolor="#dddddd", edgecolor=colours.PRIOR, label="prior"),
-        Patch(facecolor=_BLUE, edgecolor=colours.POSTERIOR, label="posterior"),
-    ]
+        both = marginal.prior, marginal.posterior
+        low, high = np.quantile(marginal.prior, [0.005, 0.995])
+        low, high = min(low, both[1].min()), max(high, both[1].max())
+        # a uniform prior is wide too, but belongs on a linear axis
+        skewed = np.median(both[0]) - low < 0.5 * (high - np.median(both[0]))
+        logarithmic = bool(min(map(np.min, both)) > 0 and high > 20.0 * low and skewed)
+        for draws, (face, edge) in zip(both, looks, strict=True):
+            first, last = np.quantile(draws, [0.002, 0.998])
+            if last > first:
+                bins = (np.geomspace if logarithmic else np.linspace)(first, last, 31)
+                heights = np.histogram(draws, bins)[0]
+                heights = heights / heights.max()
+                axes.stairs(heights, bins, fill=True, facecolor=face, alpha=0.75)
+                axes.stairs(heights, bins, color=edge, linewidth=0.9)
+            else:
+                axes.axvline(first, color=edge)
+        if high > low:
+            axes.set(xlim=(low, high), xscale="log" if logarithmic else "linear")
+        axes.set(ylim=(0, 1.08), yticks=[])  # only relative heights matter
+        axes.spines["left"].set_visible(False)
+        steps = (1.0, 3.0) if high < 300.0 * low else (1.0,)
+        logs = LogLocator(subs=steps, numticks=6)
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_locator(logs if logarithmic else MaxNLocator(4))
+        axes.xaxis.set_major_formatter(_PLAIN)
+        axes.set_xlabel(symbols.label(marginal.name, marginal.unit), fontsize=8)
+        if marginal.contraction < INFORMED:
+            axes.set_title("not informed by the data", fontsize=7.5, color=colours.VERMILLION)
+    names = zip(looks, ("prior", "posterior"), strict=True)
+    handles = [Patch(facecolor=face, edgecolor=edge, label=name) for (face, edge), name in names]
     figure.legend(handles=handles, loc="upper right", ncols=2)
     return figure
-
-
-def _draw_marginal(axes: Axes, marginal: Marginal, symbols: Symbols) -> None:
-    prior, posterior = marginal.prior, marginal.posterior
-    low, high = np.quantile(prior, [0.005, 0.995])
-    low, high = min(low, posterior.min()), max(high, posterior.max())
-    # a uniform prior is wide too, but belongs on a linear axis
-    skewed = np.median(prior) - low < 0.5 * (high - np.median(prior))
-    logarithmic = bool(min(prior.min(), posterior.min()) > 0 and high > 20.0 * low and skewed)
-    space = np.geomspace if logarithmic else np.linspace
-    for draws, face, edge in (
-        (prior, "#dddddd", colours.PRIOR),
-        (posterior, _BLUE, colours.POSTERIOR),
-    ):
-        first, last = np.quantile(draws, [0.002, 0.998])
-        if not last > first:
-            axes.axvline(first, color=edge)
-            continue
-        heights, edges = np.histogram(draws, space(first, last, 31))
-        axes.stairs(heights / heights.max(), edges, fill=True, facecolor=face, alpha=0.75)
-        axes.stairs(heights / heights.max(), edges, color=edge, linewidth=0.9)
-    if logarithmic:
-        axes.set_xscale("log")
-    if high > low:
-        axes.set_xlim(low, high)
-    axes.set_ylim(0, 1.08)
-    axes.set_yticks([])  # only relative heights matter
-    axes.spines["left"].set_visible(False)
-    axes.xaxis.set_minor_locator(NullLocator())
-    steps = (1.0, 3.0) if high < 300.0 * low else (1.0,)
-    logs = LogLocator(subs=steps, numticks=6)
-    axes.xaxis.set_major_locator(logs if logarithmic else MaxNLocator(4))
-    axes.xaxis.set_major_formatter(_PLAIN)
-    axes.set_xlabel(symbols.label(marginal.name, marginal.unit), fontsize=8)
-    axes.tick_params(labelsize=7)
-    if marginal.contraction < INFORMED:
-        axes.set_title("not informed by the data", fontsize=7.5, color=colours.VERMILLION)
 
 
 @look.style()
@@ -154,70 +127,37 @@ def draw_corner(
     chosen = [by_name[name] for name in names if name in by_name]
     chosen = [m for m in chosen if np.ptp(m.posterior) > 1e-12 * np.max(np.abs(m.posterior))]
     chosen = chosen[:CORNER_QUANTITIES]
-    number = len(chosen)
-    if number < 2 or len(chosen[0].posterior) <= CORNER_QUANTITIES:
+    if len(chosen) < 2 or len(chosen[0].posterior) <= CORNER_QUANTITIES:
         return None
-    matplotlib.rcParams["axes.grid"] = False
-    size = max(1.15 * number, 4.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # of what corner imports
+        from corner import corner
+    size = max(1.15 * len(chosen), 4.0)
     figure = look.new_figure(size, size, layout="none")
-    figure.suptitle(title, x=0.01, y=0.985, ha="left")
-    edges = {"left": 0.12, "bottom": 0.11, "right": 0.985, "top": 0.945}
-    grid = figure.add_gridspec(number, number, wspace=0.05, hspace=0.05, **edges)
     stride = -(-len(chosen[0].posterior) // CORNER_DRAWS)
-    draws = [marginal.posterior[::stride] for marginal in chosen]
-    labels = [symbols.label(marginal.name, marginal.unit) for marginal in chosen]
-    for row in range(number):
-        for column in range(row + 1):
-            axes = figure.add_subplot(grid[row, column])
-            if row == column:
-                _draw_histogram(axes, draws[row])
-            else:
-                _draw_contours(axes, draws[column], draws[row])
-            last, first = row == number - 1, column == 0 and row > 0
-            axes.xaxis.set_major_locator(MaxNLocator(3, prune="both") if last else NullLocator())
-            axes.yaxis.set_major_locator(MaxNLocator(3, prune="both") if first else NullLocator())
-            axes.tick_params(labelsize=7, labelrotation=45)
-            if last:
-                axes.set_xlabel(labels[column], fontsize=8)
-                axes.xaxis.set_label_coords(0.5, -0.48)
-            if first:
-                axes.set_ylabel(labels[row], fontsize=8)
-                axes.yaxis.set_label_coords(-0.48, 0.5)
-    return figure
-
-
-def _draw_histogram(axes: Axes, draws: Array) -> None:
-    heights, edges = np.histogram(draws, 16)
-    axes.stairs(heights, edges, color=colours.POSTERIOR)
-    for quantile in np.quantile(draws, (0.025, 0.975)):
-        axes.axvline(quantile, color=colours.POSTERIOR, linestyle="dashed")
-    axes.set(xlim=(edges[0], edges[-1]), ylim=(0, 1.1 * heights.max()))
-
-
-def _draw_contours(axes: Axes, across: Array, up: Array) -> None:
-    _hist2d()(
-        across,
-        up,
-        ax=axes,
+    options: dict[str, Any] = {"plot_datapoints": False, "plot_density": False}
+    corner(
+        np.column_stack([m.posterior[::stride] for m in chosen]),
         bins=16,
         smooth=0.8,
         color=colours.POSTERIOR,
+        labels=[symbols.label(m.name, m.unit) for m in chosen],
+        label_kwargs={"fontsize": 8},
+        labelpad=0.12,
+        max_n_ticks=3,
+        quantiles=(0.025, 0.975),
         levels=(0.393, 0.865, 0.95),
-        plot_datapoints=False,
-        plot_density=False,
         fill_contours=True,
         no_fill_contours=True,  # no white background
+        fig=figure,
+        **options,
     )
-
-
-@cache
-def _hist2d() -> Callable[..., None]:
-    """The corner package's function, without the warnings of what it imports."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)
-        from corner import hist2d
-    drawn: Callable[..., None] = hist2d
-    return drawn
+    figure.suptitle(title, x=0.01, y=0.985, ha="left")
+    figure.subplots_adjust(left=0.13, bottom=0.13, right=0.985, top=0.945)
+    for axes in figure.axes:
+        axes.grid(visible=False)
+        axes.tick_params(labelsize=7)
+    return figure
 
 
 @look.style()
@@ -242,7 +182,11 @@ def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols)
         where, below = test.travel, system.label("travel since the last slip or turn", "in")
     _draw_along(middle, where[kept], residual, half)
     middle.set(xlabel=below, ylabel=residual_label)
-    _draw_autocorrelation(right, residual)
+    lags, bound = min(60, len(residual) // 4), 1.96 / np.sqrt(len(residual))
+    right.axhspan(-bound, bound, color="#e6e6e6")
+    right.acorr(residual - residual.mean(), maxlags=lags - 1, color=colours.BLUE, linewidth=1.0)
+    right.set(xlabel="lag, samples", xlim=(-1, lags))
+    right.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
     for axes in (left, middle):
         axes.axhline(0.0, color="#888888", linewidth=0.7)
     return figure
@@ -251,22 +195,20 @@ def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols)
 def _draw_by_stage(axes: Axes, residual: Array, half: Array, stage: Any) -> None:
     """Boxes of the residual in each stage, with the mean half width of the 95 % band there."""
     stage = np.ones(residual.size) if stage is None else stage
-    parts = [(name, stage == code) for code, name in STAGES.items() if np.any(stage == code)]
-    boxes = axes.boxplot(
-        [residual[there] for _, there in parts],
+    parts = {name: stage == code for code, name in STAGES.items() if np.any(stage == code)}
+    axes.boxplot(
+        [residual[there] for there in parts.values()],
+        tick_labels=[f"{name}\n{np.mean(there):.0%}" for name, there in parts.items()],
         whis=(2.5, 97.5),
         showfliers=False,
         patch_artist=True,
         widths=0.5,
         medianprops={"color": colours.DATA},
+        boxprops={"facecolor": _BLUE, "edgecolor": colours.BLUE},
     )
-    for box in boxes["boxes"]:
-        box.set(facecolor=_BLUE, edgecolor=colours.BLUE)
-    for at, (_, there) in enumerate(parts, start=1):
+    for at, there in enumerate(parts.values(), start=1):
         width = float(half[there].mean())
         axes.hlines([-width, width], at - 0.4, at + 0.4, color=colours.VERMILLION, linestyle="--")
-    names = [f"{name}\n{np.mean(there):.0%}" for name, there in parts]
-    axes.set_xticks(range(1, len(parts) + 1), names)
     axes.set_title("By stage: box 50 %, whiskers 95 %\ndashed: 95 % band", fontsize=8)
 
 
@@ -275,28 +217,12 @@ def _draw_along(axes: Axes, where: Array, residual: Array, half: Array) -> None:
     step = max(1, len(where) // 3000)
     axes.plot(where[::step], residual[::step], ".", color=colours.DATA, markersize=1.6, alpha=0.6)
     edges = np.unique(np.quantile(where, np.linspace(0, 1, 41)))
-    at = np.clip(np.digitize(where, edges) - 1, 0, len(edges) - 2)
-    count = np.bincount(at, minlength=len(edges) - 1)
-    mean = np.bincount(at, half, minlength=len(edges) - 1) / np.maximum(count, 1)
-    centre = 0.5 * (edges[1:] + edges[:-1])
-    for sign in (-1, 1):
-        line = centre[count > 0], sign * mean[count > 0]
-        axes.plot(*line, color=colours.VERMILLION, linestyle="--")
+    if edges.size > 1:
+        sums = np.histogram(where, edges, weights=half)[0]
+        mean = sums / np.maximum(np.histogram(where, edges)[0], 1)
+        lines = np.column_stack([-mean, mean])
+        axes.plot(0.5 * (edges[1:] + edges[:-1]), lines, color=colours.VERMILLION, linestyle="--")
     axes.set_title("Along the gap", fontsize=8)
-
-
-def _draw_autocorrelation(axes: Axes, residual: Array) -> None:
-    """Autocorrelation of the residual, with the 95 % band of independent noise."""
-    centred = residual - residual.mean()
-    lags = min(60, len(centred) // 4)
-    power = float(centred @ centred) or 1.0
-    values = [float(centred[lag:] @ centred[: len(centred) - lag]) / power for lag in range(lags)]
-    bound = 1.96 / np.sqrt(len(centred))
-    axes.axhspan(-bound, bound, color="#e6e6e6")
-    axes.vlines(range(lags), 0.0, values, color=colours.BLUE, linewidth=1.0)
-    axes.axhline(0.0, color="#888888", linewidth=0.7)
-    axes.set(xlabel="lag, samples", ylim=(min(-0.3, *values, -bound), 1.05))
-    axes.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
 
 
 @look.style()
@@ -309,25 +235,29 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     kept = [row for row in rows if row["truth"] > 0]
     if not kept:
         return None
+    kinds = {
+        (True, True): (colours.POSTERIOR, "o", 3, "interval holds the truth"),
+        (True, False): (colours.TRUTH, "X", 6, "interval misses the truth"),
+        (False, True): (colours.PRIOR, "o", 3, "not informed by the data"),
+        (False, False): (colours.PRIOR, "X", 6, ""),
+    }
     names = list(dict.fromkeys(row["name"] for row in kept))
-    groups = [[row for row in kept if row["name"] == name] for name in names]
-    heights = np.array([1.0 + 0.25 * len(group) for group in groups])
+    heights = [1.0 + 0.25 * sum(row["name"] == name for row in kept) for name in names]
     ends = np.cumsum(heights)
     figure = look.new_figure(9, 1.3 + 0.12 * float(ends[-1]), title)
     axes = figure.subplots()
-    for group, end, height in zip(groups, ends, heights, strict=True):
-        for at, row in enumerate(group):
-            colour = colours.POSTERIOR if row["inside"] else colours.TRUTH
-            colour = colour if row["informed"] else colours.PRIOR
+    for number, (name, end, height) in enumerate(zip(names, ends, heights, strict=True)):
+        if number % 2:
+            axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
+        for at, row in enumerate(row for row in kept if row["name"] == name):
+            colour, marker, size, _ = kinds[bool(row["informed"]), bool(row["inside"])]
             y = end - height + 0.625 + 0.25 * at
             lower, median, upper = (row[k] / row["truth"] for k in ("lower", "median", "upper"))
             axes.plot([lower, upper], [y, y], color=colour, lw=1.2)
-            marker, size = ("o", 3) if row["inside"] else ("X", 6)
             axes.plot([median], [y], marker, color=colour, ms=size)
-    for end, height in zip(ends[1::2], heights[1::2], strict=True):
-        axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
     axes.axvline(1.0, color=colours.DATA, linewidth=1.2, zorder=1)
-    axes.set_yticks(ends - 0.5 * heights, [symbols.in_figure(name) for name in names], fontsize=9)
+    middles = ends - 0.5 * np.array(heights)
+    axes.set_yticks(middles, [symbols.in_figure(name) for name in names], fontsize=9)
     axes.set_ylim(ends[-1], 0.0)
     axes.grid(visible=False, axis="y")
     informed = [row for row in kept if row["informed"]] or kept
@@ -336,17 +266,12 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     )
     reach = float(np.clip(1.05 * widest, 1.25, 8.0))
     ticks = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
-    axes.set_xscale("log")
-    axes.set_xlim(1.0 / reach, reach)
+    axes.set(xscale="log", xlim=(1.0 / reach, reach))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xticks([tick for tick in ticks if 1 / reach <= tick <= reach])
     axes.xaxis.set_major_formatter(_PLAIN)
     axes.set_xlabel("posterior ÷ truth (1 = truth), logarithmic; bars are 95 % intervals")
-    kinds = (
-        (colours.POSTERIOR, "o", "interval holds the truth"),
-        (colours.TRUTH, "X", "interval misses the truth"),
-        (colours.PRIOR, "o", "not informed by the data"),
-    )
-    handles = [Line2D([], [], color=c, marker=m, ms=5, label=text) for c, m, text in kinds]
+    shown = [kind for kind in kinds.values() if kind[3]]
+    handles = [Line2D([], [], color=c, marker=m, ms=5, label=text) for c, m, _, text in shown]
     figure.legend(handles=handles, loc="outside lower left", ncols=3)
     return figure

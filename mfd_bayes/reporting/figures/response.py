@@ -69,57 +69,44 @@ def _draw_damper(axes: Axes, width: float, low: float, high: float, count: int) 
 @look.style()
 def draw_profile(response: Response, system: System) -> Figure:
     """Storey drift and floor acceleration against height, with bands, for each ground motion."""
-    grounds = response.grounds
+    grounds, building = response.grounds, response.building
     figure = look.new_figure(8.4, 0.6 + 3.0 * len(grounds))
     grid = figure.subplots(len(grounds), 2, squeeze=False)
-    ratios = bool(np.all(np.isfinite(response.building.heights)))
-    for g, (left, right) in enumerate(grid):
-        bare, plain_ = response.bare, response.plain
-        by = 100.0 / response.building.heights if ratios else system.factor("in")
-        used = response.usable(g)
-        drift = response.drift[used, g] * by
-        _profile(left, drift, bare.drift[0, g] * by, plain_.drift[0, g] * by, step=True)
-        left.set_xlabel(f"largest storey drift, {'% of height' if ratios else system.length}")
-        left.set_ylabel("storey")
-        if response.building.limits.drift is not None and ratios:
-            left.axvline(100.0 * response.building.limits.drift, color=colours.VERMILLION, ls="--")
-        acceleration = response.acceleration[used, g] / GRAVITY
-        others = bare.acceleration[0, g] / GRAVITY, plain_.acceleration[0, g] / GRAVITY
-        _profile(right, acceleration, *others, step=False)
-        if response.building.limits.acceleration is not None:
-            limit = response.building.limits.acceleration / GRAVITY
-            right.axvline(limit, color=colours.VERMILLION, ls="--")
-        right.set_xlabel("largest floor acceleration, g")
-        left.set_title(plain(grounds[g].name))
+    ratios = bool(np.all(np.isfinite(building.heights)))
+    drift_by = 100.0 / building.heights if ratios else np.full(1, system.factor("in"))
+    drift = f"largest storey drift, {'% of height' if ratios else system.length}"
+    limits, flat = building.limits, np.full(1, 1.0 / GRAVITY)
+    top = None if limits.drift is None or not ratios else 100.0 * limits.drift
+    most = None if limits.acceleration is None else limits.acceleration / GRAVITY
+    measures = (
+        ("drift", drift_by, drift, top),
+        ("acceleration", flat, "largest floor acceleration, g", most),
+    )
+    for g, pair in enumerate(grid):
+        for axes, (name, by, label, limit) in zip(pair, measures, strict=True):
+            values = by * getattr(response, name)[response.usable(g), g]
+            if not len(values):  # every draw ran away
+                values = np.full((1, values.shape[1]), np.nan)
+            quantiles = np.quantile(values, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
+            at = np.arange(1, values.shape[1] + 1)
+            for low, high, colour in ((0, 4, _WIDE), (1, 3, _NARROW)):
+                size = quantiles[high] - quantiles[low]
+                axes.barh(at, size, left=quantiles[low], height=0.86, color=colour)
+            axes.plot(
+                quantiles[2], at, "|", color=_MIDDLE, ms=16, mew=2, label="median; 50, 95 % bands"
+            )
+            bare, friction = (by * getattr(r, name)[0, g] for r in (response.bare, response.plain))
+            axes.plot(bare, at, "o", color=_BARE, ms=4, label="without dampers")
+            axes.plot(friction, at, "s", color=_PLAIN, ms=4, label="plain friction")
+            if limit is not None:
+                axes.axvline(limit, color=colours.VERMILLION, linestyle="--")
+            axes.set_xlabel(label)
+            axes.set_yticks(at)
+            axes.set_xlim(left=0.0)
+        pair[0].set_ylabel("storey")
+        pair[0].set_title(plain(grounds[g].name))
     grid[0, 1].legend(loc="best")
     return figure
-
-
-def _profile(axes: Axes, values: Array, bare: Array, friction: Array, *, step: bool) -> None:
-    """Bands over the height: each storey as a box, or lines from floor to floor."""
-    n = values.shape[1]
-    at = np.arange(1, n + 1)
-    shown = values if len(values) else np.full((1, n), np.nan)  # where every draw ran away
-    quantiles = np.quantile(shown, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
-    if step:
-        for low, high, colour in ((0, 4, _WIDE), (1, 3, _NARROW)):
-            size = quantiles[high] - quantiles[low]
-            axes.barh(at, size, left=quantiles[low], height=0.86, color=colour)
-        axes.plot(
-            quantiles[2], at, "|", color=_MIDDLE, ms=16, mew=2, label="median; 50, 95 % bands"
-        )
-        axes.plot(bare, at, "o", color=_BARE, ms=4, label="without dampers")
-        axes.plot(friction, at, "s", color=_PLAIN, ms=4, label="plain friction")
-    else:
-        axes.fill_betweenx(at, quantiles[0], quantiles[4], color=_WIDE)
-        axes.fill_betweenx(at, quantiles[1], quantiles[3], color=_NARROW)
-        for low, high, colour, thick in ((0, 4, _WIDE, 6), (1, 3, _NARROW, 6)):
-            axes.hlines(at, quantiles[low], quantiles[high], color=colour, lw=thick)
-        axes.plot(quantiles[2], at, "-", color=_MIDDLE, lw=1.6, label="median; 50, 95 % bands")
-        axes.plot(bare, at, "o--", color=_BARE, ms=4, lw=0.8, label="without dampers")
-        axes.plot(friction, at, "s--", color=_PLAIN, ms=4, lw=0.8, label="plain friction")
-    axes.set_yticks(at)
-    axes.set_xlim(left=0.0)
 
 
 @look.style()

@@ -1,0 +1,86 @@
+"""Parts that are left out, as jobs whose scores are stored, and what a report says of them."""
+
+import json
+import math
+from dataclasses import asdict, replace
+
+import pytest
+
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.crossvalidate import FOLDER, Fold, folds_of, left_out_view, parts_of
+from mfd_bayes.population.settings import Setting
+from mfd_bayes.runs.manifest import with_keys
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.scores import CampaignCrossValidation, Prediction, Score
+from tests.run_folders import write_run
+
+
+def test_scores_of_another_fold_are_computed_anew(tmp_path):
+    fold = Fold("a", "test_1.json", ("a",), ("b", "c"), effort="quick", seed=1)
+    file = tmp_path / FOLDER / fold.file
+    file.parent.mkdir()
+    file.write_text(json.dumps({"key": asdict(fold), "predictions": []}))
+    assert fold.stored(tmp_path)
+    assert not replace(fold, rests_on="other laws").stored(tmp_path)
+
+
+def test_folds_of_a_run_rest_on_its_laws_and_posteriors(tmp_path):
+    write_run(tmp_path / "out")
+    run = open_run(tmp_path / "out")
+    first, second = folds_of(run, "test", "quick")
+    assert first.rests_on == second.rests_on != ""
+    laws = {**run.manifest.settings.laws, "sigma0": "constant"}
+    settings = run.manifest.settings.model_copy(update={"laws": laws})
+    manifest = with_keys(run.manifest.changed(settings=settings), run.priors)
+    other = replace(run, manifest=manifest)
+    assert folds_of(other, "test", "quick")[0].rests_on != first.rests_on
+
+
+def test_a_part_is_left_out_only_where_another_has_an_actuation():
+    def settings(*levels):
+        return {f"t{i}": Setting(level) for i, level in enumerate(levels)}
+
+    found = parts_of(settings(0.0, 0.03, 0.0, 0.036), "level", "kip", "a.toml")
+    assert found == {"0 lbf": ("t0", "t2"), "30 lbf": ("t1",), "36 lbf": ("t3",)}
+    for by, part in (("level", "30 lbf"), ("test", "t1")):
+        with pytest.raises(CampaignError, match=f"cannot leave out {part}: no other calibrated"):
+            parts_of(settings(0.0, 0.03), by, "kip", "a.toml")
+
+
+def scored(width, crps):
+    return Score((0.5, 0.8, 0.9), width, interval_score=1.5 * width, crps=crps, rrse=0.3)
+
+
+def prediction(test, part, width):
+    return Prediction(part, test, score=scored(width, 0.2), fitted=scored(0.5, 0.1))
+
+
+STORED = CampaignCrossValidation(
+    "level", (prediction("a", "500 psi", 1.0), prediction("b", "1000 psi", 2.0))
+)
+
+
+def test_predictions_stand_beside_fitted_tests_and_are_averaged():
+    found = left_out_view(STORED)
+    first, second = found.rows
+    assert (first["test"], first["part"], first["coverage_95"]) == ("a", "500 psi", 0.9)
+    assert (first["fitted_width"], first["width_ratio"], second["width_ratio"]) == (0.5, 2.0, 4.0)
+    assert first["crps_ratio"] == pytest.approx(2.0)
+    assert (found.mean["test"], found.mean["part"]) == ("mean", "")
+    assert (found.mean["width_95"], found.mean["interval_score"]) == (1.5, 2.25)
+    assert math.isnan(found.mean["whole_95"])
+    for words in ("Of 2 tests", "those of the other levels", "90.0 %", "50.0 %", "3.0 times"):
+        assert words in found.sentence
+    assert "from the others" in left_out_view(replace(STORED, by="test")).sentence
+    assert left_out_view(None) is None
+
+
+def test_whole_histories_that_were_held_are_counted_and_no_width_has_no_ratio():
+    first, second = STORED.predictions
+    flat = replace(first, whole=True, fitted=scored(0.0, 0.0))
+    found = left_out_view(replace(STORED, predictions=(flat, replace(second, whole=False))))
+    assert [row["whole_95"] for row in found.rows] == [1.0, 0.0]
+    assert found.mean["whole_95"] == 0.5
+    assert "hold the whole force of 1 of 2 tests" in found.sentence
+    assert math.isnan(found.rows[0]["width_ratio"])
+    assert math.isnan(found.rows[0]["crps_ratio"])
