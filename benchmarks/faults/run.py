@@ -85,8 +85,9 @@ def tests_of(path, line, data):
     nodes = [n for n in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(n, ast.stmt)]
     functions = [n for n in nodes if isinstance(n, ast.FunctionDef)]
     around = [n for n in nodes if n.lineno <= line <= n.end_lineno]
-    inner = max(around, key=lambda n: (n.lineno, -n.end_lineno))
-    run = [inner] if any(f in around and f is not inner for f in functions) else functions
+    inner = max(around, key=lambda n: (n.lineno, -n.end_lineno), default=None)
+    inside = any(f in around and f is not inner for f in functions)
+    run = [inner] if inner and inside else functions
     lines = {m for n in run for m in range(n.lineno + (n in functions), n.end_lineno + 1)}
     contexts = data.contexts_by_lineno(str(path.resolve()))
     matches = {CONTEXT.fullmatch(c) for n in lines for c in contexts.get(n, ())} - {None}

@@ -1,22 +1,28 @@
-"""The exact joint posterior of population and tests, from the Gaussian one.
+"""The exact joint posterior of population and tests, from a Gaussian one.
 
-Under the Gaussian approximation the population's h has known draws, and given h the coefficients z
-and the tests' own coordinates are affine in standard normal numbers e. Moves change these numbers
-by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which leaves the approximation as
-it is, and are accepted by the exact over the approximate likelihoods (Rudolf and Sprungk, 2018):
+Under Gaussian likelihoods of the tests the population's h has known draws, and given h the
+coefficients z and the tests' own coordinates are affine in standard normal numbers e. A sweep has
+three moves:
 
 1. the numbers of each test, each accepted by its own likelihood;
-2. those of z, with h from its draws under the approximation, accepted by all tests; then those of
-   z alone, in shorter steps. The mean and covariance of the numbers of the levels are learned while
-   warming up, and then kept;
-3. each coordinate of h given all tests, by random-walk Metropolis, which needs no force.
+2. the numbers of z, with another h from its draws, accepted by all tests;
+3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
+   from its Gaussian (Gibbs).
 
-With Gaussian likelihoods every move of the first two kinds is accepted.
+The first two change the numbers by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ,
+which leaves the approximation as it is, and are accepted by the exact over the approximate
+likelihoods (Rudolf and Sprungk, 2018). The second is the non-centred and the third the centred
+form of one hierarchy: where one mixes slowly the other does not (Yu and Meng, 2011).
+
+While warming up the Gaussian likelihoods are fitted anew, by least squares, to the exact ones of
+what was proposed, each weighted by the probability of its acceptance (waste recycling: Frenkel,
+2004). With Gaussian likelihoods every move of the first two kinds is accepted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,14 +38,13 @@ Index = NDArray[np.intp]
 
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
 STORED = 2**26  # most numbers of the tests' coordinates that are held
-# sweeps in which steps are tuned, in two halves, and sweeps between looks at the convergence
-WARM_UP, BLOCK = 80, 40
-# weight of the covariance that is learned, against that of the approximation, and its factor: a
-# wide one, since chains stay long where the reference has thinner tails than the posterior
-TRUST, WIDER = 0.8, 1.5
+# how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
+# quarter is forgotten, and sweeps between looks at the convergence
+REFITS, WARM_UP, BLOCK = 3, 40, 40
+RIDGE = 3.0  # of the least squares, for the few draws of a large campaign
+LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted
-ACCEPT_Z = (0.2, 0.5)  # the same of z, with another h and with its own
-EVERY = 3  # sweeps between random walks of h, which moves in every sweep with the levels too
+ACCEPT_Z = 0.2  # the same of z
 RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
@@ -85,24 +90,26 @@ class ExactSampler:
 
     def __init__(
         self,
-        mixed: MixedModel,
         fit: JointFit,
+        approximate: Callable[[JointFit], tuple[MixedModel, Sequence[Array]]],
         unpooled: NDArray[np.bool_],
         choice: Index,
-        pool: Sequence[Array],
         rng: np.random.Generator,
         evaluate: Evaluate[Array, Array] | None = None,
     ) -> None:
-        self.mixed, self.fit, self.unpooled, self.rng = mixed, fit, unpooled, rng
-        self.choice, self.pool, self.d = choice, pool, len(mixed.design.names)
+        self.fit, self.approximate, self.unpooled, self.rng = fit, approximate, unpooled, rng
+        self.mixed, self.pool = mixed, _ = approximate(fit)
+        self.choice, self.d = choice, len(mixed.design.names)
         self.evaluate = evaluate or in_turn([test.log_likelihood for test in fit.tests])
         local = np.any(unpooled, axis=0)
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
-        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), np.array([0.8, 0.4])
-        self.rates: list[tuple[Array, Array]] = []  # accepted shares: tests, and moves of z
+        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8
+        # while warming up: proposals x, their excess, and the share of it that each test accepts
+        self.proposals: list[tuple[Array, Array, Array]] = []
+        self.warming_up = True
+        self.rates: list[tuple[Array, float]] = []  # accepted shares: of each test, and of z
         n, z = len(choice), mixed.design.quantity.size
-        self.shift, self.root = np.zeros(z), np.eye(z)  # of the reference of e_z
         h = self._fresh_h()
         e = rng.standard_normal((n, len(fit.mean), self.local.size))
         self.state = self._at(h, rng.standard_normal((n, z)), e)
@@ -162,38 +169,71 @@ class ExactSampler:
         beta = self.beta[:, None]
         e = np.sqrt(1.0 - beta**2) * s.e + beta * rng.standard_normal(s.e.shape)
         new = self._of(s.h, s.z, s.e_z, e)
+        self._keep(new)
         accepted = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
         self.state = s.where(accepted, new)
-        together = [self._move_z(beta, fresh=k == 0) for k, beta in enumerate(self.beta_z)]
-        self.rates.append((accepted.mean(axis=0), np.array(together)))
-        if len(self.rates) % EVERY == 0:
-            self._move_h()
+        self.rates.append((accepted.mean(axis=0), self._move_z()))
+        self._move_h()
 
-    def _move_z(self, beta: float, *, fresh: bool) -> float:
-        """Move z, and h to a fresh draw if asked for; gives the accepted share."""
-        s, rng = self.state, self.rng
-        mine = np.linalg.solve(self.root, (s.e_z - self.shift).T).T
-        moved = np.sqrt(1.0 - beta**2) * mine + beta * rng.standard_normal(mine.shape)
-        e_z = self.shift + moved @ self.root.T
-        new = self._at(self._fresh_h() if fresh else s.h, e_z, s.e)
+    def _move_z(self) -> float:
+        """Move z, with h from its draws; gives the accepted share."""
+        s, beta = self.state, self.beta_z
+        step = beta * self.rng.standard_normal(s.e_z.shape)
+        new = self._at(self._fresh_h(), np.sqrt(1.0 - beta**2) * s.e_z + step, s.e)
+        self._keep(new)
         better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
-        better -= 0.5 * np.sum(e_z**2 - moved**2 - s.e_z**2 + mine**2, axis=1)
-        accepted = np.log(rng.random(len(better))) < better
+        accepted = np.log(self.rng.random(len(better))) < better
         self.state = s.where(accepted, new)
         return float(accepted.mean())
 
-    def tune(self) -> None:
-        """Step sizes by the shares of the last moves that were accepted."""
-        tests, together = (np.mean(r, axis=0) for r in zip(*self.rates[-10:], strict=True))
-        self.beta = np.clip(self.beta * np.exp(tests - ACCEPT), 0.05, 1.0)
-        self.beta_z = np.clip(self.beta_z * np.exp(together - ACCEPT_Z), 0.02, 1.0)
+    def _tuned_sweep(self) -> None:
+        """A sweep, and step sizes by the shares of its moves that were accepted."""
+        self.sweep()
+        tests, together = self.rates[-1]
+        self.beta = np.clip(self.beta * np.exp(0.1 * (tests - ACCEPT)), 0.05, 1.0)
+        self.beta_z = float(np.clip(self.beta_z * np.exp(0.1 * (together - ACCEPT_Z)), 0.02, 1.0))
 
-    def learn(self, history: list[Array]) -> None:
-        """Take the mean and covariance of the levels' numbers from sweeps (n, Z)."""
-        d, e = self.d, np.concatenate(history)[:, : self.d]
-        covariance = TRUST * np.cov(e.T) + (1.0 - TRUST) * np.eye(d)
-        self.shift[:d] = e.mean(axis=0)
-        self.root[:d, :d] = np.linalg.cholesky(WIDER * covariance)
+    def _keep(self, new: State) -> None:
+        """Keep a proposal for the next fit."""
+        if self.warming_up:
+            possible = np.isfinite(new.excess)
+            excess = np.where(possible, new.excess, 0.0)
+            share = np.exp(np.minimum(excess - self.state.excess, 0.0)) * possible
+            self.proposals.append((new.x, excess, share))
+
+    def refit(self, x: Array, excess: Array, weight: Array) -> None:
+        """Take other Gaussian likelihoods of the tests, and go on from where the chains are.
+
+        Least squares on draws x (m, J, D) of the posterior: what the exact log densities have over
+        the Gaussian ones, `excess` (m, J), is a quadratic form (response surface).
+        """
+        old, size = self.fit, x.shape[-1]
+        mean, precision = old.mean.copy(), old.precision.copy()
+        i, k = np.triu_indices(size)
+        for j, p in enumerate(old.precision):
+            w = weight[:, j]
+            centre = np.average(x[:, j], axis=0, weights=w)
+            spread = np.cov(x[:, j].T, aweights=w)
+            root = np.asarray(np.linalg.cholesky(spread + 1e-9 * np.eye(size)), dtype=np.float64)
+            u = forward(root, x[:, j] - centre)
+            terms = np.column_stack([u, u[:, i] * u[:, k] - (i == k)])
+            weighted = (terms * w[:, None]).T
+            pairs = weighted @ terms + RIDGE * np.eye(terms.shape[1])
+            pulled = weighted @ (excess[:, j] - np.average(excess[:, j], weights=w))
+            linear, square = np.split(np.linalg.solve(pairs, pulled), [size])
+            quadratic = np.zeros((size, size))
+            quadratic[i, k] = square
+            inner = root.T @ p @ root - quadratic - quadratic.T
+            values, vectors = np.linalg.eigh(inner)
+            values = np.maximum(values, LEAST)
+            pull = root.T @ p @ (old.mean[j] - centre) + linear
+            mean[j] = centre + root @ (vectors / values) @ vectors.T @ pull
+            outer = np.linalg.solve(root.T, vectors)
+            precision[j] = (outer * values) @ outer.T
+        self.fit = replace(old, mean=mean, precision=precision)
+        self.mixed, self.pool = self.approximate(self.fit)
+        s = self._numbered(self.state)
+        self.state = self._of(s.h, s.z, s.e_z, s.e)
 
     def _move_h(self) -> None:
         """Random-walk Metropolis of each coordinate of h with z and x as they are."""
@@ -201,19 +241,25 @@ class ExactSampler:
         h, names = s.h.copy(), mixed.design.names
         without_law = s.x[..., : self.d] - self._linear(s.z)
         shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
+        log = self._log_given_tests(h, s.z, without_law)
         for i in np.flatnonzero([*[True] * v, *shapes]).tolist():
             new = h.copy()
             new[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < v else 0.3)
-            old = self._log_given_tests(h, s.z, without_law)
-            change = self._log_given_tests(new, s.z, without_law) - old
-            accepted = np.log(rng.random(len(h))) < change
-            h[accepted] = new[accepted]
-        # the numbers that belong to it
-        gaussian = mixed.marginal(h, self.choice)[1]
+            other = self._log_given_tests(new, s.z, without_law)
+            accepted = np.log(rng.random(len(h))) < other - log
+            h[accepted], log[accepted] = new[accepted], other[accepted]
+        left = s.x[..., : self.d] - mixed.offsets(h, self.choice)
+        pooled = mixed.weight * ~self.unpooled[:, mixed.free]
+        z = mixed.draw_given_tests(h, left, pooled, s.z, rng)
+        self.state = self._numbered(s._replace(h=h, z=z))
+
+    def _numbered(self, s: State) -> State:
+        """The state with the numbers that belong to its h, z and x."""
+        gaussian = self.mixed.marginal(s.h, self.choice)[1]
         e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
-        base, mean, factor = self._conditional(h, s.z)
+        base, mean, factor = self._conditional(s.h, s.z)
         e = np.einsum("njab,nja->njb", factor, (s.x - base)[..., self.local] - mean)
-        self.state = s._replace(h=h, e_z=e_z, e=e)
+        return s._replace(e_z=e_z, e=e)
 
     def _log_given_tests(self, h: Array, z: Array, without_law: Array) -> Array:
         """Log density of h given z and the tests' coordinates, (n,)."""
@@ -238,14 +284,14 @@ class ExactSampler:
         report: Callable[[int, Convergence], None],
     ) -> Draws:
         """Sweep until targets or limit are reached; `kept` draws of each group are kept."""
-        history: list[Array] = []
-        for step in range(1, WARM_UP + 1):
-            self.sweep()
-            history.append(self.state.e_z)
-            if step % 10 == 0:
-                self.tune()
-            if step % (WARM_UP // 2) == 0:
-                self.learn(history[len(history) // 2 :])
+        for step in range(1, (REFITS + 1) * WARM_UP + 1):
+            self._tuned_sweep()
+            if step % WARM_UP == 0 and step <= REFITS * WARM_UP:
+                proposals = self.proposals[len(self.proposals) // 4 :]
+                self.refit(*(np.concatenate(part) for part in zip(*proposals, strict=True)))
+            if step % WARM_UP == 0:
+                self.proposals = []
+        self.warming_up = False
         self.rates.clear()
         stride = max(1, self.state.x.size * limit // STORED)
         h, z, x = [], [], []  # x in single precision

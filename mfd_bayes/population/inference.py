@@ -19,7 +19,7 @@ from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.parallel import several_processes
 from mfd_bayes.population.design import LEVELS, TESTS, Design, design_of
 from mfd_bayes.population.exact import CHAINS, ExactSampler
-from mfd_bayes.population.joint_fit import TestLikelihood, fit_jointly
+from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
 from mfd_bayes.population.law_scores import (
     DependenceScore,
     LawScore,
@@ -172,9 +172,7 @@ def _inferred(
     with several_processes([one.linearised for one in likelihoods], settings.jobs) as evaluate:
         begin = np.clip(np.concatenate(start), -6.0, 6.0)
         fit = fit_jointly(likelihoods, begin, common, evaluate)
-    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, unpooled, strict=True)]
-    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
-    mixed = MixedModel(design, y[:, :d], precision[:, :d, :d])
+    mixed = MixedModel(design, *gaussians_of(fit, unpooled, d))
 
     # weights of the laws, by levels that are left out
     levels = np.median(fit.mean, axis=0)[:d]
@@ -187,7 +185,12 @@ def _inferred(
     choice = _choices(design, weights, CHAINS * walkers)
     mixed.find_outliers(choice[0])
     kinds, kind = np.unique(choice, axis=0, return_inverse=True)
-    pools = [mixed.sample(one, rng, POOL) for one in kinds]
+
+    def approximate(fit: JointFit) -> tuple[MixedModel, list[Array]]:
+        under = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
+        pools = [under.sample(one, rng, POOL) for one in kinds]
+        return under, [pools[k] for k in kind.ravel()]
+
     began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
 
     def tell(sweeps: int, found: Convergence) -> None:
@@ -197,8 +200,7 @@ def _inferred(
         report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
     with several_processes([one.log_likelihood for one in fit.tests], settings.jobs) as evaluate:
-        pool = [pools[k] for k in kind.ravel()]
-        sampler = ExactSampler(mixed, fit, unpooled, choice, pool, rng, evaluate)
+        sampler = ExactSampler(fit, approximate, unpooled, choice, rng, evaluate)
         draws = sampler.run(effort.r_hat, effort.ess, limit, effort.kept // 4, tell)
 
     # the population
@@ -234,6 +236,13 @@ def _inferred(
     return Inference(
         population, draws.x, scores, exponents, dependence, draws.sweeps, draws.accepted
     )
+
+
+def gaussians_of(fit: JointFit, unpooled: NDArray[np.bool_], d: int) -> tuple[Array, Array]:
+    """Gaussian likelihoods of the d shared coordinates, (J, d) and (J, d, d)."""
+    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, unpooled, strict=True)]
+    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
+    return y[:, :d], precision[:, :d, :d]
 
 
 def _likelihoods(

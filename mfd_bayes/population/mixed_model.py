@@ -128,14 +128,9 @@ class MixedModel:
     ) -> tuple[Array, Coefficients]:
         """Log marginal likelihood of tests (all by default) given h, (n,), and z given these."""
         design, tau, omega = self.design, self.tau(h), self.omega(h)
-        offsets, n, z = self.offsets(h, choice), len(h), design.quantity.size
-        a, b = np.zeros((n, z, z)), np.zeros((n, z))
+        offsets, n, a = self.offsets(h, choice), len(h), self.prior_precision(h)
+        b = np.zeros(a.shape[:2])
         total = -np.log(omega) @ np.array([design.columns(e).size for e in range(self.e)])
-        plain = np.arange(design.z_sd.size)
-        a[:, plain, plain] = design.z_sd**-2.0
-        for e, block in enumerate(self.effect_precision):
-            for own in design.columns(e):
-                a[:, own[:, None], own] = omega[:, e, None, None] ** -2.0 * block
         for cell in self.cells:
             js = np.array([j for j in cell if tests is None or j in tests], dtype=np.intp)
             if not js.size:
@@ -160,6 +155,34 @@ class MixedModel:
         total += 0.5 * np.sum(u**2, axis=1)
         total -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return total, Coefficients(backward(factor, u), factor)
+
+    def prior_precision(self, h: Array) -> Array:
+        """Precision of z before any test, (n, Z, Z)."""
+        design, omega, z = self.design, self.omega(h), self.design.quantity.size
+        a, plain = np.zeros((len(h), z, z)), np.arange(design.z_sd.size)
+        a[:, plain, plain] = design.z_sd**-2.0
+        for e, block in enumerate(self.effect_precision):
+            for own in design.columns(e):
+                a[:, own[:, None], own] = omega[:, e, None, None] ** -2.0 * block
+        return a
+
+    def draw_given_tests(
+        self, h: Array, left: Array, weight: Array, z: Array, rng: np.random.Generator
+    ) -> Array:
+        """Draw z (n, Z) of the free quantities given the tests' coordinates less laws (n, J, d).
+
+        `weight` (J, F) are those of the deviations' precision, 0 where a test informs nothing.
+        """
+        z, a, quantity = z.copy(), self.prior_precision(h), self.design.quantity
+        precision = weight / self.tau(h)[:, None] ** 2
+        for f, k in enumerate(self.free):  # given the tests these do not know of each other
+            own = np.flatnonzero(quantity == k)
+            weighted = self.rows[:, own].T * precision[:, None, :, f]
+            inner = a[:, own[:, None], own] + weighted @ self.rows[:, own]
+            factor = np.asarray(np.linalg.cholesky(inner), dtype=np.float64)
+            pulled = np.asarray(np.einsum("nmj,nj->nm", weighted, left[..., k]))
+            z[:, own] = Coefficients(backward(factor, forward(factor, pulled)), factor).draw(rng)
+        return z
 
     def _inner(self, js: Index, tau: Array) -> Array:
         """Precision of the deviations of tests js given the rest, (n, m, F, F)."""

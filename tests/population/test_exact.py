@@ -9,6 +9,7 @@ from scipy import special
 
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.exact import ExactSampler
+from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import MixedModel
 from mfd_bayes.population.settings import Setting
 
@@ -35,18 +36,22 @@ class Campaign:
     def sampler(self, seed=0, evaluated=None):
         """The sampler; what is evaluated may be other functions than the exact ones."""
         rng = np.random.default_rng(seed)
-        marginal = self.mixed.marginal(self.h, self.choice[0])[0]
-        weight = special.softmax(self.mixed.log_prior(self.h) + marginal)
+        functions = evaluated or self.functions
+        tests = [SimpleNamespace(log_likelihood=lambda x, f=f: f(x[:, 0])) for f in functions]
+        fit = JointFit(tests, self.mean, self.precision, residual=None)
+        own = np.zeros(self.mean.shape, dtype=bool)
+        return ExactSampler(fit, self.approximate, own, self.choice, rng)
+
+    def approximate(self, fit):
+        """Mixed model of Gaussian likelihoods, and draws of h under it."""
+        rng = np.random.default_rng(2)
+        mixed = MixedModel(self.design, fit.mean, fit.precision)
+        weight = special.softmax(
+            mixed.log_prior(self.h) + mixed.marginal(self.h, self.choice[0])[0]
+        )
         pool = self.h[rng.choice(len(self.h), size=4000, p=weight)]
         pool = pool + (self.h[1] - self.h[0]) * (rng.random(pool.shape) - 0.5)
-        functions = evaluated or self.functions
-        fit = SimpleNamespace(
-            mean=self.mean,
-            precision=self.precision,
-            tests=[SimpleNamespace(log_likelihood=lambda x, f=f: f(x[:, 0])) for f in functions],
-        )
-        own = np.zeros(self.mean.shape, dtype=bool)
-        return ExactSampler(self.mixed, fit, own, self.choice, [pool] * CHAINS, rng)
+        return mixed, [pool] * CHAINS
 
     def truth(self):
         """Means and sds of log scatter, level and coordinates by quadrature."""
@@ -74,22 +79,12 @@ class Campaign:
         return np.array(moments)
 
 
-def moments_of(sampler, sweeps=SWEEPS, *, learn=True):
+def moments_of(sampler, sweeps=SWEEPS):
     """Means and standard deviations by chain, (chain, 2 + J) each, after a warm-up."""
-    history, found = [], []
-    for step in range(sweeps):
-        sampler.sweep()
-        history.append(sampler.state.e_z)
-        if learn and step < 80:
-            if step % 10 == 9:
-                sampler.tune()
-            if step % 40 == 39:
-                sampler.learn(history[len(history) // 2 :])
-        if step >= 100:
-            s = sampler.state
-            found.append(np.concatenate([s.h, s.z[:, :1], s.x[..., 0]], axis=1))
-    draws = np.array(found)
-    return draws.mean(axis=0), draws.std(axis=0)
+    draws = sampler.run(0.0, np.inf, sweeps, 10**9, lambda *_: None)
+    parts = draws.h, draws.z[..., :1], draws.x[..., 0]
+    every = np.concatenate([part.reshape(CHAINS, -1, part.shape[-1]) for part in parts], axis=2)
+    return every.mean(axis=1), every.std(axis=1)
 
 
 def errors(by_chain, expected):
@@ -104,7 +99,7 @@ Y, SD = np.array([0.3, -0.1, 0.5]), np.array([0.05, 0.08, 0.06])
 def test_with_gaussian_likelihoods_every_move_is_accepted_and_draws_are_the_closed_form(priors):
     campaign = Campaign(priors, Y, SD)
     sampler = campaign.sampler()
-    means, _ = moments_of(sampler, 800, learn=False)
+    means, _ = moments_of(sampler, 800)
     for tests, together in sampler.rates:
         assert np.all(tests == 1.0)
         assert np.all(together == 1.0)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from mfd_bayes.evaluation.views import Array, CampaignView, Fan, LawView, TestView
+from mfd_bayes.evaluation.views import Array, CampaignView, LawView, TestView
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test
-from mfd_bayes.reporting.figures import posteriors
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.posteriors import (
+    draw_corner,
+    draw_marginals,
+    draw_ranks,
+    draw_residuals,
+    draw_truth,
+)
 from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
+
+OF_TEST = ("loops", "history", "residuals", "marginals", "corner", "ranks")
+"""Figures of a test by the names of their files; one with nothing to show is left out."""
 
 _MEDIAN = "#4db894"
 
@@ -58,7 +66,7 @@ def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
         title = "Quantities against the actuation"
         yield "laws", draw_laws(title, laws, system.unit(unit), symbols)
     truth = convert_rows(view.truth, system)
-    figure = posteriors.draw_truth("Posterior against the known truth", truth, symbols)
+    figure = draw_truth("Posterior against the known truth", truth, symbols)
     if figure is not None:
         yield "truth", figure
     if view.next_test is not None:
@@ -69,9 +77,19 @@ def figures_of_test(
     test: TestView, system: System, actuation_unit: str, model: Model | None = None
 ) -> Iterator[tuple[str, Figure]]:
     """Figures of one test in the units of a system, each with its key."""
-    shown, symbols = convert_test(test, system, actuation_unit), Symbols(model)
-    for name, draw in OF_TEST.items():
-        figure = draw(shown, system, symbols)
+    t, names = convert_test(test, system, actuation_unit), Symbols(model)
+    title, drawn = f"{t.id}, {t.actuation}", t.marginals
+    motion = title, t.trace, [f for f in (t.observation, t.device) if f is not None], system, names
+    figures: dict[str, Callable[[], Figure | None]] = {
+        "loops": lambda: draw_loops(*motion),
+        "history": lambda: draw_history(*motion, t.first),
+        "residuals": lambda: draw_residuals(f"{title}: residuals", t, system, names),
+        "marginals": lambda: draw_marginals(f"{title}: priors and posteriors", drawn, names),
+        "corner": lambda: draw_corner(f"{title}: joint posterior", drawn, t.corner, names),
+        "ranks": lambda: draw_ranks(f"{title}: ranks of each chain", drawn, t.chains, names),
+    }
+    for name in OF_TEST:
+        figure = figures[name]()
         if figure is not None:
             yield f"tests/{test.id}/{name}", figure
 
@@ -89,39 +107,6 @@ def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
         gc.unfreeze()
         if enabled:
             gc.enable()
-
-
-def _title(test: TestView, what: str = "") -> str:
-    return f"{test.id}, {test.actuation}{what}"
-
-
-def _fans(test: TestView) -> list[Fan]:
-    return [fan for fan in (test.observation, test.device) if fan is not None]
-
-
-Draw = Callable[[TestView, System, Symbols], Figure | None]
-
-OF_TEST: Mapping[str, Draw] = MappingProxyType(
-    {
-        "loops": lambda t, s, names: draw_loops(_title(t), t.trace, _fans(t), s, names),
-        "history": lambda t, s, names: draw_history(
-            _title(t), t.trace, _fans(t), s, names, t.first
-        ),
-        "residuals": lambda t, s, names: posteriors.draw_residuals(
-            _title(t, ": residuals"), t, s, names
-        ),
-        "marginals": lambda t, _, names: posteriors.draw_marginals(
-            _title(t, ": priors and posteriors"), t.marginals, names
-        ),
-        "corner": lambda t, _, names: posteriors.draw_corner(
-            _title(t, ": joint posterior"), t.marginals, t.corner, names
-        ),
-        "ranks": lambda t, _, names: posteriors.draw_ranks(
-            _title(t, ": ranks of each chain"), t.marginals, t.chains, names
-        ),
-    }
-)
-"""Figures of a test by the names of their files; one with nothing to show is None."""
 
 
 @look.style()
