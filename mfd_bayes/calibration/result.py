@@ -19,7 +19,7 @@ from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
-from mfd_bayes.records.regular import hash_file
+from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import CalibratedTest, StoredTest, load_test, save_test

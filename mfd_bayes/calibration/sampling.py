@@ -30,7 +30,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Mixture, Proposal, around_modes, learn
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
-from mfd_bayes.records.numbers import whole_number
+from mfd_bayes.records.inputs import whole_number
 from mfd_bayes.store.cards import counted, grid
 
 Array = NDArray[np.float64]

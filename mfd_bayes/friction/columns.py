@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.inputs import real_numbers
 
 Array = NDArray[np.float64]
 

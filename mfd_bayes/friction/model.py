@@ -19,7 +19,7 @@ from mfd_bayes.axes import DAMPER, Axes, axis_of, in_place_of
 from mfd_bayes.errors import FitError, MfdError, UnitError
 from mfd_bayes.friction.columns import columns_in_order, named_vectors
 from mfd_bayes.friction.quantity import LAW_NAMES, LIMITS, Parameter, Quantity
-from mfd_bayes.records.numbers import real_number, real_numbers
+from mfd_bayes.records.inputs import real_number, real_numbers
 from mfd_bayes.records.trace import Trace, check_trace, vertex_of_turn, vertices
 from mfd_bayes.units import convert
 

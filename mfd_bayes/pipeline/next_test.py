@@ -16,7 +16,7 @@ from mfd_bayes.evaluation.next_test import (
 )
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.planning.study import Advice
-from mfd_bayes.records.regular import why_no_file
+from mfd_bayes.records.inputs import why_no_file
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.lock import alone_in
 from mfd_bayes.runs.manifest import unchanged

@@ -23,9 +23,9 @@ from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.findings import faults_of, findings_of, findings_together, gap_of, tested_of
 from mfd_bayes.population.design import Design, design_of
+from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
-from mfd_bayes.records.regular import hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import check_symbols
 from mfd_bayes.runs.manifest import (

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.candidate import Candidate, Parts, parse_tests
 from mfd_bayes.population.laws import default_laws
-from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.inputs import real_number
 from mfd_bayes.units import ActuationUnit
 
 # quantities at stated motions and actuations, and what they are

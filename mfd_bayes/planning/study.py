@@ -27,7 +27,7 @@ from mfd_bayes.planning.simulation import Devices, Loop
 from mfd_bayes.population.discrepancy import slip_force_of
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import setting_of
-from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
+from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 
 Array = NDArray[np.float64]
 

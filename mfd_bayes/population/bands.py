@@ -20,7 +20,7 @@ from mfd_bayes.population.discrepancy import slip_force_of
 from mfd_bayes.population.population import Particles, Parts, Population
 from mfd_bayes.population.settings import KIND_NAMES, KINDS, Setting, setting_of
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.numbers import MOST_DRAWS, real_number, whole_number
+from mfd_bayes.records.inputs import MOST_DRAWS, real_number, whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent

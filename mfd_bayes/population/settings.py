@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]

@@ -32,9 +32,8 @@ from mfd_bayes.records.channels import (
     sources_of,
     used_columns,
 )
-from mfd_bayes.records.numbers import real_number
+from mfd_bayes.records.inputs import hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.regular import hash_file, path_of
 from mfd_bayes.records.trace import Array, Trace, check_trace, mended, smallest_turn, turning_points
 from mfd_bayes.units import ActuationUnit, parse_actuation
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from mfd_bayes.errors import MfdError, RecordError
-from mfd_bayes.records.numbers import real_number, real_numbers
+from mfd_bayes.records.inputs import real_number, real_numbers
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.records.numbers import real_numbers
+from mfd_bayes.records.inputs import real_numbers
 from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.run import Run
 

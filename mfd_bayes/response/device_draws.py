@@ -15,7 +15,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.population.population import Numbers, Population
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
+from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.response.building import Building
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from typing import Any
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.jobs.job import State
-from mfd_bayes.records.regular import hash_file
+from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.runs.lock import OWNER
 from mfd_bayes.runs.manifest import COMPARISON, Manifest, Status, read_begun
 from mfd_bayes.runs.paths import (

@@ -13,7 +13,7 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.population.bands import FEWEST, Band, Forecast
 from mfd_bayes.population.given import Conditioned
 from mfd_bayes.population.settings import THIS_TEST
-from mfd_bayes.records.numbers import MOST_DRAWS, whole_number
+from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.run import Run
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.records.numbers import real_number, whole_number
-from mfd_bayes.records.regular import path_of
+from mfd_bayes.records.inputs import path_of, real_number, whole_number
 from mfd_bayes.response.analysis import Analysis
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers

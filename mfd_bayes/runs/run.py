@@ -25,7 +25,7 @@ from mfd_bayes.population.given import Forecaster, predict_given
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.regular import path_of, why_no_file
+from mfd_bayes.records.inputs import path_of, why_no_file
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import check_links, check_stored
 from mfd_bayes.runs.manifest import Manifest, read_manifest, unchanged

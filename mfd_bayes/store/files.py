@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.records.numbers import why_invalid
-from mfd_bayes.records.regular import why_no_file
+from mfd_bayes.records.inputs import why_invalid, why_no_file
 
 PART = ".part"
 _LARGEST_JSON = 64 * 2**20

@@ -7,8 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.records.numbers import why_invalid
-from mfd_bayes.records.regular import why_no_file
+from mfd_bayes.records.inputs import why_invalid, why_no_file
 
 LARGEST = 2**20  # largest file, bytes: ten times a campaign of 500 tests
 DOTS = 200  # most dots of a line: parsing takes the square of the number of a key's parts
