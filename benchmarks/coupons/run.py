@@ -1,11 +1,12 @@
 """Steel coupons by a model in a user's own file: time, left-out coupons, and quoFEM's statistics.
 
-    python -m benchmarks.coupons.run FOLDER [--jobs N]
+    python -m benchmarks.coupons.run FOLDER [--jobs N] [--folds N] [--effort quick]
 
-lays examples/coupons and the records (MFD_BAYES_DATA/coupons) into FOLDER, runs the one command of
-the example there, then `crossvalidate`, and prints how each coupon is predicted from the others,
-beside one least-squares vector of all others and one of the others of its mill. Then it compares
-the population with that of quoFEM's example 28. A second run goes on. coupons.txt: what it prints.
+lays examples/coupons and the records (MFD_BAYES_DATA/coupons) into FOLDER and runs the one command
+of the example there. Then every coupon is predicted from others, a fold of one coupon of each bar
+left out at a time (--folds 0: one coupon at a time), beside one least-squares vector of these
+others and one of those of its mill. Last, the population beside that of quoFEM's example 28. A
+second run goes on. coupons.txt: what it printed.
 """
 
 import argparse
@@ -14,13 +15,16 @@ import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
 import mfd_bayes as mb
-from benchmarks.common.data import PROJECT, data_folder
+from benchmarks.common import PROJECT, data_folder
+from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 
 LIMITS = {"95": (92.0, 97.0), "50": (42.0, 58.0)}  # %
 QUOFEM = {
@@ -67,21 +71,51 @@ def fit(model: mb.Model, traces: list[mb.Trace]) -> np.ndarray:
     return values(best.x)
 
 
-def errors(run: mb.Run, same: slice) -> dict[str, float]:
-    """Mean absolute error for each coupon of the fit to others that share part of its name."""
-    traces = {name: test.trace for name, test in run.tests.items()}
-    result = {}
-    for name, trace in traces.items():
-        others = [t for n, t in traces.items() if n != name and n[same] == name[same]]
-        predicted = run.model.force(fit(run.model, others)[None], trace)[0]
-        result[name] = float(np.mean(np.abs(predicted - np.asarray(trace.force))))
-    return result
+def errors(run: mb.Run, folds: list[Fold], same: slice) -> dict[str, float]:
+    """Mean absolute error for each coupon of the fit to kept ones that share part of its name."""
+    traces, found = {name: test.trace for name, test in run.tests.items()}, {}
+    for fold in folds:
+        for kind in {name[same] for name in fold.left_out}:
+            best = fit(run.model, [traces[n] for n in fold.kept if n[same] == kind])
+            for name in (n for n in fold.left_out if n[same] == kind):
+                force = run.model.force(best[None], traces[name])[0]
+                found[name] = float(np.mean(np.abs(force - np.asarray(traces[name].force))))
+    return found
+
+
+def folds_of(run: mb.Run, number: int, effort: str) -> list[Fold]:
+    """Folds with one coupon of each bar each, as far as they go."""
+    names = list(run.tests)
+    place = {n: [m for m in names if m[:2] == n[:2]].index(n) for n in names}
+    groups = [[n for n in names if place[n] % number == k] for k in range(number)]
+    return [
+        Fold(
+            part=f"{k}",
+            file=f"fold_{number}_{k}.json",
+            left_out=tuple(group),
+            kept=tuple(n for n in names if n not in group),
+            effort=effort,
+            seed=1,
+        )
+        for k, group in enumerate(groups if number else [[n] for n in names], 1)
+    ]
+
+
+def predict(out: Path, fold: Fold) -> None:
+    """Store the scores of a fold, unless they are there."""
+    if not fold.stored(out):
+        began = time.process_time()
+        outcome = fold.run(out, lambda _: None)
+        used = time.process_time() - began
+        print(f"fold {fold.part}: {used:.0f} processor s {outcome.error}", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument("--effort", default="standard")
     arguments = parser.parse_args()
     folder, jobs = arguments.folder, ("--jobs", arguments.jobs)
     shutil.copytree(PROJECT / "examples" / "coupons", folder, dirs_exist_ok=True)
@@ -90,29 +124,29 @@ def main() -> None:
     if not (out / "report.html").is_file():
         began = time.perf_counter()
         used = run_command("calibrate", campaign, "-o", out, "--resume", *jobs)
-        wall = time.perf_counter() - began
-        print(f"calibrate: {wall:.0f} s, {used:.0f} s of processors, {used / 2:.0f} s on two")
-    if mb.open_run(out).manifest.crossvalidation is None:
-        run_command("crossvalidate", campaign, "-o", out, "--by", "test", "--resume", *jobs)
+        wall, load = time.perf_counter() - began, os.getloadavg()[0]
+        print(f"calibrate: {wall:.0f} s at a load of {load:.1f}; {used:.0f} s of processors")
     run = mb.open_run(out)
+    found = run.population.convergence
+    print(f"population: R-hat {found.worst_r_hat:.4f}, ESS {found.worst_ess:.0f}")
     facts = [test.stored.facts["convergence"] for test in run.tests.values()]
     figures = np.array([three for each in facts for three in each.values()])
-    print(f"R-hat <= {figures[:, 0].max():.4f}, ESS >= {figures[:, 1:].min():.0f}\n")
+    print(f"coupons alone: R-hat <= {figures[:, 0].max():.4f}, ESS >= {figures[:, 1:].min():.0f}\n")
 
-    scores = {p.test: p.score for p in run.manifest.crossvalidation.predictions}
-    every, mill = errors(run, slice(0, 0)), errors(run, slice(0, 1))
+    folds = folds_of(run, arguments.folds, arguments.effort)
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        list(pool.map(partial(predict, out), folds))
+    scores = {p.test: p.score for p in read_predictions(out, folds)}
+    every, mill = errors(run, folds, slice(0, 0)), errors(run, folds, slice(0, 1))
     print("coupon   covers 50 %   95 %   width   CRPS, MPa   one vector   its mill's")
     for name, s in scores.items():
         print(f"{name:6} {100 * s.coverage[0]:12.1f} {100 * s.coverage[-1]:6.1f} {s.width:7.0f} "
               f"{s.crps:11.1f} {every[name]:12.1f} {mill[name]:12.1f}")  # fmt: skip
     half, _, most = 100.0 * np.mean([s.coverage for s in scores.values()], axis=0)
-    mean = [
-        np.mean([s.crps for s in scores.values()]),
-        *(np.mean([*e.values()]) for e in (every, mill)),
-    ]
-    print(
-        f"mean   {half:12.1f} {most:6.1f} {'':7} {mean[0]:11.1f} {mean[1]:12.1f} {mean[2]:12.1f}\n"
-    )
+    ours = [s.crps for s in scores.values()]
+    mean = [float(np.mean(e)) for e in (ours, [*every.values()], [*mill.values()])]
+    print(f"mean   {half:12.1f} {most:6.1f} {'':7} {mean[0]:11.1f} {mean[1]:12.1f} {mean[2]:12.1f}")
+    print()
 
     print("between coupons     ours, mean and sd       quoFEM, mean and sd    moved by, prior sds")
     draws = {name: [np.median(t.draws[name]) for t in run.tests.values()] for name in QUOFEM}

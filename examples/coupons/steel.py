@@ -32,22 +32,23 @@ class Steel(mb.Model):
         steps = np.sign(np.diff(strain))
         moving = np.flatnonzero(steps)  # equal samples keep their direction
         turns = moving[:-1][np.diff(steps[moving]) != 0] + 1
-        bounds = [moving[0], *(steps[:t].nonzero()[0][-1] + 1 for t in turns), strain.size - 1]
+        bounds = np.array([moving[0], *turns, strain.size - 1])
+        # of every branch at once, (n, branches)
+        begun, up = strain[bounds[:-1]], np.sign(np.diff(strain[bounds]))
+        highest = np.maximum(ey, np.maximum.accumulate(begun))
+        lowest = np.minimum(-ey, np.minimum.accumulate(begun))
+        shift = 1.0 + np.where(up > 0, a3, a1) * ((highest - lowest) / (2.0 * ey)) ** 0.8
+        shift[:, 0] = 1.0
+        yields, plastic = up * shift * (fy - Eh * ey), np.where(up > 0, highest, lowest)
         stress = np.zeros((len(theta), strain.size))
-        highest, lowest = ey, -ey
-        for begin, end in pairwise(bounds):
-            up = np.sign(strain[end] - strain[begin])
-            start, base = strain[begin], stress[:, begin : begin + 1]
-            highest, lowest = np.maximum(highest, start), np.minimum(lowest, start)
-            a, plastic = (a3, highest) if up > 0 else (a1, lowest)
-            first = begin == bounds[0]
-            shift = 1.0 if first else 1.0 + a * ((highest - lowest) / (2.0 * ey)) ** 0.8
-            knee = (up * shift * (fy - Eh * ey) - base + E * start) / (E - Eh)
-            asymptote = up * shift * (fy - Eh * ey) + Eh * knee
-            xi = np.abs(plastic - knee) / ey
+        for k, (begin, end) in enumerate(pairwise(bounds.tolist())):
+            start, base, at = begun[k], stress[:, [begin]], yields[:, [k]]
+            knee = (at - base + E * start) / (E - Eh)
+            xi = np.abs(plastic[:, [k]] - knee) / ey
             R = R0 * (1.0 - cR1 * xi / (cR2 + xi))
             x = (strain[begin + 1 : end + 1] - start) / (knee - start)
             with np.errstate(divide="ignore"):
                 curve = x * np.exp(-np.log1p(np.exp(R * np.log(np.abs(x)))) / R)
-            stress[:, begin + 1 : end + 1] = base + (b * x + (1.0 - b) * curve) * (asymptote - base)
+            rise = (b * x + (1.0 - b) * curve) * (at + Eh * knee - base)
+            stress[:, begin + 1 : end + 1] = base + rise
         return stress

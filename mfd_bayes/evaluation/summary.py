@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -266,7 +266,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     drawn = posterior.draw_prior(np.random.default_rng(0), 2000)
     theta = posterior.theta(drawn)
     prior = drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
-    rows = _parameters(test, values, prior)
+    rows = _parameters(test, values, prior, facts["convergence"])
     densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
     identifiability = identify(posterior, draws, prior, *densities)
@@ -350,7 +350,12 @@ def _score(name: str, role: str, trace: Trace, draws: Array, first: int) -> Row:
     return {"test": name, "role": role} | score_record(scores)
 
 
-def _parameters(test: TestResult, values: Mapping[str, Array], prior: Mapping[str, Array]) -> Rows:
+def _parameters(
+    test: TestResult,
+    values: Mapping[str, Array],
+    prior: Mapping[str, Array],
+    convergence: Mapping[str, Sequence[float | None]],
+) -> Rows:
     """Table I of one test: every parameter with its uncertainty and convergence."""
     rows, kinds = [], units(test.posterior.model)
     for name, draws in values.items():
@@ -359,7 +364,7 @@ def _parameters(test: TestResult, values: Mapping[str, Array], prior: Mapping[st
             before, after = log_if_positive(prior[name], draws)
             shrunk = float(contraction(np.array([before.std()]), after[:, None])[0])
         note = checks.SCALE_NOTE if scale_only else ""
-        r_hat, bulk, tail = test.stored.facts["convergence"].get(name, (np.nan, np.nan, np.nan))
+        r_hat, bulk, tail = convergence.get(name, (np.nan, np.nan, np.nan))
         rows.append(
             {"test": test.id, "name": name, "unit": kinds[name]}
             | spread_of(draws)

@@ -270,3 +270,12 @@ def test_a_model_that_needs_time_refuses_a_trace_without(tmp_path):
 
     with pytest.raises(mb.MfdError, match="steel needs the time"):
         find_model("steel.py:Steel", tmp_path).force([[200.0, 400.0]], trace)
+
+
+def test_a_record_is_accepted_by_the_quantities_that_it_has(finished):
+    folder, _ = finished
+    ended = said("accept", folder / "out", folder / "bar4.csv", "-o", folder / "qc")
+    names = pd.read_csv(folder / "qc" / "acceptance.csv", comment="#")["name"].tolist()
+    assert "peak_fwd" in names
+    assert not [name for name in names if name.startswith(("slip", "gap", "build_up"))]
+    assert not re.search(NOT_ITS_WORDS, ended.replace("steel.py", ""))
