@@ -18,7 +18,13 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.modes import Mode, climb, distinct, find_modes, prior_scale
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.proposal import Adaptive, Proposal, around_modes, fit_mixture
+from mfd_bayes.calibration.proposal import (
+    Adaptive,
+    Proposal,
+    WeightedDraws,
+    around_modes,
+    fit_mixture,
+)
 from mfd_bayes.errors import FitError, MfdError
 
 if TYPE_CHECKING:
@@ -31,6 +37,7 @@ HALF = 0.5  # share of its 95 % interval by which a quantity may move
 QUANTILES = (0.025, 0.5, 0.975)
 FORMAL = frozenset({"gamma1", "gamma2", "start"})  # quantities that say nothing about the damper
 DRAWS, ROUNDS = 1000, 12  # draws of each proposal; most proposals before walkers are sent
+FRESH = 2000  # draws of the last of several proposals, which are kept
 LARGEST_K, ENOUGH = 0.7, 200.0  # Pareto k, effective draws, from which weights are trusted
 STARTS = 3  # draws of the first fit from which modes are climbed to
 SEARCHED = 6  # points from which modes are searched before walkers are sent
@@ -131,9 +138,13 @@ def fit_again(
     fit = Adaptive(posterior.log_prob, first, rng, DRAWS)
     for rounds in range(1, ROUNDS + 1):
         fit.run()
-        if fit.k <= LARGEST_K and fit.size >= ENOUGH:
-            how = AT_ONCE if rounds == 1 else BY_WEIGHTS
-            return SecondFit(fit.q, fit.weights, how, fit.k, fit.size)
+        if not (fit.k <= LARGEST_K and fit.size >= ENOUGH):
+            continue
+        if rounds == 1:
+            return SecondFit(fit.q, fit.weights, AT_ONCE, fit.k, fit.size)
+        fresh = WeightedDraws.of(posterior.log_prob, fit.proposals[-1], rng, FRESH)
+        if fresh.k <= LARGEST_K and fresh.size >= ENOUGH:
+            return SecondFit(fresh.q, fresh.weights, BY_WEIGHTS, fresh.k, fresh.size)
     from mfd_bayes.calibration.sampling import sample_density  # emcee takes long to import
 
     modes = distinct([*near, *find_modes(posterior, rng, starts=SEARCHED)])

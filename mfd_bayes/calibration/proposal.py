@@ -220,12 +220,39 @@ def around_modes(modes: Sequence[Mode], power: float = 1.0) -> Mixture:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class WeightedDraws:
+    """Draws of a proposal that was fixed before, with importance weights."""
+
+    q: Array  # (n, dim)
+    weights: Array  # (n,), Pareto-smoothed, which sum to 1
+    k: float  # Pareto k of the weights
+
+    @property
+    def size(self) -> float:
+        """Effective number of draws."""
+        return float(1.0 / np.sum(self.weights**2))
+
+    @classmethod
+    def of(
+        cls, density: Density, proposal: Mixture | Proposal, rng: np.random.Generator, n: int
+    ) -> WeightedDraws:
+        """Fresh draws of the proposal, weighted to the density."""
+        q = proposal.draw(rng, n)
+        ratios = density(q) - proposal.log_density(q)
+        if not np.any(np.isfinite(ratios)):
+            raise FitError("no density around the modes")
+        smooth, k = psis(ratios)
+        return cls(q, special.softmax(smooth), k)
+
+
 class Adaptive:
-    """Weighted draws of a density from proposals, each fitted to the draws of those before it.
+    """Proposals for a density, each fitted to the weighted draws of those before it.
 
     Adaptive multiple importance sampling (Cornuet, Marin, Mira and Robert, 2012): each draw is
     weighted by the density over the mean of all proposals. The next proposal is fitted with
-    tempered weights (Koblents and Míguez, 2015), so that few draws do not decide it.
+    tempered weights (Koblents and Míguez, 2015), so that few draws do not decide it. Draws that
+    decided a proposal are biased under it: estimate from fresh draws of the last, `WeightedDraws`.
     """
 
     def __init__(

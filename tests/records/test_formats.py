@@ -354,7 +354,7 @@ JSONS = {
     "true": ('{"a": [1, true]}', "a", ["sample 2"]),
     "NaN": ('{"a": [1, NaN]}', "a", ["sample 2"]),
     "too large": ('{"a": [1, 1' + "0" * 400 + "]}", "a", ["sample 2"]),
-    "other rows": ('{"a": {"0": 1}, "b": {"1": 1}}', "ab", ["row labels"]),
+    "other rows": ('{"a": {"0": 1}, "b": {"1": 1}}', "ab", ["'b'"]),
     "other lengths": ('{"a": [1, 2], "b": [1]}', "ab", ["a 2, b 1"]),
 }
 ENTRIES = [(n, ".csv", *case) for n, case in TEXTS.items()]

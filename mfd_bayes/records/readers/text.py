@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,6 @@ from mfd_bayes.records.readers.table import (
     SEARCHED,
     SURELY_DECIMAL,
     Array,
-    Column,
     Grid,
     Layout,
     Row,
@@ -273,23 +273,21 @@ def read_json(path: Path) -> Table:
         given = {}
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
-    rows = {n: frozenset(column) for n, column in columns.items() if isinstance(column, dict)}
-
-    def align(used: Mapping[str, Column]) -> Mapping[str, Column]:
-        if len({rows[name] for name in used if name in rows}) > 1:  # labels, as pandas writes them
-            raise RecordError(f"columns of {path} have different lengths or row labels")
-        return used
-
-    for name, column in columns.items():
-        if isinstance(column, dict):
-            numbers = [str(i) for i in range(len(column))]
-            columns[name] = [
-                column[k] for k in (numbers if set(numbers) == set(column) else column)
-            ]
+    # Columns as pandas writes them have the same row labels; another object is no column.
+    labelled = [column for column in columns.values() if isinstance(column, dict)]
+    rows = Counter(map(frozenset, labelled)).most_common(1)[0][0] if labelled else frozenset()
+    keys = next((list(column) for column in labelled if column.keys() == rows), [])
+    if rows == {str(i) for i in range(len(rows))}:
+        keys = [str(i) for i in range(len(rows))]
+    columns = {
+        name: [column[key] for key in keys] if isinstance(column, dict) else column
+        for name, column in columns.items()
+        if not isinstance(column, dict) or column.keys() == rows
+    }
     units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
     units |= {name: "s" for name, cells in columns.items() if cells and is_stamp(cells[0])}
     settings = tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str))
-    return Table(path, columns, units=units, headed=headed, head=settings, align=align)
+    return Table(path, columns, units=units, headed=headed, head=settings)
 
 
 def _of_rows(path: Path, rows: list[Any], names: Sequence[str] | None = None) -> dict[str, Any]:
