@@ -21,7 +21,7 @@ from mfd_bayes.errors import MfdError
 from mfd_bayes.response.ground import example_ground, read_ground
 from tests.run_folders import FORCE, MOTION, PRIORS, RECORD, TIME
 
-INPUTS = int(os.environ.get("MFD_BAYES_FUZZ", "400"))  # these are the same each time
+INPUTS = int(os.environ.get("MFD_BAYES_FUZZ", "200"))  # these are the same each time
 EVERY = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
 SECONDS, MEMORY = 20, 2**30  # of processor time and bytes, that a file may take
 COLUMNS = {"time_s": TIME, "displacement_in": MOTION, "force_kip": FORCE}

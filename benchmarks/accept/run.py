@@ -32,7 +32,6 @@ from mfd_bayes.evaluation.acceptance import (
     expect,
     false_discovery,
     judge,
-    surprises,
     trace_of,
 )
 from mfd_bayes.evaluation.drift import drift_row
@@ -92,7 +91,7 @@ def good(folder: Path) -> None:
         pd.DataFrame(np.transpose([time_s, x, force]), columns=columns).to_csv(path, index=False)
         record = mb.read_record(path, actuation="1 ksi")
         expected = expect(run, trace_of(run, record), "", draws=4000)
-        pool.append((run, record, expected.widened(surprises(run))))
+        pool.append((run, record, expected))
 
     def judged(number: int, fault: dict[str, float]) -> list[Acceptance]:
         devices = []

@@ -109,7 +109,7 @@ class Posterior:
         own = priors_of_fit(file, chosen, kind, sampled_start=start == "sample")
         names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
         first = first_slip(trace, file, chosen) if start == "mask" else 0
-        pivots = _pivots(trace, names, own)
+        pivots = () if chosen.own else _pivots(trace, names, own)
         vars(self).update(
             trace=trace,
             model=chosen,
@@ -302,7 +302,7 @@ def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -
 
 def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
     """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
-    gap = file.gap
+    gap = None if model.own and not model.has_gap else file.gap
     if gap is None and not model.has_gap:
         return 0
     if gap is None:

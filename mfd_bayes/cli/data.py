@@ -27,6 +27,9 @@ def init(
     building: Annotated[
         bool, Option("--building", help="Write building.toml and ground.AT2 instead.")
     ] = False,
+    model: Annotated[
+        str, Option("--model", help="Your own model, FILE.py:CLASS, in that folder; it is run.")
+    ] = "",
 ) -> None:
     """Write a first campaign.toml for a folder of test files, or a first building.toml.
 
@@ -41,6 +44,7 @@ def init(
       mfd-bayes init tests
       mfd-bayes init tests/campaign.toml --force
       mfd-bayes init --building
+      mfd-bayes init coupons --model steel.py:Steel
     """
     with mistakes():
         from mfd_bayes.campaign import draft as drafts
@@ -50,6 +54,14 @@ def init(
             target = pipeline.init_building(folder, force=force)
             say(f"{target} and an artificial ground.AT2 written: change what is in them")
             say("look next: mfd-bayes respond --help")
+            return
+        if model:
+            written, tests, gaps, others = pipeline.init_own(folder, model, force=force)
+            for name, reason in others:
+                say(f"left out: {name}: {reason}")
+            for gap in gaps:
+                say(f"FIXME: {gap}")
+            say(f"{written} written: tests {tests}; and priors.toml, whose sizes are guesses")
             return
         if folder.suffix == ".toml":
             written, named = pipeline.init_priors(folder, force=force)

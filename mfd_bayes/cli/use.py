@@ -234,8 +234,8 @@ def accept(
     records: Annotated[
         list[Path], typer.Argument(parser=options.path, help="Records of the devices.")
     ],
-    actuation: Annotated[str, Option(help='Of the records, such as "1000 psi".')],
     folder: options.Folder,
+    actuation: Annotated[str, Option(help='Of the records, such as "1000 psi".')] = "",
     device: Annotated[
         list[str] | None,
         Option(metavar='"no. 17"', help="The device of all records; or repeat it for each."),
@@ -249,6 +249,11 @@ def accept(
         ),
     ] = None,
     session: Annotated[str, Option(help="The session in which the records were made.")] = "",
+    date: Annotated[str, Option(help="The day of the records, as 2024-03-05.")] = "",
+    cycles: Annotated[
+        float | None, Option(min=0, help="Cycles that the device had made before.")
+    ] = None,
+    temperature: Annotated[str, Option(help='Of the device, such as "20 °C".')] = "",
     draws: Annotated[int, Option(min=200, max=10000)] = 1000,
     seed: options.Seed = 0,
     force: options.Replace = False,

@@ -20,7 +20,7 @@ def watch(
     run: Annotated[
         Path, Option("--run", metavar="OUT", parser=options.path, help="The run of this device.")
     ],
-    actuation: Annotated[str, Option(help='Such as "1000 psi".')],
+    actuation: Annotated[str, Option(help='Such as "1000 psi".')] = "",
     session: Annotated[str, Option(help="Of the test, where the campaign has sessions.")] = "",
     narrowing: Annotated[
         str, Option(metavar='"2 %"', help="Enough where one more cycle narrows no interval so far.")

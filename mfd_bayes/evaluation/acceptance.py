@@ -4,8 +4,10 @@ A quantity q of the loop (slip force, energy, gap, …) of a record is
 
     ln q = ln (nominal value at this motion and actuation) + device + test
 
-The nominal value and the scatter of tests have draws of the population. The posterior of the
-device's level under a flat prior is the measured value over these draws. Against limits there are
+The nominal value and the scatter of tests have draws of the population: a new record has the
+posterior predictive distribution, in which the variance of tests, known from few of them, is
+integrated out. The posterior of the device's level under a flat prior is the measured value over
+these draws. Against limits there are
 two one-sided tests (Schuirmann, 1987): a device is accepted where the interval of its level lies
 within the limits. A difference is one that the scatter of tests does not explain; its p-value is
 adjusted over the quantities by the distribution of the largest one (Westfall and Young, 1993), and
@@ -23,17 +25,19 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import special
 
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.properties import (
     NO_FACTOR,
     Peaks,
-    measured_of,
+    kept,
     measured_properties,
     peaks_of,
     properties_of,
 )
 from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.population.bands import Band
+from mfd_bayes.population.settings import CONDITIONS
 from mfd_bayes.records.loops import UNITS, MeasuredCycles, measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
@@ -45,8 +49,6 @@ Row = dict[str, Any]
 
 ALPHA = 0.05  # stated rate of false alarms, and of each of the two one-sided tests
 DRAWS = 1000
-FEW, MOST = 200, 16  # draws of each calibrated test, and most tests, whose scatter is looked at
-FREEDOM = 4  # tests that the expected scatter is worth beside what the calibrated tests show
 RESOLVED = ("build_up_slope", "gap")  # read off a line through few samples: depends on their rate
 DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
 """Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
@@ -91,30 +93,6 @@ class Expected:
     among: Mapping[str, Array]
     fan: Fan
     remarks: tuple[str, ...]
-
-    def widened(self, surprises: Mapping[str, Array]) -> Expected:
-        """As the calibrated tests show it: where they lie, and how far they scatter about it.
-
-        Mean and variance of their standardised values are estimated with a prior of 0 and 1 that
-        is worth `FREEDOM` tests. How well the scatter is known is in the draws already.
-        """
-        scale, shift = {}, {}
-        for name in self.device:
-            u = surprises.get(name, np.empty(0))
-            shift[name] = float(u.sum()) / (FREEDOM + u.size)
-            squares = FREEDOM + float(np.sum((u - shift[name]) ** 2))
-            scale[name] = np.sqrt(squares / (FREEDOM + u.size))
-
-        def wider(draws: Mapping[str, Array]) -> dict[str, Array]:
-            found = {}
-            for name, value in draws.items():
-                log, sd = np.log(value), np.nanstd(np.log(self.device[name]))
-                middle = np.nanmean(log)
-                off = scale[name] * (log - middle)
-                found[name] = np.exp(middle + shift[name] * sd + off)
-            return found
-
-        return replace(self, device=wider(self.device), among=wider(self.among))
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +157,7 @@ def accept(
     device: str | Sequence[str] = "",
     limits: Mapping[str, float] | None = None,
     session: str = "",
+    conditions: Mapping[str, float] | None = None,
     draws: int = DRAWS,
     seed: int = 0,
 ) -> tuple[Acceptance, ...]:
@@ -197,6 +176,9 @@ def accept(
         default those of the campaign, else 15 % of all.
     session : str, optional
         Session in which the records were made.
+    conditions : mapping of str to float, optional
+        "date" in decimal years, "cycles", "temperature" in °C of the records: needed where a
+        quantity of the run follows them.
     draws : int
     seed : int
 
@@ -204,7 +186,7 @@ def accept(
     ------
     MfdError
         When a record has no force or no actuation, or lies far outside of what was tested, or a
-        limit is unknown.
+        limit is unknown; when a date, a count or a temperature is needed and missing.
     """
     records = [records] if isinstance(records, Record) else list(records)
     if not records:
@@ -219,17 +201,22 @@ def accept(
             f"and {len(names)} devices"
         )
     allowed = complete_limits(limits or run.manifest.settings.limits or DEFAULT_LIMITS)
-    groups, sizes = dict[str, list[Comparison]](), surprises(run)
+    for quantity, those in run.population.design.dependence.items():
+        for name in {*those} & {*CONDITIONS} - {*(conditions or {})}:
+            raise CampaignError(
+                f"{quantity} of this run follows the {name}: say the {name} of the records"
+            )
+    place: dict[str, Any] = {"session": session, "conditions": conditions}
+    groups: dict[str, list[Comparison]] = {}
     for name, record in zip(names, records, strict=True):
         trace = trace_of(run, record)
-        expected = expect(run, trace, name, session=session, draws=draws, seed=seed)
-        expected = expected.widened(sizes)
+        expected = expect(run, trace, name, place, draws=draws, seed=seed)
         groups.setdefault(name, []).append(compare_record(record, trace, expected))
     independent = not any(run.manifest.settings.sessions.values())
     levels = [Level.of(group, independent=independent) for group in groups.values()]
     batch = false_discovery([level.p_value for level in levels])
     return tuple(
-        judge(name, tuple(group), level, p, allowed)
+        judge(name, tuple(group), level, p, allowed, run.system.axes)
         for (name, group), level, p in zip(groups.items(), levels, batch, strict=True)
     )
 
@@ -258,29 +245,6 @@ def trace_of(run: Run, record: Record) -> Trace:
     return trace
 
 
-def surprises(run: Run) -> dict[str, Array]:
-    """By how much calibrated tests lie off what is expected of such tests, (J,) by quantity.
-
-    In standard deviations of the logarithm. Laws and scatter were learned from these very tests;
-    but quantities that are the same in all tests of the model may differ in truth.
-    """
-    names = list(run.tests)
-    names = [names[i] for i in np.unique(np.linspace(0, len(names) - 1, MOST).astype(np.intp))]
-    found: dict[str, list[float]] = {name: [] for name in QUANTITIES}
-    for name in names:
-        trace, place = run.tests[name].trace, run.place(name)
-        motion, how = replace(trace, force=None), {**place, "draws": FEW}
-        seen = run.predict(motion, "observation", **how)
-        expected = _tests(motion, seen, run.predict(motion, "new_test", **how), peaks_of(run))
-        measured = _measured(measured_of(run.manifest, name), trace, seen.median)
-        for quantity, draws in expected.items():
-            logs = np.log(draws[np.isfinite(draws)])
-            if logs.size > FEW // 2 and measured[quantity] > 0.0:
-                off = np.log(measured[quantity]) - logs.mean()
-                found[quantity].append(float(off / max(logs.std(), 1e-9)))
-    return {quantity: np.array(values) for quantity, values in found.items()}
-
-
 def _tests(trace: Trace, seen: Band, test: Band, peaks: Peaks) -> dict[str, Array]:
     """Draws of the quantities of a measurement; `test` is the same without noise and offset."""
     values = _quantities(trace, seen, test, peaks)
@@ -288,13 +252,22 @@ def _tests(trace: Trace, seen: Band, test: Band, peaks: Peaks) -> dict[str, Arra
 
 
 def expect(
-    run: Run, trace: Trace, device: str, *, session: str = "", draws: int = DRAWS, seed: int = 0
+    run: Run,
+    trace: Trace,
+    device: str,
+    place: Mapping[str, Any] | None = None,
+    *,
+    draws: int = DRAWS,
+    seed: int = 0,
 ) -> Expected:
-    """What the population expects of a record of a device under a motion and an actuation."""
+    """What the population expects of a record of a device under a motion and an actuation.
+
+    `place` has the session and the conditions of the record.
+    """
     motion, peaks = replace(trace, force=None), peaks_of(run)
 
     def predict(kind: str, of: str) -> Band:
-        how: dict[str, Any] = {"session": session, "device": of, "draws": draws, "seed": seed}
+        how = {**(place or {}), "device": of, "draws": draws, "seed": seed}
         return run.predict(motion, kind, 1.0 - ALPHA, **how)
 
     def nominal_of(of: str) -> dict[str, Array]:
@@ -311,6 +284,7 @@ def expect(
         own = _tests(motion, predict("observation", one), predict("new_test", one), peaks)
         own = {n: v * nominal[n] / itself[n] if n in nominal else v for n, v in own.items()}
     band = Interval(1.0 - ALPHA, seen.lower, seen.upper)
+    nominal, own, among = (kept(values, run.system.axes) for values in (nominal, own, among))
     return Expected(nominal, own, among, Fan("observation", seen.median, (band,)), seen.remarks)
 
 
@@ -322,8 +296,9 @@ def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparis
     shown = {
         name: measured[name]
         for name in QUANTITIES
-        if np.isfinite(measured.get(name, np.nan))
-        and np.isfinite(expected.device[name]).mean() > 0.5
+        if name in expected.device
+        and np.isfinite(measured.get(name, np.nan))
+        and np.isfinite(expected.device[name]).mean() >= 1.0 - ALPHA  # else it may be zero
     }
     if wrong := [name for name, value in shown.items() if not value > 0.0]:
         words = " ".join(QUANTITIES[wrong[0]][1:3]).strip()
@@ -447,6 +422,7 @@ def judge(
     level: Level,
     p_batch: float,
     limits: Mapping[str, float],
+    axes: Axes = DAMPER,
 ) -> Acceptance:
     """Verdict of a device: two one-sided tests against limits, and what tests scatter."""
     rows: dict[str, Row] = {}
@@ -457,7 +433,7 @@ def judge(
         nominal = float(np.exp(np.median(level.device[:, k])))
         low, middle, high = np.expm1(np.quantile(effect, [ALPHA, 0.5, 1.0 - ALPHA]))
         row: Row = {
-            "quantity": words,
+            "quantity": axes.text(words),
             "direction": direction,
             "unit": unit,
             "measured": float(np.exp(level.measured[k])),
@@ -542,7 +518,8 @@ def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:
         about = f" It differs from the others, most in {words(row)}{much}."
     worst = min(limited.values(), key=lambda row: row["power"])
     return (
-        f"{first}{about} Power: a deviation of the size of its limit would be found with a "
-        f"probability of {worst['power']:.2f} in {words(worst)}, and of more in all others; there "
-        f"{worst['detectable']:.0f} % would be found with 0.80."
+        f"{first}{about} Power: if the {words(worst)} were off by its limit of "
+        f"{worst['limit']:.0f} %, such a record would show it with a probability of "
+        f"{worst['power']:.2f}, and a fault of any other quantity more surely. A deviation of "
+        f"{worst['detectable']:.0f} % would be shown in four cases of five."
     )

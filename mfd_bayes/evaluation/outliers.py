@@ -71,13 +71,14 @@ def outlying_tests(run: Run) -> list[Finding]:
             j, k = int(tests[row]), columns[column]
             others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
             name = design.names[k]
-            unit = "1" if name == "d3" else units(run.model)[name]
+            unit = "1" if name == "d3" and not run.model.own else units(run.model)[name]
+            shown = name if run.model.own else _WORDS.get(name, name)
             values = {
                 key: Quantity.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
                 for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(others)))
             }
             message = Message(
-                f"{{test}} stands apart from the other tests: {_WORDS.get(name, name)} {{own}}, "
+                f"{{test}} stands apart from the other tests: {shown} {{own}}, "
                 f"where the others suggest {{others}}, {away:.1f} of their standard deviations "
                 "away; check its displacement, units and actuation before you use the campaign",
                 {"test": names[j], **values},
@@ -138,17 +139,19 @@ def uncommon_device_values(run: Run) -> list[Finding]:
     """
     if len(run.tests) < FEWEST:
         return []
+    model = run.model
+    of_device = (*model.slip_forces, *(() if model.own else ("sigma0", "gap")))
     rows: dict[str, list[tuple[float, float, float, bool]]] = {}
     rng = np.random.default_rng(0)
     for test, setting in zip(run.tests.values(), run.population.design.settings, strict=True):
         index = run.population.draw_index(DRAWS, setting.actuation, rng) % run.population.size
         drawn = run.population.values(_coordinates(run, setting, index, rng, scatter=True))
         own = dict(test.intervals)
-        if "d2" in drawn and "d3" in drawn:
+        if not run.model.own and {"d2", "d3"} <= drawn.keys():
             drawn["gap"] = drawn["d2"] + drawn["d3"]
             middle, lower, upper = (own["d2"][k] + own["d3"][k] for k in range(3))
             own["gap"] = middle, lower, upper
-        for name in (*test.posterior.model.slip_forces, "sigma0", "gap"):
+        for name in of_device:
             if name in drawn:
                 low, high = np.quantile(drawn[name], [0.025, 0.975]).tolist()
                 middle, lower, upper = own[name]
@@ -160,7 +163,7 @@ def uncommon_device_values(run: Run) -> list[Finding]:
         count = sum(outside_of)
         if count <= MOST_OUTSIDE * len(of_tests):
             continue
-        unit = "in" if name == "gap" else units(run.model)[name]
+        unit = "in" if name == "gap" else units(model)[name]
         message = Message(
             f"{name} of the device, {{device}}, is outside of {count} of its {len(of_tests)} "
             "tests, which have {tests} each by itself",

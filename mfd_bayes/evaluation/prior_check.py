@@ -67,7 +67,8 @@ def most_wrong(priors: PriorFile, model: Model, traces: Sequence[Trace]) -> Misf
     None where the records show no scales, or no prior can be compared with one.
     """
     scales = [own for trace in traces if (own := scales_of(trace)) is not None]
-    names = {quantity.name for quantity in model.quantities}
+    # a user's own model may mean something else by a name
+    names = set() if model.own else {quantity.name for quantity in model.quantities}
     misfits = (misfit for own in scales for misfit in _misfits(priors, own, names))
     return max(misfits, key=lambda misfit: misfit.away, default=None)
 

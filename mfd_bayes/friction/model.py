@@ -6,7 +6,7 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
@@ -783,6 +783,7 @@ def _check_unit(where: str, unit: Any) -> None:
         raise FitError(f"{where}: {error}") from error
 
 
+@cache
 def _takes(function: Callable[..., Any], name: str) -> bool:
     """Whether a function takes an argument of that name."""
     taken = inspect.signature(function).parameters

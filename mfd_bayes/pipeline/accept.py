@@ -7,10 +7,16 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from pydantic import ValidationError
+
+from mfd_bayes.campaign.schema import TestTable
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.acceptance import DRAWS, LIMITS, Acceptance, accept
 from mfd_bayes.pipeline.outputs import check_folder
-from mfd_bayes.records.record import read_record
+from mfd_bayes.pipeline.predict import stated_actuation
+from mfd_bayes.population.settings import CONDITIONS
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.reporting.acceptance import acceptance_page, acceptance_table, draw_batch
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.runs.manifest import unchanged
@@ -38,14 +44,19 @@ class Inspection:
         Such as "slip=15 %"; by default those of the campaign, else 15 % of all.
     session : str
         In which the records were made.
+    date, cycles, temperature : str, float and str
+        Of the records, as in a campaign's `[[test]]`; "" and None where they are not known.
     """
 
     records: tuple[Path, ...]
-    actuation: str
     folder: Path
+    actuation: str = ""
     device: tuple[str, ...] = ()
     limit: tuple[str, ...] = ()
     session: str = ""
+    date: str = ""
+    cycles: float | None = None
+    temperature: str = ""
     draws: int = DRAWS
     seed: int = 0
     units: str = ""
@@ -80,6 +91,26 @@ def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
     return found
 
 
+def read_as_tests(run: Run, path: Path, actuation: str) -> Record:
+    """A record by the campaign's columns where the file has them, else by its own headers."""
+    stated = run.manifest.settings.columns.given
+    names, axes = read_table(path).names, run.system.axes
+    columns = {role: c.source for role, c in stated.items() if role != "actuation"}
+    there = all(c.key in names or c.name is None for r, c in stated.items() if r in columns)
+    return read_record(path, columns if columns and there else None, actuation=actuation, axes=axes)
+
+
+def _conditions(wish: Inspection) -> dict[str, float]:
+    """Date, count of cycles and temperature of the records, as a campaign reads them."""
+    given = {name: getattr(wish, name) for name in CONDITIONS}
+    given = {name: value for name, value in given.items() if value not in ("", None)}
+    try:
+        return TestTable.model_validate({"id": "x", "file": "x.csv", **given}).conditions
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        raise CampaignError(f"--{wrong['loc'][0]}: {wrong['msg']}") from error
+
+
 def accept_records(out: Path, wish: Inspection) -> Accepted:
     """Compare devices with those of a run; table, pages and picture are written.
 
@@ -93,12 +124,20 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
     run = open_run(out)
     if wish.units:
         run = replace(run, units=wish.units)
+    wish = replace(wish, actuation=stated_actuation(run, wish.actuation))
     run.level_of(wish.actuation)
-    records = [read_record(path, actuation=wish.actuation) for path in wish.records]
+    records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
     device = wish.device[0] if len(wish.device) == 1 else wish.device or ""
-    how = {"session": wish.session, "draws": wish.draws, "seed": wish.seed}
     with unchanged(run.folder, run.manifest):
-        devices = accept(run, records, device=device, limits=limits or None, **how)  # type: ignore[arg-type]
+        devices = accept(
+            *(run, records),
+            device=device,
+            limits=limits or None,
+            session=wish.session,
+            conditions=_conditions(wish),
+            draws=wish.draws,
+            seed=wish.seed,
+        )
     pages = _write(run, wish, devices)
     return Accepted(devices, run.system, wish.folder / "acceptance.csv", pages)
 
@@ -110,7 +149,9 @@ def _write(run: Run, wish: Inspection, devices: tuple[Acceptance, ...]) -> tuple
     made = (
         f"{manifest.title}, {run.folder.resolve().name} (seed {manifest.seed}, {manifest.finished})"
     )
-    heading = [f"run {made}", f"actuation {wish.actuation}", f"date {today}"]
+    actuation = {"actuation": wish.actuation} if run.system.axes.actuated else {}
+    heading = [f"run {made}", *(f"actuation {level}" for level in actuation.values())]
+    heading.append(f"date {today}")
     heading += [f"{d.device}: {d.sentence}" for d in devices]
     write_text(folder / "acceptance.csv", to_csv(acceptance_table(devices, run.system), heading))
     pages: list[Path] = []
@@ -120,7 +161,7 @@ def _write(run: Run, wish: Inspection, devices: tuple[Acceptance, ...]) -> tuple
             for i, c in enumerate(device.comparisons, start=1)
         }
         about |= {
-            "actuation": wish.actuation,
+            **actuation,
             "compared with": f"{made}: {len(run.tests)} calibrated tests of {_devices(run)}",
             "program": f"mfd_bayes {manifest.versions.get('mfd_bayes', '')}",
         }

@@ -9,9 +9,12 @@ from pathlib import Path
 from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors
+from mfd_bayes.campaign.draft.own import campaign_of_own, priors_of_own, read_own, sizes
 from mfd_bayes.campaign.draft.priors import Units, priors_text
 from mfd_bayes.errors import CampaignError, MfdError
+from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.loops import scales_of
+from mfd_bayes.records.readers import SUFFIXES
 from mfd_bayes.records.record import Record
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground
@@ -32,6 +35,32 @@ def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft, bool]:
         write_text(priors, text)
     write_text(path, campaign_text(draft))
     return path, draft, text is not None
+
+
+def init_own(
+    folder: Path, source: str, *, force: bool = False
+) -> tuple[Path, int, list[str], list[tuple[str, str]]]:
+    """Write a first campaign.toml and priors.toml for a user's own model, "file.py:Class".
+
+    Gives the campaign's path, its count of tests, what is missing, and the files left out with why.
+    """
+    path, priors = folder / "campaign.toml", folder / WRITTEN
+    _check_new([path, priors], force=force)
+    model = find_model(source, folder)
+    files, left_out = [], []
+    for file in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
+        try:
+            files.append(read_own(file, model))
+        except MfdError as error:
+            left_out.append((file.name, str(error)))
+    if not files:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:5])
+        motion, response = model.axes.motion.name, model.axes.response.name
+        raise CampaignError(f"{folder} holds no file with {motion} and {response}: {reasons}")
+    text, missing = campaign_of_own(folder, source, model, files)
+    write_text(priors, priors_of_own(model, sizes(files, model), timed=model.axes.timed))
+    write_text(path, text)
+    return path, len(files), missing, left_out
 
 
 def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:

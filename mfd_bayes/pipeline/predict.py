@@ -26,7 +26,7 @@ from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_tr
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.model_average import ModelAverage
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
@@ -105,12 +105,7 @@ def predict(out: Path, question: Question) -> Answer:
     """Force band for a motion and an actuation, and derived quantities; both are written."""
     check_question(question)
     run, *others = (open_run(folder) for folder in (out, *question.others))
-    if not run.system.axes.actuated:
-        if question.actuation:
-            raise CampaignError("--actuation: the campaign's tests have none; leave it out")
-        question = replace(question, actuation=NO_ACTUATION)
-    if not question.actuation:
-        raise CampaignError(f"--actuation is missing: give {actuation_kind(run.actuation_unit)}")
+    question = replace(question, actuation=stated_actuation(run, question.actuation))
     if question.units:
         run, *others = (replace(each, units=question.units) for each in (run, *others))
     source = ModelAverage((run, *others)) if others else run
@@ -183,6 +178,17 @@ def check_question(question: Question) -> None:
     names = ("history.png", "derived.csv", "design.csv")
     outputs = [question.bands, question.picture, *map(question.beside, names)]
     check_outputs(outputs, [question.motion] if question.motion else [], force=question.force)
+
+
+def stated_actuation(run: Run, text: str) -> str:
+    """The actuation of a command; that of a model without one is not to be given."""
+    if not run.system.axes.actuated:
+        if text:
+            raise CampaignError("--actuation: the campaign's tests have none; leave it out")
+        return NO_ACTUATION
+    if not text:
+        raise CampaignError(f"--actuation is missing: give {actuation_kind(run.actuation_unit)}")
+    return text
 
 
 def _motion_of(

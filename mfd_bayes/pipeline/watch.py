@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from mfd_bayes.errors import MfdError, RecordError
+from mfd_bayes.pipeline.accept import read_as_tests
+from mfd_bayes.pipeline.predict import stated_actuation
 from mfd_bayes.population.given import Forecaster
 from mfd_bayes.population.stopping import NARROWING, Estimate, is_enough
-from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import conditions_of
@@ -41,7 +42,7 @@ class Watched:
     """
 
     record: Path
-    actuation: str
+    actuation: str = ""
     session: str = ""
     narrowing: str = f"{100 * NARROWING:g} %"
     wait: str = "10 s"
@@ -105,12 +106,13 @@ def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
         cycle when it ends.
     """
     run = open_run(out)
+    watched = replace(watched, actuation=stated_actuation(run, watched.actuation))
     level = run.level_of(watched.actuation)
     narrowing = parse_quantity(watched.narrowing, "dimensionless", of="--narrowing")
     wait = parse_quantity(watched.wait, "time", of="--wait")
     follower: Forecaster | None = None
     number = begin = enough = 0
-    for trace in _growing(watched, wait):
+    for trace in _growing(run, watched, wait):
         if trace.force is None:
             raise RecordError(f"{watched.record} has no column of the force")
         turns = trace.cycle_turns[::2]
@@ -137,7 +139,7 @@ def _follow(run: Run, trace: Trace, level: float, session: str) -> Forecaster:
     """Forecaster of a test with the stroke and the speed of its first cycle."""
     reached = conditions_of(trace)
     return run.follow(
-        level, amplitude=0.5 * reached["stroke"], velocity=reached["speed"], session=session
+        level, amplitude=0.5 * reached["stroke"], velocity=reached.get("speed"), session=session
     )
 
 
@@ -150,7 +152,7 @@ def _width(follower: Forecaster, trace: Trace, first: int, end: int) -> float:
     return float(np.mean(band.upper - band.lower))
 
 
-def _growing(watched: Watched, wait: float) -> Iterator[Trace]:
+def _growing(run: Run, watched: Watched, wait: float) -> Iterator[Trace]:
     """The record each time that its file has grown, until it has not for `wait` s.
 
     The last line of a file that is being written may be half a line: while the file grows, what
@@ -166,7 +168,7 @@ def _growing(watched: Watched, wait: float) -> Iterator[Trace]:
         if idle or state.st_size != seen:
             seen = state.st_size
             try:
-                yield read_record(watched.record, actuation=watched.actuation).trace()
+                yield read_as_tests(run, watched.record, watched.actuation).trace()
             except MfdError:
                 if idle:
                     raise

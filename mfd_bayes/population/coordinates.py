@@ -30,6 +30,7 @@ class Coordinates:
     names: tuple[str, ...]  # quantities, D of them, in the order of the coordinates
     priors: Mapping[str, Prior]
     speed: float  # in/s, at which slip forces are compared
+    by_name: bool = True  # whether d2 is a gap's, and so on: not those of a user's own model
     centre: Array = field(init=False)  # (D,), mean and sd of the coordinates under the priors
     spread: Array = field(init=False)
 
@@ -42,7 +43,7 @@ class Coordinates:
 
     def _column(self, name: str) -> int | None:
         """Column of a quantity on the positive half line; None where there is none."""
-        there = name in self.names and self.priors[name].on_half_line
+        there = self.by_name and name in self.names and self.priors[name].on_half_line
         return self.names.index(name) if there else None
 
     def _shifts(self, own: Array) -> list[tuple[int, Array]]:

@@ -211,8 +211,9 @@ def _inferred(
         draws.h.reshape(-1, mixed.dim), chosen.reshape(draws.h[..., 0].size, len(design.laws))
     )
     share, exponent = (part.reshape(chosen.shape) for part in drawn)
-    alternatives, alternative_weight = _alternatives(mixed, weights, gaussians, rng)
     posterior = likelihoods[0].posterior
+    slips = [n for n in design.laws if posterior.model.own or n != "sigma0"]
+    alternatives, alternative_weight = _alternatives(mixed, slips, weights, gaussians, rng)
     prior_of = dict(posterior.priors)
     if posterior.model.has_gap and "start" in priors.parameters:
         prior_of.setdefault("start", priors.parameters["start"])
@@ -312,13 +313,13 @@ def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int)
 
 def _alternatives(
     mixed: MixedModel,
+    slips: Sequence[str],
     weights: Mapping[str, Mapping[str, float]],
     gaussians: TestGaussians,
     rng: np.random.Generator,
 ) -> tuple[LawDraws, Array]:
     """Draws under all laws, for actuations beyond the tested levels, and their weights."""
     design = mixed.design
-    slips = [n for n in design.laws if n != "sigma0"]
     many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
     considered = design.considered(COMPARE) if many else ("affine", "power")
     named = [design.laws[n] for n in slips if design.laws[n] != COMPARE]

