@@ -30,7 +30,8 @@ LIMITS = {"95": (92.0, 97.0), "50": (42.0, 58.0)}  # %
 QUOFEM = {
     # parameter: mean and sd between coupons in the state of its chain that quoFEM's example 28
     # ships (src/model/restart_file.json: hyper_mean and the diagonal of hyper_covariance, times
-    # the sd of the prior, plus its mean), and mean and sd of the prior (src/input.json)
+    # the sd of the prior, plus its mean), and mean and sd of the prior (src/input.json); its
+    # results after more steps stand in pictures only
     "fy": (495.9, 43.6, 480.0, 48.0),
     "E": (208528.0, 6055.0, 208000.0, 20800.0),
     "b": (0.01804, 0.00052, 0.018, 0.0018),
@@ -125,7 +126,8 @@ def main() -> None:
         began = time.perf_counter()
         used = run_command("calibrate", campaign, "-o", out, "--resume", *jobs)
         wall, load = time.perf_counter() - began, os.getloadavg()[0]
-        print(f"calibrate: {wall:.0f} s at a load of {load:.1f}; {used:.0f} s of processors")
+        processor = f"; {used:.0f} processor s" if arguments.jobs == 1 else ""  # of all its work
+        print(f"calibrate: {wall:.0f} s at a load of {load:.1f}{processor}")
     run = mb.open_run(out)
     found = run.population.convergence
     print(f"population: R-hat {found.worst_r_hat:.4f}, ESS {found.worst_ess:.0f}")

@@ -40,7 +40,7 @@ CHAINS = 4  # groups of independent chains; R̂ is taken across groups
 STORED = 2**26  # most numbers of the tests' coordinates that are held
 # how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
 # quarter is forgotten, and sweeps between looks at the convergence
-REFITS, WARM_UP, BLOCK = 3, 40, 40
+REFITS, WARM_UP, BLOCK = 3, 20, 40
 RIDGE = 3.0  # of the least squares, for the few draws of a large campaign
 LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted

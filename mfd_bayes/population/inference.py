@@ -47,7 +47,7 @@ POOL = 4000  # draws of the variance parameters
 SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
 # with more tests than this there are fewer chains: laws and variances are then known well
 MANY = 60
-WALKERS, FEW_WALKERS = 8, 2  # chains of each group, and with many tests
+WALKERS, FEW_WALKERS = 16, 4  # chains of each group, and with many tests
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
 
@@ -188,6 +188,7 @@ def _inferred(
 
     def approximate(fit: JointFit) -> tuple[MixedModel, list[Array]]:
         under = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
+        under.adapted = mixed.adapted  # the next fit is near the last one
         pools = [under.sample(one, rng, POOL) for one in kinds]
         return under, [pools[k] for k in kind.ravel()]
 

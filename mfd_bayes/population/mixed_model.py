@@ -25,8 +25,9 @@ Index = NDArray[np.intp]
 LARGEST = 12.0  # largest size of a coordinate of h
 # probability that a quantity of a test is an outlier, and the scatter of outliers over others'
 OUTLIER, WIDER = 0.01, 10.0
-# points of an importance sample of h, the effective number that is enough, and most rounds
-POINTS, ENOUGH, ADAPTATIONS = 3000, 1000, 6
+# points of an importance sample of h, the effective number that is enough, and most rounds: of the
+# first sample, and of those of other Gaussian likelihoods near it
+POINTS, ENOUGH, ADAPTATIONS, ADAPTED = 3000, 1000, 6, 2
 # degrees of freedom of the points, and their scale over that of the density that they are for
 FREEDOM, SCALE = 7, 1.1
 FARTHEST = 7.0  # largest standard normal number of the mode of h
@@ -71,6 +72,8 @@ class MixedModel:
         self.weight = np.ones((len(y), self.f)) if weight is None else weight
         self.rows = np.stack([design.row(s) for s in design.settings])
         self.actuation = np.array([s.actuation for s in design.settings])
+        # mean and covariance of the numbers of h by the choice of laws, once they were drawn
+        self.adapted: dict[tuple[int, ...], tuple[Array, Array]] = {}
         home = [design.cell_of(s) for s in design.settings]
         self.cells = [[j for j, one in enumerate(home) if one == cell] for cell in design.cells]
         covariance = design.level_covariance(design.cells, design.cells)
@@ -241,13 +244,16 @@ class MixedModel:
 
         The numbers are of a multivariate t near the mode. Its mean and covariance are adapted to
         the weighted points until these are worth enough (adaptive importance sampling: Oh and
-        Berger, 1992).
+        Berger, 1992), from those of the draws before under the same laws, if there were any.
         """
         if not self.dim:
             return np.zeros((n, 0))
-        mean, root = self.laplace(choice)
-        covariance: Array = root @ root.T
-        for _ in range(ADAPTATIONS):
+        laws, rounds = tuple(choice.tolist()), ADAPTED
+        if laws not in self.adapted:
+            mode, root = self.laplace(choice)
+            self.adapted[laws], rounds = (mode, root @ root.T), ADAPTATIONS
+        mean, covariance = self.adapted[laws]
+        for _ in range(rounds):
             root = np.asarray(np.linalg.cholesky(covariance))
             y = rng.standard_normal((POINTS, self.dim))
             y /= np.sqrt(rng.chisquare(FREEDOM, (POINTS, 1)) / FREEDOM)
@@ -262,6 +268,7 @@ class MixedModel:
             spread = (g - centre).T @ ((g - centre) * weight[:, None])
             mean = (size * centre + before * mean) / (size + before)
             covariance = np.asarray((size * spread + before * covariance) / (size + before))
+        self.adapted[laws] = mean, covariance
         # systematic resampling
         place = np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(n)) / n)
         return self.of_numbers(g[np.minimum(place, POINTS - 1)])
