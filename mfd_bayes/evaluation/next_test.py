@@ -28,6 +28,7 @@ def candidate_words(candidate: Candidate, system: System, unit: str) -> str:
         parts.insert(0, f"{candidate.frequency:.3g} Hz")
     if axes.actuated:
         parts.insert(0, system.words([candidate.actuation], unit, actuation=True))
+    parts += [f"on {candidate.device}"] if candidate.device else []
     text = ", ".join(parts)
     return text if candidate.waveform == "sine" else f"{text}, {candidate.waveform}"
 
@@ -127,6 +128,11 @@ def advice_rows(advice: Advice, system: System, unit: str) -> list[dict[str, str
             "ruled_out_by": why,
         }
         rows.append(row)
+    if any(candidate.device for candidate, _, _ in entries):
+        rows = [
+            row | {"device": candidate.device}
+            for row, (candidate, _, _) in zip(rows, entries, strict=True)
+        ]
     lost = {f"actuation_{name}": not system.axes.actuated, "frequency_Hz": not system.axes.timed}
     return [{key: value for key, value in row.items() if not lost.get(key)} for row in rows]
 

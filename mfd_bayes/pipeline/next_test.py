@@ -157,4 +157,6 @@ def _drafted(advice: Advice, number: int, system: System, unit: str) -> str:
             f"actuation = {quoted(words.split(',', maxsplit=1)[0])}",
             'role = "calibrate"',
         ]
+        if test.device:
+            lines.append(f"device = {quoted(test.device)}  # its name")
     return "\n".join(lines) + "\n"

@@ -25,6 +25,7 @@ from mfd_bayes.units import (
 )
 
 SETUP = 0.25  # time on the frame besides the motion itself, h
+NEW_DEVICE = "a new device"  # of a candidate
 WAVEFORMS = ("sine", "triangle")
 MOST = 1000  # most candidates of one question
 FORM = "a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
@@ -60,6 +61,8 @@ class Candidate:
         A triangle has one speed.
     price : float or None, h
         What it costs, where the user says so.
+    device : str
+        A tested device or `NEW_DEVICE`, where the campaign has several; else empty.
 
     Raises
     ------
@@ -73,6 +76,7 @@ class Candidate:
     cycles: float = 3.0
     waveform: str = "sine"
     price: float | None = None
+    device: str = ""
 
     def __post_init__(self) -> None:
         for name, (low, high, inside) in _RANGES.items():
@@ -155,6 +159,7 @@ class Parts:
     cycles: float | None = None
     waveform: str | None = None
     price: float | None = None
+    device: str | None = None
 
     def completed(self, typical: Candidate) -> Candidate:
         """The test, with the parts of a typical one where it has none."""
@@ -335,6 +340,7 @@ def repeats(candidate: Candidate, tests: Iterable[Candidate], within: float = AL
     """Whether a candidate is like a test that was made."""
     return any(
         same_level(candidate.actuation, test.actuation)
+        and candidate.device != NEW_DEVICE
         and candidate.waveform == test.waveform
         and abs(candidate.frequency / test.frequency - 1.0) <= within
         and abs(candidate.amplitude / test.amplitude - 1.0) <= within

@@ -178,10 +178,12 @@ class Devices:
         )
         return self.predictor.force(loop.trace, drawn)
 
-    def measured(self, loop: Loop, session: str, cycles: float, seed: Sequence[int]) -> Array:
+    def measured(
+        self, loop: Loop, session: str, device: str, cycles: float, seed: Sequence[int]
+    ) -> Array:
         """The mean loop of a test's record, with its scatter, offset and noise, (n, T), kip."""
         rng, residual = np.random.default_rng(seed), self.predictor.population.residual
-        drawn = self.drawn(setting_of(loop.trace, session), rng, scattered=True)
+        drawn = self.drawn(setting_of(loop.trace, session, device), rng, scattered=True)
         sd = self.predictor.values(drawn)["noise_sd"]
         # variance of the mean of the noise over the time that a sample stands for, over its
         # variance, where its correlation falls by exp(-dt/τ)

@@ -238,7 +238,7 @@ class _Study:
         candidate = self.candidates[number]
         loop = Loop.of(candidate, self.gap)
         seed = (self.seed, TESTS, number, copy)
-        force = self.devices.measured(loop, self.session, candidate.cycles, seed)
+        force = self.devices.measured(loop, self.session, candidate.device, candidate.cycles, seed)
         summaries = np.stack(list(loop.summaries(force, self.gap).values()), axis=1)
         return np.abs(force).max(axis=1), directions_of(summaries)
 

@@ -10,6 +10,7 @@ from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.planning.candidate import (
     MOST,
+    NEW_DEVICE,
     Candidate,
     Limits,
     Parts,
@@ -63,6 +64,12 @@ def next_test(
     if len(tests) > MOST:
         raise CampaignError(f"more than {MOST} tests, the most of one question")
     chosen = tests or grid_of(done, shown)
+    devices = [setting.device for setting in run.population.design.settings]
+    if run.population.several_devices:  # the one that was tested last, or one more
+        among = NEW_DEVICE, devices[-1]
+        chosen = [
+            replace(c, device=d) for c in chosen for d in ((c.device,) if c.device else among)
+        ]
     advice = advise(situation, settings.goal, chosen, settings.limits, effort)
     if not settings.candidates:
         return advice

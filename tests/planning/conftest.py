@@ -27,15 +27,18 @@ def make_situation(
     effect=1e-9,
     levels=(0.9, 1.0),
     sessions=(),
+    devices=(),
     noise=0.01,
 ) -> Situation:
     """Slip forces known to `level` at 1 ksi, with a scatter, and an exponent known so well.
 
-    Tests were made at `levels`, in `sessions`; an effect of this size on slip forces is known to be
-    0 for them, and unknown for others. Everything else is known, and the same in all tests.
+    Tests were made at `levels`, in `sessions`, of `devices`; an effect of this size on slip forces
+    is known to be 0 for them, and unknown for others. Everything else is known, and the same in all
+    tests.
     """
     made = [*sessions, *[""] * len(levels)][: len(levels)]
-    settings = [Setting(p, session) for p, session in zip(levels, made, strict=True)]
+    owned = [*devices, *[""] * len(levels)][: len(levels)]
+    settings = [Setting(p, s, {}, d) for p, s, d in zip(levels, made, owned, strict=True)]
     slip = ("Fc_fwd", "Fc_bwd")
     population = make_population(
         settings,
@@ -43,7 +46,7 @@ def make_situation(
         medians=MEDIANS | {"noise_sd": noise},
         level_sd=dict.fromkeys(slip, level),
         scatter=dict.fromkeys(slip, scatter),
-        effect=dict.fromkeys(("level_friction", "session_friction"), effect),
+        effect=dict.fromkeys(("level_friction", "session_friction", "device_friction"), effect),
         exponent_sd=exponent,
         shape=(4, DRAWS // 4),
         residual=no_residual(noise_time=0.1),

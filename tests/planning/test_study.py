@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError, NotThereError
-from mfd_bayes.planning.candidate import Candidate, Limits
+from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Limits
 from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.simulation import Devices, Loop
 from mfd_bayes.planning.study import Effort, advise, goals_of
@@ -44,6 +44,21 @@ def test_tests_of_the_next_session_have_its_effect_in_common(make_situation):
     situation = make_situation(effect=0.1, levels=(1.0, 1.0, 1.0), sessions=("a", "a", "b"))
     advice = ask(situation, SLIP)
     closed = [1.0 - np.sqrt(1.0 - 0.05**2 / (0.05**2 * (1 + 1 / n) + 0.1**2)) for n in (1, 2, 3)]
+    np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.03)
+
+
+def test_a_test_of_another_device_has_its_effect_and_one_of_a_known_device_has_not(make_situation):
+    situation = make_situation(effect=0.1, levels=(1.0, 1.0, 1.0), devices=("a", "a", "b"))
+    new, known = (Candidate(1.0, 0.5, 1.0, device=d) for d in (NEW_DEVICE, "b"))
+    rows = {row.candidate: row for row in ask(situation, SLIP, new, known)}
+    for candidate, effect in ((new, 0.1), (known, 0.0)):
+        closed = 1.0 - np.sqrt(1.0 - 0.05**2 / (0.05**2 * 2 + effect**2))
+        row = rows[candidate]
+        assert abs(row.reduction - closed) < 2.0 * row.error + 0.01
+        assert row.repeat == (candidate is known)
+    # several new devices average their effects too
+    advice = ask(situation, SLIP, new)
+    closed = [1.0 - np.sqrt(1.0 - 0.05**2 / (0.05**2 + (0.05**2 + 0.1**2) / n)) for n in (1, 2, 3)]
     np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.03)
 
 
@@ -165,5 +180,5 @@ def test_cycles_average_noise(make_situation):
     kinds = situation.model, situation.noise
     rng = np.random.default_rng(0)
     devices = Devices.draw(situation.population, kinds, [setting_of(loop.trace)], 1600, rng)
-    one, nine = (loop.energy(devices.measured(loop, "", n, (1,))).std() for n in (1.0, 9.0))
+    one, nine = (loop.energy(devices.measured(loop, "", "", n, (1,))).std() for n in (1.0, 9.0))
     assert one / nine == pytest.approx(3.0, rel=0.1)
