@@ -115,6 +115,7 @@ def quantiles_of(
 ) -> dict[str, Bounds]:
     """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap."""
     model = posterior.model
+    formal = {*posterior.noise.parameters, "start"} | (set() if model.own else FORMAL)
     columns = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
     if (gap := model.gap(values)) is not None:
         columns["gap"] = gap
@@ -123,7 +124,7 @@ def quantiles_of(
     return {
         name: tuple(np.quantile(column, QUANTILES, **options).tolist())
         for name, column in columns.items()
-        if name not in {*FORMAL, *posterior.noise.parameters} and np.ptp(column) > 0.0
+        if name not in formal and np.ptp(column) > 0.0
     }
 
 

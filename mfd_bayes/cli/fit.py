@@ -52,6 +52,8 @@ def calibrate(
             if out is not None:
                 pipeline.check_dry(plan, out)
             console.print_plan(plan)
+            if plan.slow:
+                console.say(f"warning: {plan.slow}")
             return
         if not quiet:
             console.print_warnings(plan.manifest.warnings, plan.system)

@@ -40,7 +40,7 @@ def law_rows(run: Run) -> Rows:
     population, design, unit = run.population, run.population.design, run.actuation_unit
     kinds, at = units(run.model), run.system.words([design.reference], unit, actuation=True)
     rows = mixed_rows(run, at)
-    drawn = dict(population.slopes)
+    drawn = {} if run.model.own else dict(population.slopes)
     for name, law in design.laws.items():
         if law == COMPARE:  # a mixture has no constants of its own
             continue

@@ -151,6 +151,8 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     if plan.campaign.model_file:
         message = f"runs {file_of(plan.campaign.model)}, the campaign's own model"
         observe(Step("model", State.NOTE, message=message))
+    if plan.slow:
+        observe(Step("model", State.NOTE, message=plan.slow))
     manifest = resumed.manifest
     todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
     if resumed.before is not None and not todo:

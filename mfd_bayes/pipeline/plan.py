@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 
@@ -60,6 +62,11 @@ class Options(Workplace):
     noises: tuple[str, ...] = ()
 
 
+# forces that a test needs at the standard effort, draws that are timed, and minutes for a test
+# from which a model is called slow
+FORCES, DRAWS, LONG = 50_000, 48, 5.0
+
+
 def effort_of(out: Path, effort: str | None, *, resume: bool) -> str:
     """The given effort, else that of the run which is resumed, else "standard".
 
@@ -88,6 +95,26 @@ class Plan:
     def system(self) -> System:
         """System of units of the records, of the size of their forces."""
         return self.manifest.system
+
+    @cached_property
+    def slow(self) -> str:
+        """A sentence where a user's own model takes long; empty where it does not."""
+        model = self.campaign.force_model
+        if not model.own:
+            return ""
+        posterior = self.tasks[0].posterior()
+        q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), DRAWS))
+        began = time.perf_counter()
+        posterior.log_prob(q)
+        seconds = (time.perf_counter() - began) / DRAWS
+        minutes = FORCES * seconds / 60.0
+        if minutes < LONG:
+            return ""
+        return (
+            f"{model.where} is slow: a force of {posterior.trace.samples} samples takes "
+            f"{1e3 * seconds:.2g} ms, and a test needs some {FORCES}, {minutes:.0f} minutes of a "
+            "processor; let force compute all rows of theta at once, with NumPy"
+        )
 
 
 def plan_campaign(path: Path, options: Options) -> Plan:

@@ -433,7 +433,9 @@ class Source(NamedTuple):
 def _scatter(name: str, advice: str = _REPEATS) -> Source:
     """Scatter of a group of quantities."""
 
-    def chosen(_: Design, n: str) -> bool:
+    def chosen(design: Design, n: str) -> bool:
+        if not design.coordinates.by_name and n != "offset" and not n.startswith("noise_"):
+            return name == "other quantities"
         return _GROUP.get(n, "" if n.startswith("noise_") else "other quantities") == name
 
     return Source("scatter", advice, chosen)

@@ -238,6 +238,8 @@ def _summary(
     shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
     explorer = explore(view) if view.tests else None
     parameters, laws = paper_sheets(view, units.words)
+    own = view.model.parameters if view.model and view.model.own else ()
+    elsewhere = ELSEWHERE.difference(own)
     columns = [test for test in view.tests if test.rows]
     left_out = None
     if view.left_out:
@@ -266,7 +268,7 @@ def _summary(
         parameters=replace(
             parameters,
             heads=tuple(test.id for test in columns),
-            rows=tuple(row for row in parameters.rows if row.name not in ELSEWHERE),
+            rows=tuple(row for row in parameters.rows if row.name not in elsewhere),
         ),
         levels={test.id: units.level(test, view.actuation_unit) for test in columns},
         laws=laws,

@@ -160,6 +160,15 @@ def test_names_that_other_models_have_mean_nothing_else(finished, tmp_path, no_f
         np.testing.assert_array_equal(theirs, ours)
 
 
+def test_a_slow_model_is_named_before_anything_is_sampled(folder):
+    campaign, path = folder / "all.toml", folder / "my_damper.py"
+    assert "is slow" not in said("calibrate", campaign, "--dry-run")
+    slow = "scales):\n        __import__('time').sleep(0.01 * len(theta))\n"
+    path.write_text(VISCOUS.replace("scales):\n", slow, 1))
+    words = said("calibrate", campaign, "--dry-run")
+    assert re.search(r"Viscous.*my_damper\.py is slow: .* takes 1\d ms.* minutes", words)
+
+
 def test_its_units_and_words_are_in_the_tables_and_the_report(finished):
     out, _ = finished
     rows = [row.split(",") for row in (out / "parameters.csv").read_text().splitlines()]
