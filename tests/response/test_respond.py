@@ -156,7 +156,7 @@ def test_all_dampers_at_a_bound_stand_beside_the_band(run, path, ground):
     for name, parameter in (("slip_fwd", "Fc_fwd"), ("slip_bwd", "Fc_bwd")):
         column, design = model.parameters.index(parameter), rows[name, "new_test"]
         got = [float(bound.dampers.theta[0, 0, column]) for bound in (lower, upper)]
-        assert got == pytest.approx([design["lower"], design["upper"]], rel=0.05)
+        assert got == pytest.approx([design["lower"], design["upper"]], rel=0.1)  # 4 se of tails
     static, kinetic = (model.parameters.index(f"F{x}_fwd") for x in "sc")
     ratios = [
         bound.dampers.theta[0, :, static] / bound.dampers.theta[0, :, kinetic]
