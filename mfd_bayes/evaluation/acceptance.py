@@ -68,8 +68,9 @@ QUANTITIES: Mapping[str, tuple[str, str, str, str]] = {
 """Name of the limit, words, direction and unit of each quantity, in the order of tables."""
 
 LIMITS = tuple(dict.fromkeys(name for name, *_ in QUANTITIES.values() if name != "loop"))
-CAUSES = ("slip_fwd", "slip_bwd", "build_up_slope", "gap")
-"""Quantities that make the others differ: one of them is named where one differs."""
+
+
+ALONE = 1.96  # size at which one quantity by itself differs, 5 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -467,10 +468,11 @@ def judge(
         rows[name] = row
     differing = [name for name, row in rows.items() if _differs(row["p_value"], p_batch)]
     size = dict(zip(level.names, level.sizes, strict=True))
-    causes = [name for name in differing if name in CAUSES] or differing
-    if "build_up_slope" in causes:  # along a softer line the gap ends later too
-        causes = [name for name in causes if name != "gap"]
-    named = max(causes, key=lambda name: size[name], default="")
+    # where something differs, slip forces are named before what is read off at shares of them
+    slips = [n for n in size if differing and n.startswith("slip") and size[n] > ALONE]
+    others = [n for n in differing if n in ("build_up_slope", "gap")]
+    first = slips or others or differing
+    named = max(first, key=lambda name: size[name], default="")
     verdict = _verdict(rows)
     table = pd.DataFrame(list(rows.values()), index=pd.Index(level.names, name="name"))
     sentence = _sentence(verdict, rows, named)
