@@ -569,7 +569,7 @@ class Model:
             return function(self, *args, **taken)
         except MfdError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # nor may it end the command in silence
             kind = type(error).__name__
             raise FitError(f"the {name} of {self.where} failed with {kind}: {error}") from error
 

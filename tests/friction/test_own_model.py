@@ -240,6 +240,7 @@ def test_a_class_that_is_no_model_is_named(folder, old, new, words):
         ("        return c * np.sign(trace", "        return np.sign(trace", ("shape (1, 256)",)),
         ("** alpha\n", "** (alpha * np.nan)\n", ("no finite number",)),
         ("** alpha\n", "** trace.alpha\n", ("AttributeError", "alpha")),
+        ("** alpha\n", "** exit()\n", ("SystemExit",)),
         ("        return c * np.sign(trace", "        return 'f' or np.sign(trace", ("real",)),
         ("trace, scales):", "trace):\n        scales = {'c': 1}", ("the actuation changes",)),
     ],

@@ -34,7 +34,8 @@ Array = NDArray[np.float64]
 
 _HEAD = """\
 # Written by mfd-bayes init for a model of your own. Every size below is a guess: parameters in the
-# units of the motion, the response or their ratio have the size of the records, all others 0.3.
+# units of the response, the motion or their ratio have the size of the records, all others 0.3.
+# For a motion without a unit, such as strain, a stiffness looks like a response: give its size.
 # A spread of 1.5 is a factor of 4.5 both ways. Replace each by what you know, and say why.
 """
 
