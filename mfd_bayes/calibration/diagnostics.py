@@ -184,6 +184,8 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
     ratios = log_ratios - log_ratios.max()
     if np.all(ratios == 0.0):  # equal weights have no tail to fit
         return ratios - np.log(ratios.size), -np.inf
+    if ratios.size < 25:  # fewer than 5 draws in the tail: ArviZ 1.x refuses to fit them
+        return ratios - np.logaddexp.reduce(ratios), np.inf
     classic = import_arviz()
     with np.errstate(over="ignore"):  # harmless, in the fit to a very heavy tail
         if _is_classic(classic):
