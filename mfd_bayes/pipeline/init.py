@@ -50,7 +50,7 @@ def init_own(
     files, left_out = [], []
     for file in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
         try:
-            files.append(read_own(file, model))
+            files.append(read_own(file, folder, model))
         except MfdError as error:
             left_out.append((file.name, str(error)))
     if not files:

@@ -130,8 +130,8 @@ def _is_utf8(name: str) -> bool:
     return not any("\ud800" <= letter <= "\udfff" for letter in name)
 
 
-def _read_file(path: Path, folder: Path) -> TestFile:
-    """Guessed columns and actuations of a file; raises where it cannot be a test."""
+def read_foreign(path: Path, folder: Path) -> Table:
+    """Table of a file of this folder that this package did not write; raises for others."""
     if not _is_utf8(path.name):
         raise RecordError("its name is not UTF-8, as a campaign file must be: rename it")
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -139,6 +139,12 @@ def _read_file(path: Path, folder: Path) -> TestFile:
     table = read_table(path)
     if _is_own(path, table):
         raise RecordError("written by mfd-bayes")
+    return table
+
+
+def _read_file(path: Path, folder: Path) -> TestFile:
+    """Guessed columns and actuations of a file; raises where it cannot be a test."""
+    table = read_foreign(path, folder)
     columns = guess_columns(table)
     column = columns.pop("actuation", None)
     rate, doubt = rate_in_header(table.head)

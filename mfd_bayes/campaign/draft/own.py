@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.axes import Axis, check_unit
-from mfd_bayes.campaign.draft.draft import new_id, table_of_column
+from mfd_bayes.campaign.draft.draft import new_id, read_foreign, table_of_column
 from mfd_bayes.campaign.draft.guesses import (
     Guess,
     TestFile,
@@ -26,7 +26,7 @@ from mfd_bayes.campaign.draft.guesses import (
 from mfd_bayes.errors import RecordError, UnitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.channels import header_unit
-from mfd_bayes.records.readers import Table, read_table
+from mfd_bayes.records.readers import Table
 from mfd_bayes.store.toml import commented, quoted
 from mfd_bayes.units import convert, in_digits, measures
 
@@ -40,9 +40,9 @@ _HEAD = """\
 """
 
 
-def read_own(path: Path, model: Model) -> TestFile:
+def read_own(path: Path, folder: Path, model: Model) -> TestFile:
     """Columns of a file for a model; refused where one is missing."""
-    axes, table = model.axes, read_table(path)
+    axes, table = model.axes, read_foreign(path, folder)
     guesses = guess_columns(table)
     column = guesses.pop("actuation", None) if model.actuated else None
     roles = {"displacement": axes.motion, "force": axes.response}
@@ -118,7 +118,7 @@ def _fits(unit: str, axis: Axis) -> bool:
 
 
 def sizes(files: Sequence[TestFile], model: Model) -> dict[str, float]:
-    """Sizes of the records by unit: the model's motion, response, their ratio, rates and step."""
+    """Sizes of the records by unit: the model's motion, response, their ratio and rates."""
     axes, found = model.axes, []
     for file in files:
         parts = []
@@ -131,14 +131,13 @@ def sizes(files: Sequence[TestFile], model: Model) -> dict[str, float]:
             parts.append(factor * 0.5 * float(np.ptp(values[np.isfinite(values)])))
         found.append(parts)
     motion, response = np.maximum(np.median(found, axis=0), 1e-12).tolist()
-    units = {
+    return {
         axes.response.unit: response,
         axes.motion.unit: motion,
         f"({axes.response.unit})/({axes.motion.unit})": response / motion,
         f"({axes.motion.unit})/s": motion,
         f"({axes.response.unit})*s/({axes.motion.unit})": response / motion,
     }
-    return {unit: size for unit, size in units.items() if unit}
 
 
 def priors_of_own(model: Model, size: Mapping[str, float], *, timed: bool) -> str:
