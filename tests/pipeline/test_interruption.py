@@ -177,9 +177,9 @@ def test_a_run_ended_again_and_again_is_finished_to_the_same_bits(start, whole, 
 
 def test_a_test_whose_process_is_killed_begins_again(start, whole, out):
     with start(out, "--jobs", 2) as run:
-        workers = []
-        assert run.until(lambda: workers.extend(run.workers()) or workers)
-        os.kill(workers[0], signal.SIGKILL)  # at once: no test is done so soon
+        # not sooner: while the server of processes imports, it may start others, such as fc-list
+        assert run.until(lambda: run.says("finding modes"))
+        os.kill(run.workers()[0], signal.SIGKILL)  # at once: no test is done so soon
         assert run.end() == (0, "")
     (line,) = [line for line in run.printed.read_text().splitlines() if "killed" in line]
     assert line.startswith("processes: note: one was killed; begins again: ")
