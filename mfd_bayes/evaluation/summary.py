@@ -267,9 +267,8 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     theta = posterior.theta(drawn)
     prior = drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
     rows = _parameters(test, values, prior, facts["convergence"])
-    densities = (stored.stats[name].to_numpy() for name in ("log_prior", "log_likelihood"))
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
-    identifiability = identify(posterior, draws, prior, *densities)
+    identifiability = identify(posterior, draws, prior)
     measured = measured_of(manifest, test.id)
     properties = properties_of(trace, replicas.observed, peaks, smooth=replicas.force)
     scores = _score(test.id, "calibrate", trace, replicas.observed, posterior.first)
@@ -309,7 +308,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
             *checks.coverage_checks(scores, settings.tolerances),
             *checks.slip_checks(test.id, posterior, values, measured),
             *checks.notes(test.id, rows, facts),
-            *checks.identifiability_checks(test.id, identifiability),
+            checks.directions_check(test.id, identifiability.directions),
         ),
         score=scores,
         identifiability=identifiability,
