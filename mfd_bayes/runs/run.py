@@ -384,10 +384,10 @@ class Run:
         check_trace("trace", trace, FitError)
         check_flag("explain", explain)
         if given is not None and (test or after):
-            name = repr(test) if test else after.test if isinstance(after, Ending) else repr(after)
+            other = f"a calibrated test ({test!r})" if test else f"after ({after!r})"
             raise FitError(
-                f"given cannot be combined with {'a calibrated test' if test else 'after'} ({name}): the given "
-                "part is of one new test, and shows itself where in its gap the device stands"
+                f"given cannot be combined with {other}: the given part is of one new test, and "
+                "shows itself where in its gap the device stands"
             )
         forecast = Forecast(
             *(kind, probability, draws, seed, session, whole, bool(explain)),
