@@ -144,8 +144,14 @@ def climb(density: Density, begin: Array, sd: Array, modes: Sequence[Mode] = ())
         if met:
             raise StopIteration
 
-    options = {"maxiter": 150, "gtol": 1e-2}
-    fit = minimize(loss, np.zeros(dim), jac=True, method="BFGS", callback=look, options=options)
+    fit = minimize(
+        loss,
+        np.zeros(dim),
+        jac=True,
+        method="BFGS",
+        callback=look,
+        options={"maxiter": 150, "gtol": 1e-2},
+    )
     if met:
         return met[0]
     q = begin + sd * fit.x
