@@ -56,7 +56,6 @@ from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence, stored_pooled
 from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
-    TestUnderWay,
     departures,
     range_of,
     reach_of,
@@ -545,14 +544,30 @@ class Run:
         setting = planned_setting(self.population.design.settings, actuation, session, planned)
         forecast = Forecast(kind, probability, draws, seed, session)
         forecaster = Forecaster(self.predictor, setting, forecast, refresh=refresh)
-        forecaster.complete = TestUnderWay(
-            setting,
-            self.tested,
-            self.system,
-            self.actuation_unit,
-            tuple(self._remarks(session)),
-            self.extras,
-        )
+        unit, remarks = self.actuation_unit, self._remarks(session)
+        plan = {
+            "stroke": 2.0 * setting.covariates["amplitude"],
+            "speed": setting.covariates["velocity"],
+            "actuation": setting.actuation,
+        }
+        wider = {d.reached.name for d in departures(self.tested, range_of([plan], unit))}
+
+        def complete(band: Band, motion: Trace) -> Band:
+            """The band with its remarks; of the planned and the made motion the larger counts."""
+            reached = []
+            for span in reach_of(motion, unit):
+                value = plan.get(span.name, span.highest)
+                high = max(span.highest, value)
+                low = min(span.lowest, value) if span.name == "actuation" else high
+                reached.append(replace(span, lowest=low, highest=high))
+            outside = [
+                departure.sentence(self.system, widened=departure.reached.name in wider)
+                for departure in departures(self.tested, reached)
+            ]
+            told = (*outside, *remarks, *band.remarks)
+            return replace(band, remarks=told, extras=self.extras)
+
+        forecaster.complete = complete
         return forecaster
 
     def next_test(
