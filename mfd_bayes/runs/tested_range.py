@@ -108,11 +108,6 @@ def conditions_of(trace: Trace) -> dict[str, float]:
     return conditions
 
 
-def conditions(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
-    """Conditions of a test as spans of one value, with the level of its actuation."""
-    return range_of([conditions_of(trace)], actuation_unit)
-
-
 def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple[Span, ...]:
     """Smallest and largest value of each condition among tests, of `conditions_of`."""
     several = list(tests)

@@ -61,8 +61,6 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
     names = "there are p500_f0.5, p1000_f0.5"
     for ask in (
         lambda: run.tests["zz"],
-        lambda: run.session("zz"),
-        lambda: run.departures(trace, "zz"),
         lambda: run.sequence.values("zz"),
     ):
         with pytest.raises(NotThereError, match=f"the run has no .*test 'zz': {names}"):
@@ -184,7 +182,10 @@ def test_runs_that_do_not_belong_together_are_refused(run, other, motion, tmp_pa
     for runs, words in (
         ([run], "needs two or more runs, .*, got Run"),
         ([run, run], "two of the runs have the model three_stage"),
-        ([run, copied(tmp_path / "less", without_one)], "is calibrated in .* but not in .*less"),
+        (
+            [run, copied(tmp_path / "less", without_one)],
+            "p500_f0.5' is calibrated in only one of .*less",
+        ),
         ("ab", "two or more runs, .*, got str, str"),
         (5, "got int"),
     ):
