@@ -25,8 +25,8 @@ from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Comparison, ComparisonRow
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.scores import Comparison, ComparisonRow
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary, render
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import paper_sheets, report_frames, to_csv, to_json, to_latex
-from mfd_bayes.runs.scores import Comparison, ComparisonRow
+from mfd_bayes.runs.manifest import Comparison, ComparisonRow
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
 from mfd_bayes.store.toml import commented, quoted

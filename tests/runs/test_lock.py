@@ -11,22 +11,24 @@ import socket
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs import lock
-from mfd_bayes.runs import run as runs
-from mfd_bayes.runs.lock import OWNER, alone_in
+from mfd_bayes.runs.folder import OWNER, alone_in
+from mfd_bayes.runs.run import open_run
 from tests.run_folders import write_run
+
+BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 HOLD = """\
 import sys, time
 from pathlib import Path
 from mfd_bayes.jobs.signals import end_on_signals
-from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.folder import alone_in
 
 with end_on_signals(), alone_in(Path(sys.argv[1])):
     print("in", flush=True)
@@ -119,9 +121,9 @@ def test_an_owners_file_that_cannot_be_read_or_of_a_dead_one_is_no_lock(out):
         leave(
             out,
             host="container",
-            boot=lock._BOOT.read_text().strip() if lock._BOOT.is_file() else "x",
+            boot=BOOT.read_text().strip() if BOOT.is_file() else "x",
         )
-        if lock._BOOT.is_file():  # dead, in another container of this machine
+        if BOOT.is_file():  # dead, in another container of this machine
             with alone_in(out):
                 pass
 
@@ -196,7 +198,7 @@ def change(out):
 
 
 def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(run_folder):
-    found = runs.open_run(run_folder).tests["a"]
+    found = open_run(run_folder).tests["a"]
     path = run_folder / "tests" / "a" / "posterior.nc"
     path.write_bytes(path.read_bytes() + b"\0")
     with pytest.raises(StoreError, match="was changed by another process"):

@@ -77,8 +77,6 @@ def test_a_manifest_that_says_something_else_is_refused(out):
         (("crossvalidation", "by"), "../x"),
         (("crossvalidation", "predictions", 0, "score", "coverage"), [0.5, 0.9]),
         (("comparison", "rows", 0, "cycles"), 1.5),
-        (("law_scores", 0, "levels"), [1.0, 2.0, 3.0]),
-        (("warnings", 0, "message", "template"), "{nothing}"),
     ]:
         whole = (out / "manifest.json").read_bytes()
         manifest = part = json.loads(whole)

@@ -66,10 +66,11 @@ def test_runs_that_do_not_belong_together_are_refused(run, other, trace, tmp_pat
         manifest["tests"][test["id"]]["status"] = "failed"
 
     for runs, words in (
-        ([run], "needs at least two runs, got 1"),
+        ([run], "needs two or more runs, .*, got Run"),
         ([run, run], "two of the runs have the model three_stage"),
         ([run, copied(tmp_path / "less", without_one)], "is calibrated in .* but not in .*less"),
-        ("ab", "runs must be two or more runs"),
+        ("ab", "two or more runs, .*, got str, str"),
+        (5, "got int"),
     ):
         with pytest.raises(mb.MfdError, match=words):
             mb.ModelAverage(runs)

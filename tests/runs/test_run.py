@@ -77,14 +77,17 @@ def test_options_of_a_prediction_are_checked(run, trace):
         ({"whole": "no"}, "whole"),
         ({"explain": None}, "explain"),
         ({"session": ["a"]}, "session"),
-        ({"kind": "this_test", "test": ["a"]}, r"test must be text, got \['a'\]"),
+        ({"kind": "this_test", "test": ["a"]}, r"a calibrated test: .* got \['a'\]"),
         ({"kind": "this_test"}, "needs the id of a calibrated test: one of p500_f0.5, p1000"),
         ({"kind": "this_test", "test": "p800_f0.5"}, "held out"),
-        ({"kind": "this_test", "test": "zz"}, "no calibrated test 'zz'"),
+        ({"kind": "this_test", "test": "zz"}, "a calibrated test: .* got 'zz'"),
         ({"test": "p500_f0.5"}, "for the kind this_test, not for new_test"),
         ({"probability": "0.9"}, "probability must be a number between 0 and 1, got '0.9'"),
         ({"kind": "this_test", "test": "p500_f0.5", "session": "other"}, "session 'other' is for"),
-        ({"given": (0.0, 1.0), "test": "p500_f0.5"}, "given cannot be combined with a calibr"),
+        (
+            {"given": (0.0, 1.0), "test": "p500_f0.5"},
+            "given cannot be combined with a calibrated test",
+        ),
     ]:
         with pytest.raises(mb.MfdError, match=name):
             run.predict(trace, draws=20, **options)
