@@ -95,7 +95,7 @@ def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Out
             observe(Step(task.id, "checking the noise"))
             for noise in other_noises(task.noise):
                 make = replace(task, noise=noise).posterior
-                others.append(fit_other(noise, posterior, make, draws, task.seed))
+                others.append(fit_other(noise, make, task.seed))
         save_test(out / task.file, _stored_of(task, posterior, draws, others))
     except StoreError:
         raise
