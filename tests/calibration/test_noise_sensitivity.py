@@ -9,7 +9,7 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.noise_sensitivity import moves, other_noises, quantiles_of
 from mfd_bayes.calibration.priors import load_priors
-from mfd_bayes.calibration.result import Task, calibrate_test
+from mfd_bayes.calibration.result import Task
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_test
@@ -63,7 +63,7 @@ def test_a_test_is_fitted_under_every_other_noise_ou_first():
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("checked")
-    assert not calibrate_test(task_of(), folder, lambda _: None).error
+    assert not task_of().run(folder, lambda _: None).error
     return load_test(folder / "a.nc")
 
 
@@ -84,7 +84,7 @@ def test_a_noise_without_priors_is_an_error_of_its_fit_alone(tmp_path):
     file = load_priors("brfd")
     parameters = {k: v for k, v in file.parameters.items() if k != "noise_build"}
     task = task_of(priors=replace(file, parameters=parameters))
-    assert calibrate_test(task, tmp_path, lambda _: None).error == ""
+    assert task.run(tmp_path, lambda _: None).error == ""
     staged, iid, _ = load_test(tmp_path / "a.nc").facts["other_noises"]
     assert "no prior for noise_build" in staged["error"]
     assert staged["quantities"] == {}
