@@ -185,5 +185,4 @@ def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
         "sampling" if any(part.method == "sampling" for part in parts) else "weights",
         sum(part.effective for part in parts),
         max(part.stages for part in parts),
-        min(part.accepted for part in parts),
     )
