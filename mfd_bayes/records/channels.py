@@ -522,8 +522,9 @@ def sources_of(
     rated = "time" in given and bool(given["time"].rate)
     for role in ("time", "displacement") if chosen else ROLES:
         skipped = {"time": rated, "actuation": actuation is not None}.get(role, False)
-        if role not in roles and not skipped and (name := _column_called(table, axes.name(role))):
-            roles[role] = name
+        if role not in roles and not skipped:
+            for name in _columns_called(table, axes.name(role)):
+                roles[role] = name
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
     if missing := [
@@ -537,8 +538,8 @@ def sources_of(
     return sources
 
 
-def _column_called(table: Table, role: str) -> str | None:
-    """Name of the column that is called like the role, with or without a unit."""
+def _columns_called(table: Table, role: str) -> list[str]:
+    """Name of the column that is called like the role, with or without a unit, if there is one."""
     pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
     matches = [name for name in table.names if pattern.fullmatch(own_name(name))]
     if len(matches) > 1:
@@ -546,7 +547,7 @@ def _column_called(table: Table, role: str) -> str | None:
             f"{table.path} has several columns for {role}, {', '.join(matches)}; say which, as "
             f"{role} = {{ column = {table.number_of(matches[0])} }}"
         )
-    return matches[0] if matches else None
+    return matches
 
 
 def _no_column_for(role: str, table: Table, axes: Axes) -> RecordError:

@@ -257,7 +257,7 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
     # Columns as pandas writes them have the same row labels; another object is no column.
     labelled = [column for column in columns.values() if isinstance(column, dict)]
-    rows = list(max(labelled, key=len, default={}))
+    rows = max((list(column) for column in labelled), key=lambda each: len(each), default=[])
     columns = {
         name: [column[row] for row in rows] if isinstance(column, dict) else column
         for name, column in columns.items()
