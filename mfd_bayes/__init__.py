@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
     from mfd_bayes.reporting.notebook import open_run
-    from mfd_bayes.runs.model_average import ModelAverage
-    from mfd_bayes.runs.run import Run
+    from mfd_bayes.runs.run import ModelAverage, Run
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
@@ -43,7 +42,7 @@ _HOMES = {
     "MfdError": "mfd_bayes.errors",
     "Model": "mfd_bayes.friction.model",
     "Parameter": "mfd_bayes.friction.quantity",
-    "ModelAverage": "mfd_bayes.runs.model_average",
+    "ModelAverage": "mfd_bayes.runs.run",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",
     "Run": "mfd_bayes.runs.run",

@@ -26,8 +26,8 @@ from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Score
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.scores import Score
 
 DRAWS = 800
 PUBLISHED = {

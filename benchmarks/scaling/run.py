@@ -33,7 +33,7 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibrate import calibrate_campaign
 from mfd_bayes.pipeline.plan import Options
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.paths import MANIFEST
+from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.store.files import read_json
 
 WORKERS = 2

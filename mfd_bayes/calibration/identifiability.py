@@ -8,18 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from mfd_bayes.calibration.diagnostics import effective_size
 from mfd_bayes.calibration.posterior import Posterior
 
 Array = NDArray[np.float64]
 
-SENSITIVE = 0.05  # power-scaling sensitivity from which a posterior depends on its prior
 TRADE_OFF = 0.7  # absolute rank correlation from which two parameters trade off
-CONFLICT = "possible prior–data conflict"
-PRIOR_LED = "strong prior or weak data"
-SCALING = 1.01  # power α to which the prior or likelihood is raised; 1/α is used too
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,40 +50,18 @@ class Pair:
     correlation: float
 
 
-@dataclass(frozen=True)
-class Sensitivity:
-    """How strongly a parameter's posterior depends on the prior and on the likelihood."""
-
-    name: str
-    prior: float  # power-scaling sensitivities, with the part due to chance removed
-    likelihood: float
-    # `SENSITIVE`, or twice what chance gives with this number of draws
-    prior_limit: float = SENSITIVE
-    likelihood_limit: float = SENSITIVE
-
-    @property
-    def diagnosis(self) -> str:
-        """`CONFLICT`, `PRIOR_LED` or "", as Kallioinen et al. tell them apart."""
-        if self.prior <= self.prior_limit:
-            return ""
-        return CONFLICT if self.likelihood > self.likelihood_limit else PRIOR_LED
-
-
 @dataclass(frozen=True, eq=False)
 class Identifiability:
     """What the data of a test say about its sampled parameters."""
 
     directions: Directions
     pairs: tuple[Pair, ...]  # strongest first
-    sensitivities: tuple[Sensitivity, ...]  # in the order of the posterior's names
 
 
 def identify(
     posterior: Posterior,
     values: Mapping[str, Array],
     prior: Mapping[str, Array],
-    log_prior: Array,
-    log_likelihood: Array,
 ) -> Identifiability:
     """Identifiability of a test's sampled parameters, from its stored draws.
 
@@ -103,7 +76,6 @@ def identify(
     return Identifiability(
         directions=find_directions(names, width, flat, float(size)),
         pairs=find_pairs(names, flat),
-        sensitivities=measure_sensitivity(names, draws, log_prior, log_likelihood),
     )
 
 
@@ -159,67 +131,3 @@ def find_pairs(names: tuple[str, ...], draws: Array) -> tuple[Pair, ...]:
         if abs(correlation[i, j]) >= TRADE_OFF
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.correlation)))
-
-
-def measure_sensitivity(
-    names: tuple[str, ...], draws: Array, log_prior: Array, log_likelihood: Array
-) -> tuple[Sensitivity, ...]:
-    """Power-scaling sensitivity of every parameter to the whole prior and the likelihood.
-
-    The prior, or the likelihood, is raised to α = 1.01 and 1/1.01 by weighting the draws with
-    p^(α − 1). The sensitivity is the rate at which each marginal posterior changes,
-    ½ (d(α) + d(1/α)) / log2 α, with d the cumulative Jensen–Shannon distance (Kallioinen,
-    Paananen, Bürkner, Vehtari, Stat. Comput. 34:57, 2024). With α so near
-    to 1 the weights differ by a few percent (their Pareto k is about α − 1 where p has
-    Gaussian tails) and need no Pareto smoothing.
-
-    By chance d is positive even without any dependence. This part is measured by applying
-    the weights of one chain to the draws of another, independent one, and its square is
-    subtracted from the squared sensitivity.
-    """
-    chains = draws.shape[1]
-    weights = np.concatenate([_scaled_weights(p) for p in (log_prior, log_likelihood)])
-    rolled = [np.roll(weights, shift, axis=1).reshape(4, -1) for shift in range(chains)]
-    sensitivities = []
-    for name, own in zip(names, draws, strict=True):
-        distance = cjs_distance(own.reshape(-1), np.concatenate(rolled))
-        speed = distance.reshape(chains, 2, 2).mean(axis=2) / np.log2(SCALING)
-        chance = np.mean(speed[1:] ** 2, axis=0)
-        prior, likelihood = np.sqrt(np.maximum(speed[0] ** 2 - chance, 0.0))
-        limits = np.maximum(SENSITIVE, 2.0 * np.sqrt(chance))
-        figures = map(float, (prior, likelihood, *limits))
-        sensitivities.append(Sensitivity(name, *figures))
-    return tuple(sensitivities)
-
-
-def _scaled_weights(log_density: Array) -> Array:
-    """Weights of draws where a density is raised to α and to 1/α, (2, chain, draw)."""
-    powers = np.array([SCALING, 1.0 / SCALING]) - 1.0
-    log_weights = powers[:, None, None] * (log_density - log_density.mean())
-    weights: Array = np.exp(log_weights - log_weights.max(axis=(1, 2), keepdims=True))
-    return weights
-
-
-def cjs_distance(draws: Array, weights: Array) -> Array:
-    """Cumulative Jensen–Shannon distance of weighted draws from the draws themselves.
-
-    With P and Q the two distribution functions, M = (P + Q)/2 and
-    D(P‖M) = ∫ P log2(P/M) + (M − P)/ln 2 dx, it is √[(D(P‖M) + D(Q‖M)) / ∫ P + Q dx],
-    computed for x and for −x, of which the larger counts (Nguyen and Vreeken, ECML PKDD 2015; as
-    Kallioinen et al. and ArviZ use it).
-    """
-    order = np.argsort(draws)
-    width = np.diff(draws[order])
-    there = np.arange(1, draws.size) / draws.size
-    total = np.cumsum(weights[:, order], axis=1)
-    moved = np.clip(total[:, :-1] / total[:, -1:], 0.0, 1.0)
-    ways = [_distance(there, moved, width), _distance(1.0 - there, 1.0 - moved, width)]
-    return np.asarray(np.maximum(*ways))
-
-
-def _distance(p: Array, q: Array, width: Array) -> Array:
-    middle = 0.5 * (p + q)
-    divergence = (special.kl_div(p, middle) + special.kl_div(q, middle)) @ width
-    size = (p + q) @ width
-    distance: Array = np.sqrt(divergence / (np.log(2.0) * np.maximum(size, np.finfo(float).tiny)))
-    return distance

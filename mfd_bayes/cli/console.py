@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from mfd_bayes.evaluation.views import CampaignView, Check, LeftOutView, Rows
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.scores import Comparison
+    from mfd_bayes.runs.manifest import Comparison
     from mfd_bayes.runs.unit_system import System
     from mfd_bayes.runs.verdict import Finding
 

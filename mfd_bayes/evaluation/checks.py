@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.identifiability import TRADE_OFF, Identifiability
+from mfd_bayes.calibration.identifiability import Directions
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import COVERAGES, Replicas, check_predictive
 from mfd_bayes.campaign.schema import complete_tolerances
@@ -20,12 +20,9 @@ from mfd_bayes.evaluation.views import (
     DIRECTIONS,
     FREE_EXPONENT,
     LENGTH,
-    LIKELIHOOD_SENSITIVITY,
     LOOP_ESTIMATE,
     MODES,
     PREDICTIVE,
-    PRIOR_SENSITIVITY,
-    TRADE_OFFS,
     Check,
     Row,
     Rows,
@@ -243,26 +240,13 @@ def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Chec
     return checks
 
 
-def identifiability_checks(test: str, identifiability: Identifiability) -> list[Check]:
-    """Checks that cannot fail: directions informed, trade-offs and sensitivities of a test."""
-    directions = identifiability.directions
+def directions_check(test: str, directions: Directions) -> Check:
+    """A check that cannot fail: the directions that the data of a test inform."""
     total, informed = len(directions.names), directions.informed
     best, least = (" and ".join(directions.carriers(at)) for at in (0, total - 1))
     feature = f"of {total} (best: {best}; least: {least})"
     status = Verdict.pass_or_note(informed >= total)
-    checks = [Check(test, DIRECTIONS, feature, informed, total, status)]
-    for pair in identifiability.pairs:
-        feature = f"{pair.first} and {pair.second}"
-        checks.append(Check(test, TRADE_OFFS, feature, pair.correlation, TRADE_OFF, Verdict.NOTE))
-    for s in identifiability.sensitivities:
-        feature = f"{s.name} ({s.diagnosis})" if s.diagnosis else s.name
-        to_prior = Verdict.pass_or_note(not s.prior > s.prior_limit)
-        to_data = Verdict.pass_or_note(s.likelihood > s.likelihood_limit)
-        checks += [
-            Check(test, PRIOR_SENSITIVITY, feature, s.prior, s.prior_limit, to_prior),
-            Check(test, LIKELIHOOD_SENSITIVITY, s.name, s.likelihood, s.likelihood_limit, to_data),
-        ]
-    return checks
+    return Check(test, DIRECTIONS, feature, informed, total, status)
 
 
 def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:

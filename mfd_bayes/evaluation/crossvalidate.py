@@ -27,19 +27,13 @@ from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.inference import Inference, infer_population
 from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
-from mfd_bayes.runs.folder import check_stored
-from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST
+from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
+from mfd_bayes.runs.manifest import CampaignCrossValidation, PartKind, Prediction, Score
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.scores import (
-    CampaignCrossValidation,
-    PartKind,
-    Prediction,
-    Score,
-    read_predictions_of,
-)
 from mfd_bayes.runs.test_sequence import TestSequence
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.files import read_json, write_json
+from mfd_bayes.store.schema import AtLeastOne, Part, check
 
 Array = NDArray[np.float64]
 
@@ -229,7 +223,16 @@ def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
     """Stored predictions of folds."""
     for fold in folds:
         path = check_stored(out, f"{FOLDER}/{fold.file}", {})
-        yield from read_predictions_of(path, fold.left_out)
+        predictions = check(_StoredPredictions, read_json(path), path).predictions
+        stored = tuple(prediction.test for prediction in predictions)
+        if stored != fold.left_out:
+            raise StoreError(f"{path} holds predictions of {', '.join(stored)}, not of its part")
+        yield from predictions
+
+
+class _StoredPredictions(Part):
+    key: dict[str, Any]
+    predictions: AtLeastOne[Prediction]
 
 
 def run_folds(

@@ -12,7 +12,7 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.runs.paths import pooled_of
+from mfd_bayes.runs.folder import pooled_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.store.netcdf import load_arrays

@@ -30,8 +30,7 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
-from mfd_bayes.runs.model_average import ModelAverage
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import ModelAverage, Run
 
 Array = NDArray[np.float64]
 

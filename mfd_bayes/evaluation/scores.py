@@ -15,7 +15,7 @@ from mfd_bayes.evaluation.views import Fan, Interval, Row
 from mfd_bayes.population.bands import ADVICE, Band
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.scores import Score
+from mfd_bayes.runs.manifest import Score
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
 

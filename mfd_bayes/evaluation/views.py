@@ -19,7 +19,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.scores import Comparison
+from mfd_bayes.runs.manifest import Comparison
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
@@ -33,10 +33,7 @@ Rows = tuple[Row, ...]
 
 FREE_EXPONENT = "exponent if the law were a power law"
 CONTRACTION = "prior variance removed"
-PRIOR_SENSITIVITY = "sensitivity to the prior"
-LIKELIHOOD_SENSITIVITY = "sensitivity to the likelihood"
 DIRECTIONS = "directions informed"
-TRADE_OFFS = "rank correlation of two parameters"
 PREDICTIVE = "posterior predictive"
 LOOP_ESTIMATE = "estimate from the loop"
 COVERAGE = "share of samples inside a band"
@@ -44,7 +41,7 @@ LENGTH = "autocorrelation times kept"
 MODES = "modes found"
 CALIBRATION = "calibration"
 REPORT = "report"
-IDENTIFIABILITY = (CONTRACTION, PRIOR_SENSITIVITY, LIKELIHOOD_SENSITIVITY, DIRECTIONS, TRADE_OFFS)
+IDENTIFIABILITY = (CONTRACTION, DIRECTIONS)
 """Names of the checks of what the data inform; beyond its limit such a check is a note."""
 SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""
@@ -52,9 +49,6 @@ SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 _LIMITS = {
     **dict.fromkeys(("bulk ESS", "tail ESS", LENGTH, CONTRACTION, DIRECTIONS), ">= {:g}"),
     "R-hat": "<= {:g}",
-    TRADE_OFFS: "within ±{:g}",
-    PRIOR_SENSITIVITY: "<= {:.2g}",
-    LIKELIHOOD_SENSITIVITY: "> {:.2g}",
     FREE_EXPONENT: "interval holds {:g}",
     MODES: "{:g}",
 }

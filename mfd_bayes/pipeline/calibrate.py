@@ -23,28 +23,25 @@ from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.storage import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
-    Existing,
-    check_apart,
-    check_free,
-    check_links,
-    discard,
-    hash_stored,
-    prepare_folder,
-    remove_partial_files,
-    remove_stale,
-)
-from mfd_bayes.runs.lock import OWNER, alone_in
-from mfd_bayes.runs.manifest import Manifest, Status, Truth
-from mfd_bayes.runs.paths import (
     CAMPAIGN,
     MANIFEST,
     MODEL,
+    OWNER,
     POPULATION,
     PRIORS,
+    alone_in,
+    check_apart,
+    check_links,
+    discard,
+    hash_stored,
     pooled_of,
     posterior_of,
     record_of,
+    remove_partial_files,
+    remove_stale,
 )
+from mfd_bayes.runs.manifest import Manifest, Status, Truth
+from mfd_bayes.runs.resume import check_free, prepare_folder
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
 from mfd_bayes.store.netcdf import save_trace
@@ -118,7 +115,8 @@ def _holds_a_demo_alone(out: Path) -> bool:
 def check_dry(plan: Plan, out: Path) -> None:
     """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
     _check_place(plan, out)
-    check_free(plan.campaign.folder, out, _existing(plan.options))
+    if not (plan.options.resume or plan.options.force):
+        check_free(plan.campaign.folder, out)
 
 
 @contextmanager
@@ -139,13 +137,10 @@ def _check_place(plan: Plan, out: Path) -> None:
     check_apart(out, inputs, force=options.force, resume=options.resume)
 
 
-def _existing(options: Options) -> Existing:
-    return Existing.of(resume=options.resume, force=options.force)
-
-
 def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
-    resumed = prepare_folder(plan.manifest, plan.campaign.folder, out, _existing(plan.options))
+    own, home, options = plan.manifest, plan.campaign.folder, plan.options
+    resumed = prepare_folder(own, home, out, resume=options.resume, force=options.force)
     for sentence in resumed.notes:
         observe(Step("resume", State.NOTE, message=sentence))
     if plan.campaign.model_file:

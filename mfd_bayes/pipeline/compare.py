@@ -17,9 +17,9 @@ from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import left_out_shown, write_report
 from mfd_bayes.reporting.tables import comparison_csv
-from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.folder import alone_in
+from mfd_bayes.runs.manifest import Comparison
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.scores import Comparison
 from mfd_bayes.store.files import write_text
 
 

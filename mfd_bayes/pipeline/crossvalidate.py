@@ -13,8 +13,8 @@ from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.runs.folder import remove_partial_files
+from mfd_bayes.runs.manifest import CampaignCrossValidation
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.scores import CampaignCrossValidation
 
 
 def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:

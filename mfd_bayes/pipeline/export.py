@@ -15,7 +15,7 @@ from mfd_bayes.response.building import Building, Device
 from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.opensees import equivalents
 from mfd_bayes.response.schema import Limits
-from mfd_bayes.runs.paths import POPULATION
+from mfd_bayes.runs.folder import POPULATION
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span, departures, far_sentences
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text

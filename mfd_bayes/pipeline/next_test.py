@@ -18,9 +18,8 @@ from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.inputs import why_no_file
 from mfd_bayes.reporting.tables import next_csv
-from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.folder import ADVICE, alone_in
 from mfd_bayes.runs.manifest import unchanged
-from mfd_bayes.runs.paths import ADVICE
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text, write_bytes, write_text

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.runs.paths import MANIFEST, is_file_of_a_run
+from mfd_bayes.runs.folder import MANIFEST, is_file_of_a_run
 from mfd_bayes.store.files import check_place
 
 

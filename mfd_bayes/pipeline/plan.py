@@ -30,6 +30,7 @@ from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import check_symbols
+from mfd_bayes.runs.folder import MANIFEST, posterior_of
 from mfd_bayes.runs.manifest import (
     FORMAT,
     Entry,
@@ -38,9 +39,8 @@ from mfd_bayes.runs.manifest import (
     check_readable,
     read_begun,
     this_machine,
-    with_keys,
 )
-from mfd_bayes.runs.paths import MANIFEST, posterior_of
+from mfd_bayes.runs.resume import with_keys
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import System
 

@@ -25,8 +25,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.manifest import unchanged
-from mfd_bayes.runs.model_average import ModelAverage
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text

@@ -17,10 +17,8 @@ from mfd_bayes.reporting.conversion import convert_scores
 from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
-from mfd_bayes.runs.folder import check_places
-from mfd_bayes.runs.lock import alone_in
+from mfd_bayes.runs.folder import alone_in, check_places
 from mfd_bayes.runs.manifest import read_manifest, unchanged
-from mfd_bayes.runs.paths import draws_as
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
@@ -100,5 +98,5 @@ def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Pat
     with alone_in(out):
         check_places(out)
         run = open_run(out)
-        path, write = out / draws_as(to), write_parquet if to == "parquet" else write_csv
+        path, write = out / f"draws.{to}", write_parquet if to == "parquet" else write_csv
         return path, write(path, frames_of(run, named_system(units, run.system), most))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -113,7 +113,6 @@ class Band:
     probability: float
     source: str
     values: Mapping[str, Array] = field(default_factory=dict)
-    interval: str = "equal-tailed"
     remarks: tuple[str, ...] = ()
     whole_lower: Array | None = None
     whole_upper: Array | None = None
@@ -121,6 +120,7 @@ class Band:
     explain: Callable[[], Mapping[str, float]] | None = field(default=None, repr=False)
     extras: Extras | None = field(default=None, repr=False)
     given: Any = None
+    interval: ClassVar[str] = "equal-tailed"
 
     def __post_init__(self) -> None:
         for name in ("lower", "median", "upper", "draws", "whole_lower", "whole_upper"):
@@ -322,7 +322,7 @@ class Predictor:
         rng: np.random.Generator,
         source: str,
     ) -> Band:
-        """Band of drawn tests, with noise if it is asked for; what is no number is refused."""
+        """Band of drawn tests, with noise if it is asked for."""
         values = self.values(drawn)
         if forecast.kind == "observation":
             noise = self.population.residual.draw_noise(rng, trace, values["noise_sd"])
@@ -383,93 +383,71 @@ class Predictor:
             mean(drawn.knots),
             None if drawn.noise is None else np.zeros_like(drawn.noise[few]),
         )
+        sources = [_source_of_scatter(design, name) for name in design.names]
+        follows = np.array([name in design.laws for name in design.names])
+        offset = np.array([name == "offset" for name in design.names])
         variances = {}
-        for name, (part, _, chosen) in SOURCES.items():
+        for name in ADVICE:
             if drawn.noise is None and name in OF_MEASUREMENTS:
                 continue
-            if part == "start":
-                change: dict[str, Any] = {
-                    "unshared": {**fixed.unshared, part: drawn.unshared[part][few]}
-                }
-            elif part in ("knots", "noise"):
-                change = {part: getattr(drawn, part)[few]}
+            varied = fixed
+            if name == NOISE and drawn.noise is not None:
+                varied = replace(fixed, noise=drawn.noise[few])
+            elif name == DISCREPANCY:
+                varied = replace(fixed, knots=drawn.knots[few])
+            elif name == START:
+                start = {"start": drawn.unshared["start"][few]}
+                varied = replace(fixed, unshared={**fixed.unshared, **start})
+            elif name in (LAWS, PARAMETERS):
+                columns = follows if name == LAWS else ~(follows | offset)
+                moved = np.where(columns, parts.mean[few], fixed.parts.mean)
+                scales = {k: v[few] for k, v in drawn.scales.items()}
+                varied = replace(fixed, parts=replace(fixed.parts, mean=moved), scales=scales)
             else:
-                columns = [chosen(design, quantity) for quantity in design.names]
-                values = np.where(columns, getattr(parts, part)[few], getattr(fixed.parts, part))
-                change = {"parts": replace(fixed.parts, **{part: values})}
-                if part == "mean":  # laws take their histories along
-                    change["scales"] = {k: v[few] for k, v in drawn.scales.items()}
-            force = self.total(trace, replace(fixed, **change))
-            variances[name] = float(np.mean(np.var(force, axis=0)))
+                columns = np.array([source == name for source in sources])
+                scatter = np.where(columns, parts.scatter[few], 0.0)
+                varied = replace(fixed, parts=replace(fixed.parts, scatter=scatter))
+            variances[name] = float(np.mean(np.var(self.total(trace, varied), axis=0)))
         whole = sum(variances.values())
         return {k: v / whole for k, v in variances.items() if v > 1e-20} if whole > 1e-20 else {}
 
 
-_REPEATS = (
-    "If few tests were calibrated, more tests make it smaller. If many were, it is the true "
-    "difference between tests of this device: find out what differed (temperature, wear, "
-    "bedding-in), or declare sessions. A prediction of one calibrated test by itself leaves it out."
-)
+# Sources of a band's width
+SCATTER, OTHERS = "test-to-test scatter of", "other quantities"
+OFFSET, LAWS, PARAMETERS = f"{SCATTER} the offset", "law, level and session effects", "parameters"
+START, DISCREPANCY, NOISE = "start in the gap", "discrepancy of the model", "noise"
+OF_MEASUREMENTS = (OFFSET, NOISE)  # which the force of the damper does not have
 
-_SCATTER = {
+_GROUPS = {
     "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd"),
     "backward slip force": ("Fc_bwd", "static_excess_bwd", "Fy_bwd"),
     "gap": ("d2", "d3", "gap"),
     "sigma0": ("sigma0",),
     "stiffness beyond the gap": ("k_fwd", "k_bwd"),
-    "the offset": ("offset",),
 }
-_GROUP = {quantity: name for name, group in _SCATTER.items() for quantity in group}
-
-
-class Source(NamedTuple):
-    """A source of a band's width: a part of `Drawn`, what a user could do, which quantities."""
-
-    part: str
-    advice: str
-    chosen: Callable[[Design, str], bool] = lambda design, quantity: True
-
-
-def _scatter(name: str, advice: str = _REPEATS) -> Source:
-    """Scatter of a group of quantities."""
-
-    def chosen(design: Design, n: str) -> bool:
-        if not design.coordinates.by_name and n != "offset" and not n.startswith("noise_"):
-            return name == "other quantities"
-        return _GROUP.get(n, "" if n.startswith("noise_") else "other quantities") == name
-
-    return Source("scatter", advice, chosen)
-
-
-# what makes a band wide, and what could be done about it
-SOURCES = {
-    **{f"test-to-test scatter of {name}": _scatter(name) for name in _SCATTER},
-    "test-to-test scatter of the offset": _scatter(
-        "the offset",
-        "Zero the load cell before each test, or ask for the kind new_test, which leaves it out.",
-    ),
-    "test-to-test scatter of other quantities": _scatter("other quantities"),
-    "law, level and session effects": Source(
-        "mean",
-        "Calibrate a test at or near this actuation, with such a stroke, in this session.",
-        lambda design, n: n in design.laws,
-    ),
-    "parameters": Source(
-        "mean",
-        "Calibrate more tests, with larger strokes or several speeds.",
-        lambda design, n: n not in design.laws and n != "offset",
-    ),
-    "start in the gap": Source(
-        "start",
-        "Begin the motion with a stroke that crosses the whole gap: that makes the start known.",
-    ),
-    "discrepancy of the model": Source(
-        "knots", "Calibrate more tests with full strokes: it repeats in every cycle."
-    ),
-    "noise": Source(
-        "noise", "It is the record's, not the damper's: the kind new_test leaves it out."
-    ),
+_MORE_TESTS = (
+    "If few tests were calibrated, more tests make it smaller. If many were, it is the true "
+    "difference between tests of this device: find out what differed (temperature, wear, "
+    "bedding-in), or declare sessions. A prediction of one calibrated test by itself leaves it out."
+)
+# what could be done about each source
+ADVICE = {
+    **{f"{SCATTER} {group}": _MORE_TESTS for group in _GROUPS},
+    OFFSET: "Zero the load cell before each test, or ask for the kind new_test, which leaves it "
+    "out.",
+    f"{SCATTER} {OTHERS}": _MORE_TESTS,
+    LAWS: "Calibrate a test at or near this actuation, with such a stroke, in this session.",
+    PARAMETERS: "Calibrate more tests, with larger strokes or several speeds.",
+    START: "Begin the motion with a stroke that crosses the whole gap: that makes the start known.",
+    DISCREPANCY: "Calibrate more tests with full strokes: it repeats in every cycle.",
+    NOISE: "It is the record's, not the damper's: the kind new_test leaves it out.",
 }
-ADVICE = {name: source.advice for name, source in SOURCES.items()}
-# sources that the force of the damper does not have
-OF_MEASUREMENTS = ("test-to-test scatter of the offset", "noise")
+
+
+def _source_of_scatter(design: Design, quantity: str) -> str:
+    """Source that the scatter of a quantity is; "" of the noise's."""
+    if quantity == "offset" or quantity.startswith("noise_"):
+        return OFFSET if quantity == "offset" else ""
+    groups = _GROUPS if design.coordinates.by_name else {}
+    found = (group for group, members in groups.items() if quantity in members)
+    return f"{SCATTER} {next(found, OTHERS)}"

@@ -26,7 +26,7 @@ from mfd_bayes.population.settings import KIND_NAMES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import to_units
 from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
-from mfd_bayes.runs.scores import ComparisonRow
+from mfd_bayes.runs.manifest import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
 

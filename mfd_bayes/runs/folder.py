@@ -1,110 +1,216 @@
-"""A run folder: made, resumed or replaced; what lies in it is checked, kept or removed."""
+"""A run folder: the names of its files, its lock, and what is checked, kept or removed in it."""
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
+import shlex
 import shutil
-from collections.abc import Collection, Iterable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
-from enum import Enum
+import socket
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.records.inputs import hash_file
-from mfd_bayes.runs.lock import OWNER
-from mfd_bayes.runs.manifest import COMPARISON, Manifest, Status, read_begun
-from mfd_bayes.runs.paths import (
-    ADVICE,
-    CAMPAIGN,
-    CROSSVALIDATION,
-    DISCARDED,
-    DRAWS,
-    FOLDERS,
-    MANIFEST,
-    MODEL,
-    ON_REQUEST,
-    OUTPUTS,
-    POPULATION,
-    PRIORS,
-    folder_of,
-    is_written_by_run,
-    posterior_of,
+from mfd_bayes.store.files import (
+    PART,
+    cannot_remove,
+    check_place,
+    is_part,
+    read_json,
+    remove_file,
+    write_json,
 )
-from mfd_bayes.store.files import PART, cannot_remove, check_place, is_part, remove_file
+from mfd_bayes.store.schema import Part, check
 
-_MOST_NAMES = 10  # that a message lists
+MANIFEST = "manifest.json"
+CAMPAIGN = "campaign.toml"
+PRIORS = "priors.toml"
+MODEL = "model.py"
+"""A copy of the file of a model of the user's own."""
+
+POPULATION = "population.nc"
+CROSSVALIDATION = "crossvalidation"
+DISCARDED = f".{MANIFEST}.discarded"
+"""The manifest of a run while it is removed: if that is interrupted, it can be repeated."""
+
+OWNER = ".owner.json"
+"""The process that works in the folder."""
+
+FOLDERS = ("tests", "figures", CROSSVALIDATION)
+"""Folders in a run folder."""
+
+DRAWS = ("draws.csv", "draws.parquet")
+ADVICE = ("next.csv", "next.json", "next.png")
+"""What `mfd-bayes next` writes into a run folder where it is told no other place."""
+
+_ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
+_TABLES = "parameters derived loop_estimates noises laws law_scores checks scores crossvalidation"
+OUTPUTS = (
+    *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
+    *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
+    *("datasheet.csv", "datasheet.tex"),
+    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html", POPULATION, CAMPAIGN, PRIORS, MODEL),
+)
+"""Files that a run and its report write, but for the manifest and what lies in folders."""
 
 
-class Existing(Enum):
-    """What happens to a run that exists in the folder."""
+def folder_of(test_id: str) -> str:
+    """Folder of all that is stored of a test."""
+    return f"tests/{test_id}"
 
-    REFUSED = "refused"
-    RESUMED = "resumed"
-    REPLACED = "replaced"
+
+def posterior_of(test_id: str) -> str:
+    """File of a test's posterior."""
+    return f"{folder_of(test_id)}/posterior.nc"
+
+
+def pooled_of(test_id: str) -> str:
+    """File of a test's posterior after pooling."""
+    return f"{folder_of(test_id)}/pooled.nc"
+
+
+def record_of(test_id: str) -> str:
+    """File of the record of a held-out test (predicted, never fitted)."""
+    return f"{folder_of(test_id)}/record.nc"
+
+
+def is_written_by_run(name: Path) -> bool:
+    """Whether a run writes a file of this name in its folder."""
+    first = name.parts[0] if name.parts else ""
+    return first in FOLDERS or name.as_posix() in (*OUTPUTS, MANIFEST, DISCARDED)
+
+
+def is_file_of_a_run(path: Path) -> bool:
+    """Whether a path, links followed, lies in a run folder and is one that the run writes."""
+    place = path.resolve()
+    for folder in place.parents:
+        if (folder / MANIFEST).is_file() or (folder / DISCARDED).is_file():
+            return is_written_by_run(place.relative_to(folder))
+    return False
+
+
+# --- the lock
+
+
+class Owner(Part):
+    """A process that works in a run folder; `boot` is the id of the running system, or ""."""
+
+    host: str
+    boot: str
+    pid: Annotated[int, Field(gt=0, lt=2**31)]
+    command: str
+    since: str
+
+    def __str__(self) -> str:
+        """Its name in messages."""
+        return f"{self.command!r}, process {self.pid} on {self.host} since {self.since}"
 
     @classmethod
-    def of(cls, *, resume: bool, force: bool) -> Existing:
-        """By the options of a command, of which one at most is given."""
-        return cls.RESUMED if resume else cls.REPLACED if force else cls.REFUSED
+    def here(cls) -> Owner:
+        """The process that asks."""
+        boot = Path("/proc/sys/kernel/random/boot_id")  # the same in each container of a machine
+        return cls(
+            host=socket.gethostname(),
+            boot=boot.read_text(encoding="ascii").strip() if boot.is_file() else "",
+            pid=os.getpid(),
+            command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            since=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
+        )
+
+    @property
+    def alive(self) -> bool:
+        """Whether this machine has a process with its number."""
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:  # another user's
+            pass
+        return True
 
 
-@dataclass(frozen=True)
-class Resumed:
-    """What a run begins with."""
+@contextmanager
+def alone_in(out: Path) -> Iterator[None]:
+    """Make the folder and keep other processes from working in it until the end.
 
-    manifest: Manifest
-    before: Manifest | None = None
-    same_tests: bool = False
-    notes: tuple[str, ...] = ()
-
-
-def prepare_folder(manifest: Manifest, home: Path, out: Path, existing: Existing) -> Resumed:
-    """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
-
-    Of a run that is resumed, everything is kept whose key is the same as before; what is stored
-    under another key is removed.
+    The lock is the operating system's, on the folder itself, and ends with its owner. The owner
+    also writes its name: a process that is refused reports it, and where machines share the
+    folder, the system's lock may not reach from one to another, but the name does.
     """
-    check_links(out)
-    check_places(out)
-    if _is_free(home, out):
-        return Resumed(manifest)
-    check_free(home, out, existing)
-    if existing is Existing.REPLACED or (out / DISCARDED).exists():
-        discard(out)
-        return Resumed(manifest)
     try:
-        before = read_begun(out)
-    except StoreError as error:
-        again = "--force to start again" if (out / MANIFEST).exists() else "another folder by -o"
-        raise StoreError(f"{out} cannot be resumed: {error}; give {again}") from error
-    _check_resumable(manifest, before, out)
-    same = {place for place, key in manifest.keys.items() if before.keys.get(place) == key}
-    kept = [name for name in manifest.tests if folder_of(name) in same]
-    resumed = _with_results(manifest, before, kept, out)
-    if COMPARISON in same and all((out / posterior_of(n)).is_file() for n in manifest.fitted):
-        resumed = resumed.changed(comparison=before.comparison)
-    notes = (*_lost_notes(kept, manifest, before, out), *_machine_notes(manifest, before))
-    if CROSSVALIDATION not in same:
-        remove_folder(out / CROSSVALIDATION)
-        before = before.changed(crossvalidation=None)
-    if POPULATION not in same:
-        before.changed(status=Status.RUNNING).write(out)  # what is left is no finished run
-    for name in {*before.tests, *manifest.tests}.difference(kept):
-        remove_folder(out / folder_of(name))
-    population = before if POPULATION in same else None
-    return Resumed(resumed, population, COMPARISON in same, notes)
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"cannot make the run folder {out}: {error.strerror}") from error
+    here = Owner.here()
+
+    def leave() -> None:
+        with suppress(OSError):  # a read-only disk: a name that is left behind is no lock
+            (out / OWNER).unlink(missing_ok=True)
+
+    handle = os.open(out, os.O_RDONLY)
+    try:
+        _take(handle, out, here)
+        try:
+            with suppress(StoreError):  # a full disk: the first result reports it
+                write_json(out / OWNER, here.model_dump())
+            with before_end(leave):
+                yield
+        finally:
+            leave()
+    finally:
+        os.close(handle)
 
 
-def check_free(home: Path, out: Path, existing: Existing) -> None:
-    """Refuse a folder that exists and is neither to be resumed nor to be replaced."""
-    if existing is Existing.REFUSED and not _is_free(home, out):
-        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
+def _take(handle: int, out: Path, here: Owner) -> None:
+    """Take the system's lock; refuse a folder that another process may hold."""
+    owner = _owner_of(out)
+    elsewhere = (
+        owner is not None
+        and owner.host != here.host
+        and not (owner.boot and owner.boot == here.boot)
+    )
+    lives = owner is not None and (elsewhere or owner.alive)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:  # held, or a file system without locks
+        other = owner is not None and lives and not elsewhere and owner.pid != here.pid
+        if error.errno == errno.EWOULDBLOCK or other:
+            name = f": {owner}" if lives else ""
+            raise StoreError(f"another process is working in {out}{name}: let it end") from None
+    if elsewhere:
+        raise StoreError(
+            f"{out} may be in use: its owner is {owner}, and this machine cannot see whether "
+            f"that still runs; let it end, or, if it has ended, remove {out / OWNER}"
+        )
 
 
-def _is_free(home: Path, out: Path) -> bool:
+def other_owner(out: Path) -> str:
+    """Words that name another process which works in a folder: ": …"; "" where none is known."""
+    owner = _owner_of(out)
+    return "" if owner is None or owner.pid == os.getpid() else f": {owner}"
+
+
+def _owner_of(out: Path) -> Owner | None:
+    """Owner that a folder names; None where it names none, or the name cannot be read."""
+    with suppress(StoreError):
+        return check(Owner, read_json(out / OWNER), OWNER)
+    return None
+
+
+# --- what lies in a folder
+
+
+def is_free(out: Path, home: Path) -> bool:
     """Whether a folder holds nothing but the campaign, a lock's owner or an unfinished manifest."""
     return not out.is_dir() or all(
         entry.resolve() == home
@@ -115,110 +221,16 @@ def _is_free(home: Path, out: Path) -> bool:
     )
 
 
-def _check_resumable(manifest: Manifest, before: Manifest, out: Path) -> None:
-    """Refuse to resume a run of other tests, or with another seed, effort or version."""
-    for key in ("seed", "effort", "versions"):
-        old, new = getattr(before, key), getattr(manifest, key)
-        if old == new:
-            continue
-        changed = ""
-        if isinstance(old, Mapping):
-            names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-            changed = f" ({_listed(names)})"
-        raise StoreError(
-            f"{out} cannot be resumed: {key}{changed} changed since it was started; "
-            "give --force to start again"
-        )
-    if not set(before.tests) & set(manifest.tests):
-        raise StoreError(
-            f"{out} cannot be resumed: it is a run of other tests ({_listed(before.tests)}); "
-            "give another folder, or --force to replace it"
-        )
-
-
-def _with_results(
-    manifest: Manifest, before: Manifest, kept: Collection[str], out: Path
-) -> Manifest:
-    """The manifest with what is kept of an earlier session, after a check of the kept files.
-
-    Hashes of other files are dropped: such a file is written again before its hash is, and a kill
-    in between would leave a new file with an old hash.
-    """
-    files = [name for name in map(posterior_of, kept) if (out / name).is_file()]
-    for name in (*files, *([POPULATION] if (out / POPULATION).is_file() else [])):
-        check_stored(out, name, before.files)
-    resumed = manifest.changed(files={n: before.files[n] for n in files if n in before.files})
-    if before.truth is not None:
-        tests = {name: values for name, values in before.truth.tests.items() if name in kept}
-        resumed = resumed.changed(truth=before.truth.model_copy(update={"tests": tests}))
-    for name in kept:
-        if before.tests[name].status == State.DONE:
-            seconds = before.tests[name].seconds
-            resumed = resumed.with_test(name, status=State.DONE, seconds=seconds)
-    machines = dict.fromkeys(tuple(m.items()) for m in (*before.machines, *manifest.machines))
-    return resumed.changed(
-        started=before.started, seconds=before.seconds, machines=tuple(map(dict, machines))
-    )
-
-
-def _lost_notes(
-    kept: Collection[str], manifest: Manifest, before: Manifest, out: Path
-) -> list[str]:
-    """Sentences on the finished tests that are not kept."""
-    lost = [n for n in before.tests if n not in kept and (out / posterior_of(n)).is_file()]
-    again = [name for name in lost if name in manifest.fitted]
-    gone = [name for name in lost if name not in again]
-    notes = []
-    if again:
-        notes.append(f"what they rest on has changed, so they are sampled again: {_listed(again)}")
-    if gone:
-        notes.append(f"no longer calibrated by this campaign, so removed: {_listed(gone)}")
-    return notes
-
-
-def _machine_notes(manifest: Manifest, before: Manifest) -> list[str]:
-    """A sentence where the run was computed by another machine, as far as its draws tell."""
-    (here,) = manifest.machines
-    for there in before.machines:
-        names = [name for name in {**there, **here} if there.get(name) != here.get(name)]
-        if names:
-            differ = "; ".join(
-                f"{name} was {there.get(name, 'none')[:120]}, is {here.get(name, 'none')[:120]}"
-                for name in names
-            )
-            return [
-                "another machine has computed a part of this run, and draws that are kept can "
-                f"differ in their last digits from those of this one: {differ}"
-            ]
-    return []
-
-
-def _listed(names: Iterable[str]) -> str:
-    """Names with commas; the first of many."""
-    every = [name[:60] for name in names]
-    more = f", and {len(every) - _MOST_NAMES} more" if len(every) > _MOST_NAMES else ""
-    return ", ".join(every[:_MOST_NAMES]) + more
-
-
-# --- what lies in a folder
-
-
 def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
     """Refuse named folders that are, or hold, links to outside of a run folder."""
     try:
         home = out.resolve()
         for name in names:
-            _check_inside(out / name, home)
-            for folder, folders, files in os.walk(out / name):
-                for entry in (*folders, *files):
-                    _check_inside(Path(folder) / entry, home)
+            for path in chain([out / name], (out / name).rglob("*")):
+                if path.is_symlink() and not path.resolve().is_relative_to(home):
+                    raise StoreError(f"{path} is a link to outside of the run folder")
     except (OSError, RuntimeError) as error:  # links in a circle
         raise StoreError(f"cannot read {out}: {error}") from error
-
-
-def _check_inside(path: Path, home: Path) -> None:
-    if path.is_symlink() and not path.resolve().is_relative_to(home):
-        raise StoreError(f"{path} is a link to outside of the run folder")
 
 
 def check_places(out: Path) -> None:
@@ -261,10 +273,9 @@ def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool 
         if not place.is_relative_to(home):
             continue
         name = place.relative_to(home)
-        copies = (CAMPAIGN, PRIORS, MODEL)  # written as they were read
-        copied = name.as_posix() in copies and not force
-        stays = name.parts[0] in FOLDERS and not (resume and name.parts[0] == "tests")
-        if is_written_by_run(name) and not copied and (force or not stays):
+        copied = name.as_posix() in (CAMPAIGN, PRIORS, MODEL)  # written as they were read
+        in_folder = name.parts[0] in FOLDERS and not (resume and name.parts[0] == "tests")
+        if is_written_by_run(name) and (force or not (copied or in_folder)):
             raise StoreError(
                 f"{path} is an input of this run and lies where {out} is written: it would be "
                 "lost; give another folder"
@@ -309,7 +320,8 @@ def remove_stale(out: Path, *, draws: bool) -> None:
 
     With `draws`, tests are sampled too, and the table of their draws is removed.
     """
-    for name in (*ON_REQUEST, *(DRAWS if draws else ())):
+    on_request = (*_ON_REQUEST, *ADVICE, "figures/next.png", "figures/next.csv")
+    for name in (*on_request, *(DRAWS if draws else ())):
         remove_file(out / name)
 
 

@@ -1,14 +1,13 @@
-"""The manifest of a run: its inputs, settings, progress and results, and the keys of a resume."""
+"""The manifest of a run: its inputs, settings, progress and results."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import reprlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -18,27 +17,19 @@ from pydantic import Field, field_validator, model_validator
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError
-from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
-from mfd_bayes.population.laws import LAW_NAMES
 from mfd_bayes.records.loops import MeasuredCycles
-from mfd_bayes.runs.lock import other_owner
-from mfd_bayes.runs.paths import CROSSVALIDATION, MANIFEST, POPULATION, folder_of
-from mfd_bayes.runs.scores import CampaignCrossValidation, Comparison
+from mfd_bayes.runs.folder import MANIFEST, other_owner
 from mfd_bayes.runs.unit_system import System, system_of
 from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.store.files import json_text, read_json, write_json
-from mfd_bayes.store.schema import Figure, Index, Part, Positive, Three, check
+from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Part, Positive, Three, check
 
 FORMAT: Literal[2] = 2
 """Format of a run folder, raised when another version cannot read what this one writes."""
-
-COMPARISON = "comparison"
-"""Name of the key of the comparison of models."""
 
 
 class Status(StrEnum):
@@ -86,6 +77,112 @@ class Entry(Part):
     def filtered(self) -> bool:
         """Whether the record was low-passed for the fit."""
         return self.rate < 0.999 * self.record_rate
+
+
+# --- what evaluation makes of a run, as the manifest holds it
+
+PartKind = Literal["test", "level", "session"]
+"""What is left out of a campaign at a time."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well the draws of a predicted force met the force of one record."""
+
+    coverage: Three
+    """Share of samples inside the equal-tailed bands of `COVERAGES`."""
+    width: Figure
+    """Mean width of the 95 % band, kip."""
+    interval_score: Figure
+    """Mean interval score of the 95 % band, kip (Gneiting and Raftery, 2007): its width, and 40
+    times how far the force lies outside."""
+    crps: Figure
+    """Mean continuous ranked probability score, kip."""
+    rrse: Figure
+    """Root relative squared error of the median."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """How a test was predicted from a campaign without its part."""
+
+    part: str
+    test: str
+    score: Score
+    """Of bands of kind "observation"."""
+    fitted: Score
+    """Of the test's own posterior."""
+    whole: bool | None = None
+    """Whether the whole force is inside the 95 % band of whole histories."""
+
+
+@dataclass(frozen=True)
+class CampaignCrossValidation:
+    """Predictions of every test of a campaign, each from the parts that the test is not in."""
+
+    by: PartKind
+    predictions: AtLeastOne[Prediction]
+
+
+@dataclass(frozen=True)
+class ComparisonRow:
+    """How well a model predicts the cycles of a test, or of all tests, that it has not seen.
+
+    Attributes
+    ----------
+    subject, model : str
+    cycles : int
+    elpd, elpd_se : float
+        Expected log predictive density of all cycles, and its standard error: over tests where
+        there are several, over cycles of one.
+    p_loo : float
+        Effective number of parameters.
+    worst_k, bad : float
+        Largest Pareto k of PSIS, and the share of cycles in which it is too large for it.
+    unsettled : float
+        Share of cycles in which k is too large also after they were computed anew.
+    difference, difference_se : float
+        Elpd less that of the best model, and its standard error, paired over cycles.
+    rrse : float
+        Root relative squared error of the posterior median, of the record that it has seen.
+    log_evidence, log_evidence_se, evidence_k : float
+        Log of likelihood times prior, integrated (the sum over tests); its standard error, and the
+        Pareto k of its importance weights.
+    evidence_trusted : bool
+        Whether these two are small enough.
+    """
+
+    subject: str
+    model: str
+    cycles: Index
+    elpd: Figure
+    elpd_se: Figure
+    p_loo: Figure
+    worst_k: Figure
+    bad: Figure
+    unsettled: Figure
+    difference: Figure
+    difference_se: Figure
+    rrse: Figure
+    log_evidence: Figure
+    log_evidence_se: Figure
+    evidence_k: Figure
+    evidence_trusted: bool
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Models of one campaign, compared: rows of every test, then of all; best model first.
+
+    The sentence says which model the records favour, and whether its check figures speak
+    against it.
+    """
+
+    rows: tuple[ComparisonRow, ...]
+    sentence: str
+
+
+# --- the manifest
 
 
 class Truth(Part):
@@ -149,14 +246,6 @@ class Manifest(Part):
             _ = self.settings.actuation_unit
         except UnitError as error:
             raise ValueError(str(error)) from error
-        levels = {(score.quantity, len(score.levels)) for score in self.law_scores}
-        known = all(s.law in LAW_NAMES and len(s.levels) > 1 for s in self.law_scores)
-        if not known or len(levels) > len(dict(levels)):
-            raise ValueError("law_scores must be of known laws, and of the same two levels or more")
-        try:
-            _ = [str(finding.message) for finding in self.warnings]
-        except (AttributeError, LookupError, ValueError) as error:
-            raise ValueError(f"warnings have a message that cannot be written: {error}") from error
         if self.status == Status.FINISHED and not self.finished:
             raise ValueError("finished is missing")
         return self
@@ -204,67 +293,18 @@ class Manifest(Part):
         write_json(folder / MANIFEST, self.content)
 
 
-def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
-    """The manifest with the keys of what the run stores.
-
-    A key is the SHA-256 of all that a stored result rests on: where it is the same as before, the
-    result is kept. That of a test, named as its folder, has nothing of the other tests. There is
-    one for the population, one for what was left out of the campaign, and one for the comparison.
-    """
-    settings = manifest.settings
-    general = settings.campaign
-    of_all = {
-        "model": general.model,
-        **({"model_file": manifest.inputs[file]} if (file := file_of(general.model)) else {}),
-        "noise": general.noise,
-        "start": general.start,
-        "rate": general.rate,
-        "checks_noise": settings.checks_noise(manifest.effort.name),
-        "effort": asdict(manifest.effort),
-        "seed": manifest.seed,
-        "priors": {name: (p.family, dict(p.figures)) for name, p in priors.parameters.items()},
-    }
-    keys = {}
-    for name, test in settings.tests.items():
-        columns = {role: c.model_dump() for role, c in settings.columns_of(test).items()}
-        record = manifest.inputs[test.file], Path(test.file).suffix.lower()
-        own = name, test.role, record, columns, test.fit, str(test.actuation)
-        keys[folder_of(name)] = _digest(own, of_all)
-    fitted = {name: keys[folder_of(name)] for name in manifest.fitted}
-    keys[COMPARISON] = _digest([*fitted.items()])
-    keys[POPULATION] = _digest(
-        [*fitted.items()],
-        {name: settings.sessions[name] for name in fitted},
-        {name: settings.devices[name] for name in fitted if settings.devices[name]},
-        {name: settings.conditions[name] for name in fitted if settings.dependence},
-        (settings.laws, settings.dependence, settings.actuation_unit),
-        {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()},
-    )
-    followed = {name: (after, keys[folder_of(after)]) for name, after in settings.order.items()}
-    keys[CROSSVALIDATION] = _digest(keys[POPULATION], followed)
-    return manifest.changed(keys=keys)
-
-
-def _digest(*parts: object) -> str:
-    """SHA-256 of plain values, 64 hexadecimal digits."""
-    text = json.dumps(json.loads(json_text(parts)), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def check_readable(manifest: Manifest) -> None:
-    """Refuse a manifest that could not be read, or would be another one, once it is stored."""
-    for name in manifest.inputs:
-        if any("\ud800" <= c <= "\udfff" for c in name):  # Python's sign of other bytes
-            raise CampaignError(f"the name of the file {name!r} is not UTF-8: rename it")
-    written = json.loads(json_text(manifest.content))
+    """Refuse a manifest that could not be read once it is stored."""
     try:
-        again = check(Manifest, written, "the manifest")
+        for name in manifest.inputs:
+            name.encode()
+        check(Manifest, json.loads(json_text(manifest.content)), "the manifest")
+    except UnicodeEncodeError as error:
+        raise CampaignError(f"the name of the file {name!r} is not UTF-8: rename it") from error
     except StoreError as error:
         raise CampaignError(
             f"this campaign could not be opened once it is stored: {error}"
         ) from error
-    if json.loads(json_text(again.content)) != written:
-        raise CampaignError("this campaign would not be the same once it is stored and read")
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -343,8 +383,7 @@ def this_machine() -> dict[str, str]:
     machine = {"processor": processor, "instructions": instructions}
     for library in sorted(threadpool_info(), key=lambda info: str(info["filepath"])):
         if library["user_api"] == "blas":
-            owner = [name for name in ("numpy", "scipy") if f"{name}.libs" in library["filepath"]]
-            words = (library["internal_api"], library.get("version"), library.get("architecture"))
-            text = " ".join(str(word) for word in words if word)
-            machine.setdefault(f"BLAS of {owner[0]}" if owner else "BLAS", text)
+            owners = [name for name in ("numpy", "scipy") if f"{name}.libs" in library["filepath"]]
+            words = (library.get(key) for key in ("internal_api", "version", "architecture"))
+            machine.setdefault(" of ".join(["BLAS", *owners]), " ".join(filter(None, words)))
     return machine

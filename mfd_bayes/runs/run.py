@@ -1,10 +1,11 @@
-"""A finished calibration, opened from its folder."""
+"""A finished calibration, opened from its folder, and several of them that predict together."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,29 +14,48 @@ import numpy as np
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
+from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
 from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
-from mfd_bayes.planning.candidate import Limits
-from mfd_bayes.planning.goal import Goal
-from mfd_bayes.planning.study import Advice, Effort
-from mfd_bayes.population.bands import Band, Forecast, Predictor, check_flag
-from mfd_bayes.population.given import Forecaster, predict_given
+from mfd_bayes.planning.candidate import (
+    MOST,
+    NEW_DEVICE,
+    Candidate,
+    Limits,
+    Parts,
+    Shown,
+    grid_of,
+    harmonic_of,
+    parse_limits,
+    parse_tests,
+    typical_of,
+)
+from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
+from mfd_bayes.planning.study import Advice, Effort, Situation, advise
+from mfd_bayes.population.bands import FEWEST, Band, Forecast, Predictor, check_flag
+from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.inputs import path_of, why_no_file
+from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number, why_no_file
 from mfd_bayes.records.trace import Trace, check_trace
-from mfd_bayes.runs.folder import check_links, check_stored
+from mfd_bayes.runs.folder import (
+    CAMPAIGN,
+    MODEL,
+    POPULATION,
+    PRIORS,
+    check_links,
+    check_stored,
+    posterior_of,
+    record_of,
+)
 from mfd_bayes.runs.manifest import Manifest, read_manifest, unchanged
-from mfd_bayes.runs.next_test import Candidates, next_test
-from mfd_bayes.runs.paths import MODEL, POPULATION, PRIORS, posterior_of, record_of
-from mfd_bayes.runs.test_sequence import NO_GAP, StoredPooled, TestSequence
+from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence, stored_pooled
 from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
-    TestUnderWay,
     departures,
     range_of,
     reach_of,
@@ -50,6 +70,13 @@ if TYPE_CHECKING:
     from mfd_bayes.response.result import Response
 
 Item = TypeVar("Item")
+
+Candidates = str | Candidate | Iterable[str | Candidate]
+"""Tests in words, or as they are."""
+
+DISAGREEMENT = 0.5
+"""Models disagree where their medians are apart by more than this share of half the band's width,
+root mean square."""
 
 
 class ByName(Mapping[str, Item]):
@@ -108,12 +135,12 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
         raise StoreError(f"the run in {folder} has no calibrated test")
     for name in (*map(posterior_of, done), *map(record_of, held_out)):
         path = folder / name
-        if path.exists() and (reason := why_no_file(path)):
-            raise StoreError(f"{path} {reason}")
         if not path.is_file():
-            raise StoreError(f"{path} is missing from the run")
-    read_test = partial(_read_test, folder, manifest, (priors, model), extras)
-    tests = ByName("calibrated test", done, read_test)
+            reason = why_no_file(path) if path.exists() else "is missing from the run"
+            raise StoreError(f"{path} {reason}")
+    tests = ByName(
+        "calibrated test", done, partial(_read_test, folder, manifest, (priors, model), extras)
+    )
     traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
     return Run(folder, manifest, priors, tests, traces, extras)
 
@@ -190,11 +217,6 @@ class Run:
             path = check_stored(self.folder, POPULATION, self.manifest.files)
             return load_population(path, self.priors, self.model)
 
-    @cached_property
-    def offset(self) -> float:
-        """Median over the calibrated tests of the median offset of the force, kip."""
-        return float(np.median([test.intervals["offset"][0] for test in self.tests.values()]))
-
     def rewrite(self, **parts: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""
         manifest = self.manifest.changed(**parts)
@@ -229,25 +251,22 @@ class Run:
     def tested(self) -> tuple[Span, ...]:
         """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
         tests = (self.manifest.tests[name].conditions for name in self.tests)
+        actuated = self.manifest.axes.actuated
         spans = range_of(tests, self.actuation_unit)
-        return (
-            spans
-            if self.manifest.axes.actuated
-            else tuple(s for s in spans if s.name != "actuation")
-        )
+        return tuple(span for span in spans if actuated or span.name != "actuation")
 
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
         check_trace("trace", trace, FitError)
-        unit, entries = self.actuation_unit, self.manifest.tests
-        own = ByName("calibrated test", self.tests, lambda name: entries[name].conditions)
-        tested = range_of([own[test]], unit) if test else self.tested
+        unit = self.actuation_unit
+        tested = self.tested
+        if test:
+            tested = range_of([self.manifest.tests[test].conditions], unit)
         return departures(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
-        sessions = self.manifest.settings.sessions
-        return ByName("test", sessions, sessions.__getitem__)[name]
+        return self.manifest.settings.sessions[name]
 
     @cached_property
     def devices(self) -> tuple[str, ...]:
@@ -273,7 +292,7 @@ class Run:
     @cached_property
     def sequence(self) -> TestSequence:
         """Which tests follow each other without a reset, and where they end."""
-        pooled = StoredPooled(self.folder, self.manifest, self.population)
+        pooled = partial(stored_pooled, self.folder, self.manifest, self.population)
         return TestSequence(self.manifest, self.tests, self.held_out, self.predictor, pooled)
 
     @property
@@ -363,8 +382,12 @@ class Run:
         """
         check_trace("trace", trace, FitError)
         check_flag("explain", explain)
-        if given is not None:
-            _check_given(test, after)
+        if given is not None and (test or after):
+            other = f"a calibrated test ({test!r})" if test else f"after ({after!r})"
+            raise FitError(
+                f"given cannot be combined with {other}: the given part is of one new test, and "
+                "shows itself where in its gap the device stands"
+            )
         forecast = Forecast(
             *(kind, probability, draws, seed, session, whole, bool(explain)),
             device=device,
@@ -409,17 +432,14 @@ class Run:
 
     def _repeat(self, trace: Trace, forecast: Forecast, name: str) -> Band:
         """Band of what is known of one calibrated test."""
-        expected = f"one of {', '.join(self.tests)}"
-        if not isinstance(name, str):
-            raise FitError(f"test must be text, got {name!r}")
         if forecast.kind != THIS_TEST:
             raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
-        if not name:
-            raise FitError(f"the kind this_test needs the id of a calibrated test: {expected}")
-        if name in self.held_out:
-            raise FitError(f"test {name!r} was held out, so nothing is known of it: {expected}")
         if name not in self.tests:
-            raise FitError(f"the run has no calibrated test {name!r}: {expected}")
+            held_out = ", which was held out" if name in self.held_out else ""
+            raise FitError(
+                f"the kind this_test needs the id of a calibrated test: one of "
+                f"{', '.join(self.tests)}, got {name!r}{held_out}"
+            )
         test, own = self.tests[name], self.session(name)
         levels = test.trace.reference_actuation, trace.reference_actuation
         if np.isfinite(levels[1]) and not same_level(*levels):
@@ -431,10 +451,9 @@ class Run:
                 f"{other}: take the kind new_test"
             )
         if forecast.session and forecast.session != own:
-            made = f"session {own!r}" if own else "no session"
             raise FitError(
                 f"session {forecast.session!r} is for a new test: the kind this_test takes that of "
-                f"its test, which was made in {made}"
+                f"its test, {own!r}"
             )
         forecast = replace(forecast, session=own)
         return self.predictor.repeat(trace, forecast, test.stored.values())
@@ -525,14 +544,29 @@ class Run:
         setting = planned_setting(self.population.design.settings, actuation, session, planned)
         forecast = Forecast(kind, probability, draws, seed, session)
         forecaster = Forecaster(self.predictor, setting, forecast, refresh=refresh)
-        forecaster.complete = TestUnderWay(
-            setting,
-            self.tested,
-            self.system,
-            self.actuation_unit,
-            tuple(self._remarks(session)),
-            self.extras,
-        )
+        unit = self.actuation_unit
+        plan = {
+            "stroke": 2.0 * setting.covariates["amplitude"],
+            "speed": setting.covariates["velocity"],
+            "actuation": setting.actuation,
+        }
+        left = departures(self.tested, range_of([plan], unit))
+        said = {departure.reached.name for departure in left}
+        remarks = [departure.sentence(self.system, widened=True) for departure in left]
+        remarks += self._remarks(session)
+
+        def complete(band: Band, motion: Trace) -> Band:
+            """The band with its remarks; a motion that has begun is no smaller than planned."""
+            reached = [
+                span
+                for span in reach_of(motion, unit)
+                if span.name not in said
+                and (span.name not in ("stroke", "speed") or span.highest > plan[span.name])
+            ]
+            outside = [d.sentence(self.system) for d in departures(self.tested, reached)]
+            return replace(band, remarks=(*outside, *remarks, *band.remarks), extras=self.extras)
+
+        forecaster.complete = complete
         return forecaster
 
     def next_test(
@@ -560,18 +594,231 @@ class Run:
         CampaignError
             When an option is of another type or not understood, or the limits leave no candidate.
         """
-        return next_test(self, goal, candidates, limits, Effort(draws, seed))
+        settings = self._goal_settings(goal, candidates, limits)
+        axes, design = self.system.axes, self.population.design
+        shown = Shown(
+            self.system.factor(self.actuation_unit),
+            self.system.factor("in"),
+            actuated=axes.actuated,
+            timed=axes.timed,
+        )
+        # an actuation that is next to nothing is zero in the population
+        done = tuple(
+            replace(harmonic_of(test.trace, shown), actuation=setting.actuation)
+            for test, setting in zip(self.tests.values(), design.settings, strict=True)
+        )
+        sessions = tuple(self.session(name) for name in self.tests)
+        check_session(settings.goal.session, sessions)
+        typical = [test for test in typical_of(done) if test.actuation > 0.0]
+        # without an actuation of its own a test is one at each of the campaign's range
+        tests = [
+            parts.completed(level)
+            for parts in settings.candidates
+            for level in (typical if parts.actuation is None else typical[:1])
+        ]
+        if len(tests) > MOST:
+            raise CampaignError(f"more than {MOST} tests, the most of one question")
+        tests = tests or grid_of(done, shown)
+        if self.population.several_devices:  # the one that was tested last, or one more
+            among = NEW_DEVICE, design.settings[-1].device
+            tests = [
+                replace(c, device=d) for c in tests for d in ([c.device] if c.device else among)
+            ]
+        model, noise = self.predictor.model, self.predictor.noise
+        situation = Situation(self.population, model, noise, done, sessions)
+        advice = advise(situation, settings.goal, tests, settings.limits, Effort(draws, seed))
+        if not settings.candidates:
+            return advice
+        reached = []
+        for span in self.tested:
+            values = [getattr(row.candidate, span.name) for row in advice]
+            reached.append(replace(span, lowest=min(values), highest=max(values)))
+        outside = departures(self.tested, reached)
+        return replace(advice, remarks=tuple(d.sentence(self.system) for d in outside))
+
+    def _goal_settings(
+        self, goal: str | Goal | None, candidates: Candidates | None, limits: str | Limits | None
+    ) -> GoalSettings:
+        """What is given, checked, and for the rest what the campaign file says."""
+        unit = self.actuation_unit
+        table, laws = self.manifest.settings.goal, tuple(self.model.laws)
+        stored = (*laws, table.of) if table else laws
+        own = goal_settings(table, unit, self.folder / CAMPAIGN, stored)
+        if isinstance(goal, str):
+            goal = replace(parse_goal(goal, unit, of="goal", laws=laws), session=own.goal.session)
+        elif isinstance(goal, Goal):
+            check_goal(goal, of="goal", laws=laws)
+        elif goal is not None:
+            raise CampaignError(f"goal must be text such as 'band', or a Goal, got {goal!r}")
+        if isinstance(limits, str):
+            limits = parse_limits(limits, of="limits")
+        elif not isinstance(limits, Limits | None):
+            raise CampaignError(
+                f"limits must be text such as '10 in/s, 6 in, 20 kip', or Limits, got {limits!r}"
+            )
+        if candidates is None:
+            return GoalSettings(goal or own.goal, own.candidates, limits or own.limits)
+        several = [candidates] if isinstance(candidates, str | Candidate) else candidates
+        tests: list[Parts] = []
+        for test in several if isinstance(several, Iterable) else [several]:
+            if isinstance(test, Candidate):
+                tests.append(Parts(**vars(test)))
+            elif isinstance(test, str):
+                tests += parse_tests(test, unit, of="candidates")
+            else:
+                raise CampaignError(
+                    f"candidates must be tests in words or Candidates, one or several, got {test!r}"
+                )
+        tests = tests or parse_tests("", unit, of="candidates")
+        return GoalSettings(goal or own.goal, tests, limits or own.limits)
 
 
-def _check_given(test: str, after: str | Ending) -> None:
-    """Refuse what a given part cannot be combined with."""
-    if after:
-        name = after.test if isinstance(after, Ending) else after
-        raise FitError(
-            f"after ({name!r}) cannot be combined with given: the given part itself shows where "
-            "in its gap the device stands"
+@dataclass(frozen=True)
+class ModelAverage:
+    """Runs of the same tests with different models, which predict together.
+
+    Every run gives the same share of the draws: tests of full cycles say little about which model
+    is nearer in another motion, so none is preferred. Where the models agree the band is about as
+    wide as theirs; where they differ it holds what each of them says.
+
+    Attributes
+    ----------
+    runs : sequence of Run
+        Two or more; kept as a tuple.
+
+    Raises
+    ------
+    FitError
+        When there are fewer than two runs, one is no run, two of them have the same model and
+        noise, or not the same calibrated tests.
+    """
+
+    runs: Sequence[Run]
+
+    def __post_init__(self) -> None:
+        runs = tuple(self.runs) if isinstance(self.runs, Iterable) else (self.runs,)
+        if len(runs) < 2 or not all(isinstance(run, Run) for run in runs):
+            kinds = ", ".join(type(run).__name__ for run in runs) or "none"
+            raise FitError(
+                f"an average of models needs two or more runs, as open_run opens them, got {kinds}"
+            )
+        object.__setattr__(self, "runs", runs)
+        for first, second in pairwise(runs):
+            _check_same_records(first, second)
+        twice = [name for name in self.models if self.models.count(name) > 1]
+        if twice:
+            raise FitError(
+                f"two of the runs have the model {twice[0]}: an average of models needs others"
+            )
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Model of each run, with its noise where two of them have the same model."""
+        settings = [run.manifest.settings for run in self.runs]
+        names = [own.model for own in settings]
+        if len(set(names)) == len(names):
+            return tuple(names)
+        return tuple(f"{own.model} ({own.noise})" for own in settings)
+
+    def predict(
+        self,
+        trace: Trace,
+        kind: str = "new_test",
+        probability: float = 0.95,
+        *,
+        draws: int = 500,
+        seed: int = 0,
+        session: str = "",
+        whole: bool = False,
+        given: tuple[float, float] | None = None,
+        after: str = "",
+    ) -> Band:
+        """Band of the force under any motion and actuation, by all models together.
+
+        Parameters
+        ----------
+        trace, kind, probability, seed, session, whole, given, after
+            As in `Run.predict`; not of kind `this_test`.
+        draws : int
+            Of all models together, 10 or more for each.
+
+        Returns
+        -------
+        Band
+            lower, median, upper (T,) and draws (n, T), kip. The draws of the first run come first.
+            `values` are empty, since each model has its own quantities.
+
+        Raises
+        ------
+        FitError
+            As `Run.predict` does, or when the kind is `this_test`.
+        """
+        if kind == THIS_TEST:
+            raise FitError("an average of models predicts a new test, not the kind this_test")
+        n = len(self.runs)
+        whole_number(f"draws (of {n} runs together)", draws, FEWEST * n, FitError, MOST_DRAWS)
+        options: dict[str, Any] = {"seed": seed, "session": session, "given": given, "after": after}
+        bands = [
+            run.predict(trace, kind, probability, draws=draws // n + (i < draws % n), **options)
+            for i, run in enumerate(self.runs)
+        ]
+        forecast = Forecast(kind, probability, draws, seed, session, whole)
+        together = np.concatenate([band.draws for band in bands])
+        remarks = dict.fromkeys(remark for band in bands for remark in band.remarks)
+        return replace(
+            Band.of(trace.time, together, forecast, self._source(bands)),
+            remarks=(*remarks, *_disagreement(bands)),
+            given=_worst_given([band.given for band in bands if band.given]),
+            extras=self.runs[0].extras,
         )
-    if test:
+
+    def _source(self, bands: Sequence[Band]) -> str:
+        """Where the parameters come from."""
+        if len({band.source for band in bands}) == 1:
+            return f"{_listed(self.models)} in equal parts, {bands[0].source}"
+        each = [f"{name}, {b.source}" for name, b in zip(self.models, bands, strict=True)]
+        return f"equal parts of {_listed(each)}"
+
+
+def _check_same_records(first: Run, second: Run) -> None:
+    """Refuse runs that were not calibrated with the same records."""
+    where = f"{first.folder} and {second.folder}"
+    if odd := sorted({*first.tests} ^ {*second.tests}):
         raise FitError(
-            f"given cannot be combined with a calibrated test ({test!r}): it shows one new test"
+            f"test {odd[0]!r} is calibrated in only one of {where}: an average of models needs "
+            "runs of the same tests"
         )
+    for name, test in first.tests.items():
+        force, other = (np.asarray(each.trace.force) for each in (test, second.tests[name]))
+        if not np.array_equal(force, other):
+            raise FitError(
+                f"the record of test {name!r} is not the same in {where}: an average of models "
+                "needs runs of the same records"
+            )
+
+
+def _listed(words: Sequence[str]) -> str:
+    """Words with commas, and "and" before the last."""
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _disagreement(bands: Sequence[Band]) -> list[str]:
+    """A remark where the models disagree."""
+    medians = np.array([band.median for band in bands])
+    distance = float(np.sqrt(np.mean(np.var(medians, axis=0)))) * 2.0
+    half = float(np.mean([np.mean(band.upper - band.lower) for band in bands])) / 2.0
+    if distance <= DISAGREEMENT * half:
+        return []
+    return [
+        f"the models disagree: their medians are apart by {100.0 * distance / half:.0f} % of half "
+        "the width of one model's band (root mean square), and tests do not yet tell which one is "
+        "right here"
+    ]
+
+
+def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
+    """How the worst of the models took the given part in, with the effective draws of all."""
+    if not parts:
+        return None
+    worst = max(parts, key=lambda part: part.pareto_k)
+    return replace(worst, effective=sum(part.effective for part in parts))

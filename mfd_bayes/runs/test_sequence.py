@@ -16,9 +16,8 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST
 from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import check_stored
+from mfd_bayes.runs.folder import check_stored, pooled_of
 from mfd_bayes.runs.manifest import Manifest
-from mfd_bayes.runs.paths import pooled_of
 from mfd_bayes.store.netcdf import load_arrays
 
 Array = NDArray[np.float64]
@@ -126,22 +125,16 @@ class TestSequence:
         return replace(Ending.of(model, name, trace, values, drawn.scales or None), predicted=True)
 
 
-@dataclass(frozen=True, eq=False)
-class StoredPooled:
-    """The pooled quantities of the tests that a run folder holds; called with a test's id."""
-
-    folder: Path
-    manifest: Manifest
-    population: Population
-
-    def __call__(self, name: str) -> Mapping[str, Array]:
-        """Quantities by name, (n,) each; empty where none are stored."""
-        file, population = pooled_of(name), self.population
-        if not (self.folder / file).is_file():
-            return {}
-        path = check_stored(self.folder, file, self.manifest.files)
-        values, _ = load_arrays(path)
-        names = population.design.coordinates.names
-        if any(k not in values or values[k].shape != population.shape for k in names):
-            raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
-        return {k: np.ravel(values[k]).astype(np.float64) for k in names}
+def stored_pooled(
+    folder: Path, manifest: Manifest, population: Population, name: str
+) -> Mapping[str, Array]:
+    """Pooled quantities of a test that a run folder holds, (n,) each; empty where none are."""
+    file = pooled_of(name)
+    if not (folder / file).is_file():
+        return {}
+    path = check_stored(folder, file, manifest.files)
+    values, _ = load_arrays(path)
+    names = population.design.coordinates.names
+    if any(k not in values or values[k].shape != population.shape for k in names):
+        raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
+    return {k: np.ravel(values[k]).astype(np.float64) for k in names}

@@ -5,17 +5,13 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.identifiability import (
-    CONFLICT,
     Directions,
-    Identifiability,
-    Pair,
-    Sensitivity,
 )
 from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.evaluation.checks import (
     convergence_checks,
-    identifiability_checks,
+    directions_check,
     length_check,
     notes,
     slip_checks,
@@ -23,22 +19,9 @@ from mfd_bayes.evaluation.checks import (
 from mfd_bayes.evaluation.summary import noise_rows
 from mfd_bayes.evaluation.views import (
     DIRECTIONS,
-    IDENTIFIABILITY,
-    LIKELIHOOD_SENSITIVITY,
-    PRIOR_SENSITIVITY,
-    TRADE_OFFS,
 )
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
-
-FOUND = Identifiability(
-    directions=Directions(("k2", "d2"), np.array([80.0, 0.2]), np.array([[0.8, 0.6], [0.6, -0.8]])),
-    pairs=(Pair("k2", "d2", -0.84),),
-    sensitivities=(
-        Sensitivity("k2", 0.01, 0.2),
-        Sensitivity("d2", 0.09, 0.08, prior_limit=0.07),
-    ),
-)
 
 
 def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
@@ -46,17 +29,12 @@ def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
     return row | dict.fromkeys(("ess_bulk", "ess_tail"), ess)
 
 
-def test_nothing_about_identifiability_is_a_failure():
-    checks = identifiability_checks("p500", FOUND)
-    assert {c.check for c in checks} < set(IDENTIFIABILITY)
-    assert [(c.check, c.feature, c.observed, c.limit, c.status) for c in checks] == [
-        (DIRECTIONS, "of 2 (best: k2 and d2; least: d2 and k2)", 1, ">= 2", "note"),
-        (TRADE_OFFS, "k2 and d2", -0.84, "within ±0.7", "note"),
-        (PRIOR_SENSITIVITY, "k2", 0.01, "<= 0.05", "pass"),
-        (LIKELIHOOD_SENSITIVITY, "k2", 0.2, "> 0.05", "pass"),
-        (PRIOR_SENSITIVITY, f"d2 ({CONFLICT})", 0.09, "<= 0.07", "note"),
-        (LIKELIHOOD_SENSITIVITY, "d2", 0.08, "> 0.05", "pass"),
-    ]
+def test_directions_that_are_not_informed_are_noted():
+    axes = np.array([[0.8, 0.6], [0.6, -0.8]])
+    check = directions_check("p500", Directions(("k2", "d2"), np.array([80.0, 0.2]), axes))
+    assert check.check == DIRECTIONS
+    assert check.feature == "of 2 (best: k2 and d2; least: d2 and k2)"
+    assert (check.observed, check.limit, check.status) == (1, ">= 2", "note")
 
 
 def test_contraction_and_modes_are_noted():

@@ -25,7 +25,7 @@ from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.runs.paths import posterior_of
+from mfd_bayes.runs.folder import posterior_of
 
 pytestmark = [
     pytest.mark.skipif(

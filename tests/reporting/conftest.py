@@ -11,7 +11,6 @@ from mfd_bayes.calibration.identifiability import (
     Directions,
     Identifiability,
     Pair,
-    Sensitivity,
 )
 from mfd_bayes.evaluation.datasheet import Datasheet
 from mfd_bayes.evaluation.views import (
@@ -113,10 +112,6 @@ def make_identifiability() -> Identifiability:
     return Identifiability(
         directions=Directions(names, np.array([399.0, 0.1]), axes),
         pairs=(Pair(*names, -0.84),),
-        sensitivities=(
-            Sensitivity("Fc_fwd", 0.012, 0.2),
-            Sensitivity("k3", 0.09, 0.11),
-        ),
     )
 
 

@@ -109,7 +109,7 @@ def test_what_is_not_there_or_does_not_go_together_is_refused(run):
     motion = run.held_out["c"]
     with pytest.raises(FitError, match=r"after must be the id of a test .*one of a, b, c, got 'd'"):
         run.predict(motion, draws=20, after="d")
-    with pytest.raises(FitError, match=r"after \('b'\) cannot be combined with given"):
+    with pytest.raises(FitError, match=r"given cannot be combined with after \('b'\)"):
         run.predict(motion, draws=20, after="b", given=(0.0, 1.0))
 
 
