@@ -16,6 +16,7 @@ from mfd_bayes.calibration.noise_sensitivity import OtherFit, fit_other, other_n
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.priors import PriorFile, units
+from mfd_bayes.calibration.proposal import nearest_modes
 from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
@@ -117,6 +118,11 @@ def _stored_of(
     flat = {name: value.reshape(-1) for name, value in values.items()}
     rng = np.random.default_rng(task.seed)
     replicas = replicate(posterior, flat, rng, REPLICAS * len(draws.q))
+    nearest = nearest_modes(draws.modes, draws.q)[..., None] == np.arange(len(draws.modes))
+    mode_values = [
+        {n: float(np.median(x[at])) if at.any() else np.nan for n, x in draws.values.items()}
+        for at in np.moveaxis(nearest, -1, 0)
+    ]
     chains, convergence = draws.chains, {}
     for name, value in values.items():
         if np.ptp(value) > 0:
@@ -136,8 +142,8 @@ def _stored_of(
         "autocorrelation": dict(zip(draws.names, chains.autocorrelation.tolist(), strict=True)),
         "modes": len(draws.modes),
         "log_evidences": [mode.log_evidence for mode in draws.modes],
-        "mode_shares": draws.mode_shares.tolist(),
-        "mode_values": draws.mode_values if len(draws.modes) > 1 else [],
+        "mode_shares": nearest.mean(axis=1).tolist(),
+        "mode_values": mode_values if len(mode_values) > 1 else [],
         "wall_time": draws.wall_time,
         "first": posterior.first,
         "convergence": convergence,

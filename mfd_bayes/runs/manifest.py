@@ -383,8 +383,7 @@ def this_machine() -> dict[str, str]:
     machine = {"processor": processor, "instructions": instructions}
     for library in sorted(threadpool_info(), key=lambda info: str(info["filepath"])):
         if library["user_api"] == "blas":
-            owner = [name for name in ("numpy", "scipy") if f"{name}.libs" in library["filepath"]]
-            words = (library["internal_api"], library.get("version"), library.get("architecture"))
-            text = " ".join(str(word) for word in words if word)
-            machine.setdefault(f"BLAS of {owner[0]}" if owner else "BLAS", text)
+            owners = [name for name in ("numpy", "scipy") if f"{name}.libs" in library["filepath"]]
+            words = (library.get(key) for key in ("internal_api", "version", "architecture"))
+            machine.setdefault(" of ".join(["BLAS", *owners]), " ".join(filter(None, words)))
     return machine

@@ -8,7 +8,7 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.modes import climb, least_squares
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Mixture, Proposal, fit_mixture
-from mfd_bayes.calibration.sampling import generator_of, sample, sample_density
+from mfd_bayes.calibration.sampling import sample, sample_density
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
 
@@ -204,12 +204,3 @@ def test_what_cannot_be_sampled_is_refused(given, name):
     trace = Trace.from_arrays(time, np.sin(np.pi * time), 0.5, np.cos(np.pi * time))
     with pytest.raises(FitError, match=name):
         sample(**{"posterior": Posterior(trace, "mfd"), "effort": "quick"} | given)
-
-
-def test_seeds_of_another_length_give_other_numbers():
-    seeds = (1, 0, 2**32 + 1, [1, 0], [1, 0, 0], (1, 2), [0, 0], [0, 1], [1, 2, 0])
-    numbers = {tuple(generator_of(seed).integers(2**62, size=2)) for seed in seeds}
-    assert len(numbers) == len(seeds)
-    for seed in (12345, [7], (3, 4), [1, 0, 5]):  # these are those of NumPy
-        expected = np.random.default_rng(seed).integers(2**62, size=2)
-        np.testing.assert_array_equal(generator_of(seed).integers(2**62, size=2), expected)
