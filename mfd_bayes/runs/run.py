@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -196,13 +197,6 @@ class Run:
     extras: Extras | None = field(default=None, repr=False)
     units: str = ""
 
-    def __post_init__(self) -> None:
-        for what, name in (("calibrated test", "tests"), ("held-out test", "held_out")):
-            items = getattr(self, name)
-            if not isinstance(items, ByName):
-                items = dict(items)
-                object.__setattr__(self, name, ByName(what, items, items.__getitem__))
-
     @cached_property
     def model(self) -> Model:
         """Force model of its tests."""
@@ -213,9 +207,13 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        with unchanged(self.folder, self.manifest):
+        with self.unchanged():
             path = check_stored(self.folder, POPULATION, self.manifest.files)
             return load_population(path, self.priors, self.model)
+
+    def unchanged(self) -> AbstractContextManager[None]:
+        """Context that raises StoreError where another process changes the run meanwhile."""
+        return unchanged(self.folder, self.manifest)
 
     def rewrite(self, **parts: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""
