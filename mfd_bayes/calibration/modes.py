@@ -52,7 +52,8 @@ def find_modes(
     From many prior draws, those that fit well and differ most are chosen; least squares on
     residual and prior starts from each, then BFGS on the log posterior from each distinct result.
     """
-    mean, sd = prior_scale(posterior, rng)
+    of_prior = posterior.coordinates(posterior.draw_prior(rng, 2000))
+    mean, sd = of_prior.mean(axis=0), of_prior.std(axis=0)
     begin = _starting_points(posterior, rng, starts, candidates)
     fits = _fit_residuals(posterior, begin, mean, sd)
     heights = posterior.log_prob(fits)
@@ -64,23 +65,10 @@ def find_modes(
             ends.append(fits[i])
     modes: list[Mode] = []
     for end in ends:
-        modes = distinct([*modes, climb(posterior.log_prob, end, np.diag(sd), sd, modes)])
+        mode = climb(posterior.log_prob, end, sd, modes)
+        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
+            modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
-
-
-def distinct(modes: Sequence[Mode]) -> list[Mode]:
-    """Modes of which none is near one before it."""
-    kept: list[Mode] = []
-    for mode in modes:
-        if not any(other.is_near(mode.q, mode.log_prob) for other in kept):
-            kept.append(mode)
-    return kept
-
-
-def prior_scale(posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Mean and standard deviation of each coordinate under the prior, (dim,) each."""
-    q = posterior.coordinates(posterior.draw_prior(rng, 2000))
-    return q.mean(axis=0), q.std(axis=0)
 
 
 def _starting_points(
@@ -133,13 +121,10 @@ def _read_noise(posterior: Posterior, q: Array) -> Array:
     return np.where(noisy, posterior.coordinates(values)[0], q)
 
 
-def climb(
-    density: Density, begin: Array, axes: Array, sd: Array, modes: Sequence[Mode] = ()
-) -> Mode:
-    """Mode that BFGS reaches from a point, (dim,), in coordinates along `axes`.
+def climb(density: Density, begin: Array, sd: Array, modes: Sequence[Mode] = ()) -> Mode:
+    """Mode that BFGS reaches from a point, (dim,); `sd` (dim,) are the prior's.
 
-    The density is about as wide as 1 along each column of the axes, (dim, dim); `sd` (dim,) are
-    the prior's. Where it comes near one of the known `modes`, and is not higher, it ends there.
+    Where it comes near one of the known `modes`, and is not higher, it ends there.
     """
     from scipy.optimize import OptimizeResult, minimize  # which takes long to import
 
@@ -149,12 +134,12 @@ def climb(
 
     def loss(w: Array) -> tuple[float, Array]:
         """Loss and its slope by central differences, in one batch."""
-        here, *near = -np.maximum(density(begin + (w + around) @ axes.T), LOWEST)
+        here, *near = -np.maximum(density(begin + sd * (w + around)), LOWEST)
         higher, lower = np.reshape(near, (2, dim))
         return float(here), (higher - lower) / (2 * step)
 
     def look(intermediate_result: OptimizeResult) -> None:  # SciPy looks at this name
-        q, height = begin + axes @ intermediate_result.x, -float(intermediate_result.fun)
+        q, height = begin + sd * intermediate_result.x, -float(intermediate_result.fun)
         met.extend(m for m in modes if height <= m.log_prob and m.is_near(q, height))
         if met:
             raise StopIteration
@@ -169,7 +154,7 @@ def climb(
     )
     if met:
         return met[0]
-    q = begin + axes @ fit.x
+    q = begin + sd * fit.x
     return Mode(q, float(density(q[None])[0]), laplace_covariance(density, q, sd))
 
 

@@ -195,12 +195,9 @@ class Posterior:
     def _residual(
         self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
     ) -> Array:
-        if not len(values["offset"]):
-            return np.empty((0, self.trace.samples))
-        by_time = self.force(values, scales=scales).T  # as the models lay it out
-        np.subtract(np.asarray(self.trace.force)[:, None], by_time, out=by_time)
-        by_time -= values["offset"]
-        return by_time.T
+        left = np.asarray(self.trace.force) - self.force(values, scales=scales)
+        left -= values["offset"][:, None]
+        return left
 
     def force(
         self,

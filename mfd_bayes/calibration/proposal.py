@@ -11,17 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import psis, tempering
-from mfd_bayes.calibration.modes import Density, Mode, least_squares
-from mfd_bayes.errors import FitError
+from mfd_bayes.calibration.modes import Mode, least_squares
 
 Array = NDArray[np.float64]
 
 SHRINKAGE = 2.0  # draws a dimension that a component's scale is shrunk by to that of all
 PARTS = 12  # largest number of components of a fit, besides the wide one
 ITERATIONS = 12  # steps of expectation-maximisation
-SHARE = 0.1  # least share of effective draws from which a proposal is fitted
-FIRST = 0.05  # share of the first proposal in all others
 ANCHORED = 0.25  # share of the anchors in a proposal that is learned from walkers
 LEARNED = 8000  # largest number of walkers' draws from which a proposal is learned
 BENT = 1.5  # bound on the parameters of a coordinate's warp, so that few draws distort it little
@@ -220,72 +216,8 @@ def around_modes(modes: Sequence[Mode], power: float = 1.0) -> Mixture:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class WeightedDraws:
-    """Draws of a proposal that was fixed before, with importance weights."""
-
-    q: Array  # (n, dim)
-    weights: Array  # (n,), Pareto-smoothed, which sum to 1
-    k: float  # Pareto k of the weights
-
-    @property
-    def size(self) -> float:
-        """Effective number of draws."""
-        return float(1.0 / np.sum(self.weights**2))
-
-    @classmethod
-    def of(
-        cls, density: Density, proposal: Mixture | Proposal, rng: np.random.Generator, n: int
-    ) -> WeightedDraws:
-        """Fresh draws of the proposal, weighted to the density."""
-        q = proposal.draw(rng, n)
-        ratios = density(q) - proposal.log_density(q)
-        if not np.any(np.isfinite(ratios)):
-            raise FitError("no density around the modes")
-        smooth, k = psis(ratios)
-        return cls(q, special.softmax(smooth), k)
-
-
-class Adaptive:
-    """Proposals for a density, each fitted to the weighted draws of those before it.
-
-    Adaptive multiple importance sampling (Cornuet, Marin, Mira and Robert, 2012): each draw is
-    weighted by the density over the mean of all proposals. The next proposal is fitted with
-    tempered weights (Koblents and Míguez, 2015), so that few draws do not decide it. Draws that
-    decided a proposal are biased under it: estimate from fresh draws of the last, `WeightedDraws`.
-    """
-
-    def __init__(
-        self,
-        density: Density,
-        first: Mixture | Proposal,
-        rng: np.random.Generator,
-        draws: int,
-    ) -> None:
-        self._density, self._rng, self._draws = density, rng, draws
-        self.proposals = [first]
-        self.q, self.log_prob = first.draw(rng, 0), np.empty(0)
-        self._densities = np.empty((0, 0))  # of each proposal at each draw
-
-    def run(self) -> Adaptive:
-        """Draw from the last proposal, weigh all draws anew, and fit the next one to them."""
-        newest = self.proposals[-1]
-        fresh = newest.draw(self._rng, self._draws)
-        self._densities = np.hstack(
-            [
-                np.vstack([self._densities, newest.log_density(self.q)[None]]),
-                np.stack([proposal.log_density(fresh) for proposal in self.proposals]),
-            ]
-        )
-        self.q = np.concatenate([self.q, fresh])
-        self.log_prob = np.append(self.log_prob, self._density(fresh))
-        ratios = self.log_prob - special.logsumexp(self._densities, axis=0)
-        if not np.any(np.isfinite(ratios)):
-            raise FitError("no density around the modes")
-        smooth, self.k = psis(ratios)
-        self.weights = special.softmax(smooth)
-        self.size = float(1.0 / np.sum(self.weights**2))
-        tempered = special.softmax(tempering(ratios, SHARE) * (ratios - ratios.max()))
-        following = fit_mixture(self.q, self._rng, tempered)
-        self.proposals.append(Proposal((1.0 - FIRST, FIRST), (following, self.proposals[0])))
-        return self
+def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
+    """Mode whose Laplace approximation is densest at each of the draws (chain, draw, dim)."""
+    flat = q.reshape(-1, q.shape[-1])
+    heights = [around_modes([mode]).log_density(flat) for mode in modes]
+    return np.asarray(np.argmax(heights, axis=0).reshape(q.shape[:2]))

@@ -55,14 +55,6 @@ def init(
             say(f"{target} and an artificial ground.AT2 written: change what is in them")
             say("look next: mfd-bayes respond --help")
             return
-        if model:
-            written, tests, gaps, others = pipeline.init_own(folder, model, force=force)
-            for name, reason in others:
-                say(f"left out: {name}: {reason}")
-            for gap in gaps:
-                say(f"FIXME: {gap}")
-            say(f"{written} written: tests {tests}; and priors.toml, whose sizes are guesses")
-            return
         if folder.suffix == ".toml":
             written, named = pipeline.init_priors(folder, force=force)
             say(f"{written} written: read each prior, and replace what you know better")
@@ -70,7 +62,7 @@ def init(
                 say(f'to use it, write priors = "{written.name}" in [campaign] of {folder}')
             say(f"look next: {shlex.join(['mfd-bayes', 'prior-check', str(folder)])}")
             return
-        written, draft, wrote_priors = pipeline.init(folder, force=force)
+        written, draft, wrote_priors = pipeline.init(folder, model, force=force)
         missing = drafts.gaps(draft)
         for name, reason in draft.left_out:
             say(f"left out: {name}: {reason}")
@@ -78,7 +70,9 @@ def init(
             say(f"unsure: {doubt}")
         for gap in missing:
             say(f"FIXME: {gap}")
-        if wrote_priors:
+        if draft.own:
+            say("priors: priors.toml was written; its sizes are guesses, from those of the records")
+        elif wrote_priors:
             say(
                 "priors: no shipped file knows such a device; wide ones were written to "
                 f"{written.with_name('priors.toml')}, their scales read off the records"

@@ -9,58 +9,30 @@ from pathlib import Path
 from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors
-from mfd_bayes.campaign.draft.own import campaign_of_own, priors_of_own, read_own, sizes
-from mfd_bayes.campaign.draft.priors import Units, priors_text
+from mfd_bayes.campaign.draft_priors import priors_text
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.loops import scales_of
-from mfd_bayes.records.readers import SUFFIXES
 from mfd_bayes.records.record import Record
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground
 from mfd_bayes.store.files import write_text
 
 
-def init(folder: Path, *, force: bool = False) -> tuple[Path, Draft, bool]:
+def init(folder: Path, model: str = "", *, force: bool = False) -> tuple[Path, Draft, bool]:
     """Path and content of a first campaign.toml, written for the test files in a folder.
 
-    Also returns whether priors.toml was written too, since no shipped file knows such a device.
+    Also returns whether priors.toml was written too: always for a user's own model,
+    "file.py:Class", else where no shipped file knows such a device.
     """
     path, priors = folder / "campaign.toml", folder / WRITTEN
     _check_new([path], force=force)
-    draft = draft_campaign(folder)
+    draft = draft_campaign(folder, model)
     text = own_priors(draft)
     if text is not None:
         _check_new([priors], force=force)
         write_text(priors, text)
     write_text(path, campaign_text(draft))
     return path, draft, text is not None
-
-
-def init_own(
-    folder: Path, source: str, *, force: bool = False
-) -> tuple[Path, int, list[str], list[tuple[str, str]]]:
-    """Write a first campaign.toml and priors.toml for a user's own model, "file.py:Class".
-
-    Gives the campaign's path, its count of tests, what is missing, and the files left out with why.
-    """
-    path, priors = folder / "campaign.toml", folder / WRITTEN
-    _check_new([path, priors], force=force)
-    model = find_model(source, folder)
-    files, left_out = [], []
-    for file in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
-        try:
-            files.append(read_own(file, folder, model))
-        except MfdError as error:
-            left_out.append((file.name, str(error)))
-    if not files:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:5])
-        motion, response = model.axes.motion.name, model.axes.response.name
-        raise CampaignError(f"{folder} holds no file with {motion} and {response}: {reasons}")
-    text, missing = campaign_of_own(folder, source, model, files)
-    write_text(priors, priors_of_own(model, sizes(files, model), timed=model.axes.timed))
-    write_text(path, text)
-    return path, len(files), missing, left_out
 
 
 def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
@@ -76,8 +48,8 @@ def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
     known = {name: scale for name, scale in scales.items() if scale is not None}
     if not known:
         raise CampaignError(f"no test of {path} has a force, so it shows no scales of priors")
-    units = Units(*(_usual_unit(records.values(), role) for role in ("force", "displacement")))
-    write_text(written, priors_text(known, units))
+    force_unit, length = (_usual_unit(records.values(), r) for r in ("force", "displacement"))
+    write_text(written, priors_text(known, force_unit, length))
     return written, campaign.priors == WRITTEN
 
 

@@ -12,7 +12,7 @@ that are the same in all tests (`sparse` in the prior file) have no scatter and 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from mfd_bayes.calibration.priors import PriorFile, known_quantities
+from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.coordinates import Coordinates
 from mfd_bayes.population.laws import (
     COMPARE,
     LAW_NAMES,
@@ -60,65 +59,127 @@ TESTS = 4  # fewest tests in which a dependence on a covariate is looked for
 DRIFT = 0.3
 # Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared
 USUAL_SPEED = 2.0 / np.pi
+DRAWS = 4000  # prior draws by which the centre and the spread of the coordinates are found
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Coordinates x (n, D) in which tests are compared: unconstrained, in units of the prior.
+
+    In one test F_c trades off with F_s and ẋ_s, and d2 with d3: only their sums or products are
+    known well, and these are what differs between tests. So the coordinate of F_c,fwd (and bwd) is
+    the logarithm of the slip force at a speed common to all tests, F_c [1 + (F_s/F_c - 1)
+    exp(-(v/ẋ_s)²)]; that of d2 is log(d2 + d3), the width of the gap, and that of d3 is log(d3/d2).
+    All others are those of their priors. These changes of variables have determinant 1. Prior units
+    have mean 0 and standard deviation 1 under the prior of a test by itself.
+    """
+
+    names: tuple[str, ...]  # quantities, D of them, in the order of the coordinates
+    priors: Mapping[str, Prior]
+    speed: float  # in/s, at which slip forces are compared
+    by_name: bool = True  # whether d2 is a gap's, and so on: not those of a user's own model
+    centre: Array = field(init=False)  # (D,), mean and sd of the coordinates under the priors
+    spread: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        rng, priors = np.random.default_rng(0), [self.priors[name] for name in self.names]
+        drawn = [prior.coordinate(prior.draw(rng, DRAWS)) for prior in priors]
+        q = self._compared(np.stack(drawn, axis=1))
+        object.__setattr__(self, "centre", q.mean(axis=0))
+        object.__setattr__(self, "spread", q.std(axis=0))
+
+    def _column(self, name: str) -> int | None:
+        """Column of a quantity on the positive half line; None where there is none."""
+        there = self.by_name and name in self.names and self.priors[name].on_half_line
+        return self.names.index(name) if there else None
+
+    def _shifts(self, own: Array) -> list[tuple[int, Array]]:
+        """Column of F_c and log of the slip force at `speed` over F_c, (n,), by direction."""
+        found, values = [], {}
+        for side in ("fwd", "bwd"):
+            excess, kinetic = f"static_excess_{side}", self._column(f"Fc_{side}")
+            if kinetic is not None and {excess, "v_s"} <= set(self.names):
+                for name in ("v_s", excess):
+                    values[name] = self.priors[name].value(own[:, self.names.index(name)])
+                stribeck = np.exp(-((self.speed / np.maximum(values["v_s"], 1e-12)) ** 2))
+                found.append((kinetic, np.log1p(values[excess] * stribeck)))
+        return found
+
+    def _compared(self, own: Array) -> Array:
+        """Compared coordinates, of those of the priors, (n, D)."""
+        q, d2, d3 = own.copy(), self._column("d2"), self._column("d3")
+        for kinetic, shift in self._shifts(own):
+            q[:, kinetic] += shift
+        if d2 is not None and d3 is not None:
+            q[:, d2] = np.logaddexp(own[:, d2], own[:, d3])
+            q[:, d3] = own[:, d3] - own[:, d2]
+        return q
+
+    def of_priors(self, x: Array) -> Array:
+        """Coordinates of the priors, (n, D), of x (n, D)."""
+        q = self.centre + self.spread * x
+        own, d2, d3 = q.copy(), self._column("d2"), self._column("d3")
+        for kinetic, shift in self._shifts(q):
+            own[:, kinetic] -= shift
+        if d2 is not None and d3 is not None:
+            own[:, d2] = q[:, d2] - np.logaddexp(0.0, q[:, d3])
+            own[:, d3] = own[:, d2] + q[:, d3]
+        return own
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """Quantities at x (n, D), by name, (n,) each, internal units."""
+        q = self.of_priors(x)
+        return {name: self.priors[name].value(q[:, k]) for k, name in enumerate(self.names)}
+
+    def value(self, name: str, x: Array) -> Array:
+        """A quantity whose coordinate is its prior's, such as the noise, at x (..., D), (...)."""
+        k = self.names.index(name)
+        return self.priors[name].value(self.centre[k] + self.spread[k] * x[..., k])
+
+    def of(self, values: Mapping[str, Array]) -> Array:
+        """Coordinates x (n, D) of quantities by name, (n,) each; of a missing one, its median."""
+        n = max(np.size(value) for value in values.values())
+        filled = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
+        q = [self.priors[name].coordinate(np.atleast_1d(filled[name])) for name in self.names]
+        return np.asarray((self._compared(np.stack(q, axis=1)) - self.centre) / self.spread)
+
+    def log_prior(self, x: Array, columns: NDArray[np.bool_]) -> Array:
+        """Log density of some coordinates of x (n, D) under their priors, in prior units, (n,)."""
+        q, total = self.of_priors(x), np.zeros(len(x))
+        for k in np.flatnonzero(columns):
+            total += self.priors[self.names[k]].log_density(q[:, k]) + np.log(self.spread[k])
+        return total
 
 
 class Effect(NamedTuple):
     """Random effect of levels, sessions or devices on some quantities, with one sd.
 
-    `name` is "level", "session" or "device".
-
-    `scale` is that of the half-normal prior of the sd. A level's effect is like that of a wrong
-    actuation, wrong by as much at every level: in the logarithm of a force its sd is in inverse
-    proportion to the actuation.
+    A level's effect is like that of a wrong actuation, wrong by as much at every level: in the
+    logarithm of a force its sd is in inverse proportion to the actuation.
     """
 
-    name: str
-    group: str
-    members: tuple[int, ...]
-    scale: float
+    name: str  # "level", "session" or "device"
+    group: str  # of the prior file's scatter
+    members: tuple[int, ...]  # the quantities
+    homes: Sequence[object]  # cells, sessions or devices that it differs between
+    scale: float  # of the half-normal prior of the sd
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Layout of the mixed model of a campaign's tests; see `design_of`.
+    """Layout of the mixed model of a campaign's J tests; made by `design_of`."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The d quantities that tests share, the first of the coordinates.
-    coordinates : Coordinates
-        Of these, and of what is each test's own: the start in the gap, shapes of laws.
-    spread : (d,)
-        Prior units of these.
-    laws : mapping of str to str
-        Law of each quantity that follows the actuation, or "compare".
-    dependence : mapping of str to tuple of str
-        Covariates that quantities follow.
-    settings : tuple of Setting
-        Of the J calibrated tests.
-    groups : mapping of str to str
-        Scatter group of each quantity.
-    scatter_sd : (d,)
-        Scale of the prior of τ.
-    common : (d,) bool
-        Quantities that are the same in all tests.
-    reference : float, ksi or kip
-        Actuation p0 of the levels.
-    leveled : bool
-        Whether levels may deviate from the laws.
-    """
-
-    names: tuple[str, ...]
-    coordinates: Coordinates
-    spread: Array
-    laws: Mapping[str, str]
-    dependence: Mapping[str, tuple[str, ...]]
-    settings: tuple[Setting, ...]
-    groups: Mapping[str, str]
-    scatter_sd: Array
-    common: NDArray[np.bool_]
-    reference: float
-    leveled: bool = True
+    names: tuple[str, ...]  # the d quantities that tests share, the first of the coordinates
+    coordinates: Coordinates  # of these, and of each test's own: start in the gap, shapes of laws
+    spread: Array  # (d,): prior units
+    laws: Mapping[str, str]  # of each quantity that follows the actuation; or "compare"
+    dependence: Mapping[str, tuple[str, ...]]  # covariates that quantities follow
+    settings: tuple[Setting, ...]  # of the tests
+    groups: Mapping[str, str]  # scatter group of each quantity
+    scatter_sd: Array  # (d,): scale of the prior of τ
+    common: NDArray[np.bool_]  # (d,): quantities that are the same in all tests
+    reference: float  # ksi or kip: actuation p0 of the levels
+    leveled: bool = True  # whether levels may deviate from the laws
 
     @cached_property
     def covariates(self) -> dict[str, float]:
@@ -143,14 +204,9 @@ class Design:
         """Devices of the tests, each once."""
         return tuple(dict.fromkeys(s.device for s in self.settings))
 
-    def groups_of(self, effect: Effect) -> Sequence[object]:
-        """Cells, sessions or devices that an effect differs between."""
-        groups: dict[str, Sequence[object]] = {
-            "level": self.cells,
-            "session": self.sessions,
-            "device": self.devices,
-        }
-        return groups[effect.name]
+    def home(self, effect: str, setting: Setting) -> object:
+        """Cell, session or device of a setting."""
+        return self.cell_of(setting) if effect == "level" else getattr(setting, effect)
 
     @cached_property
     def informs(self) -> NDArray[np.bool_]:
@@ -169,20 +225,25 @@ class Design:
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """Effects of levels on what has a law, of sessions and devices on all that has scatter."""
-        found: dict[tuple[str, str], list[int]] = {}
         followers = [self.names.index(n) for n in self.laws] if self.leveled else []
-        free = self.free.tolist()
-        for name, members in (("level", followers), ("session", free), ("device", free)):
-            for k in members:
+        free, found = self.free.tolist(), []
+        for name, quantities, homes, wider in (
+            ("level", followers, self.cells, WIDER),
+            ("session", free, self.sessions, 1.0),
+            ("device", free, self.devices, 1.0),
+        ):
+            members: dict[str, list[int]] = {}
+            for k in quantities:
                 those = [self.settings[j] for j in np.flatnonzero(self.informs[:, k])]
-                groups = {s.session if name == "session" else s.device for s in those}
-                if len(levels_of(those)) >= LEVELS if name == "level" else len(groups) >= 2:
-                    found.setdefault((name, self.groups[self.names[k]]), []).append(k)
-        wider = {"level": WIDER, "session": 1.0, "device": 1.0}
-        return tuple(
-            Effect(name, group, tuple(members), wider[name] * float(self.scatter_sd[members[0]]))
-            for (name, group), members in found.items()
-        )
+                count = len(
+                    levels_of(those) if name == "level" else {getattr(s, name) for s in those}
+                )
+                if count >= (LEVELS if name == "level" else 2):
+                    members.setdefault(self.groups[self.names[k]], []).append(k)
+            for group, own in members.items():
+                scale = wider * float(self.scatter_sd[own[0]])
+                found.append(Effect(name, group, tuple(own), homes, scale))
+        return tuple(found)
 
     @cached_property
     def _columns(self) -> Index:
@@ -190,8 +251,7 @@ class Design:
         found = [(k, -1) for k in range(len(self.names))]
         found += [(self.names.index(n), -1) for n, those in self.dependence.items() for _ in those]
         for e, effect in enumerate(self.effects):
-            size = len(self.groups_of(effect))
-            found += [(k, e) for k in effect.members for _ in range(size)]
+            found += [(k, e) for k in effect.members for _ in effect.homes]
         return np.array(found).T
 
     @property
@@ -264,10 +324,7 @@ class Design:
     def krige(self, session: str, actuations: ArrayLike) -> tuple[Array, Array]:
         """Level effects of a session at actuations (m,) given those of the tests' cells (kriging).
 
-        Returns
-        -------
-        weights, covariance : (m, cells), (m, m)
-            The covariance is that of what the tests' cells do not tell, for an sd of 1.
+        Weights (m, cells), and covariance (m, m) of what the cells do not tell, for an sd of 1.
         """
         levels = np.atleast_1d(actuations)
         cells = [self.cell_of(Setting(float(level), session)) for level in levels]
@@ -294,13 +351,11 @@ class Design:
                 among = [s.covariates[c] for s in self.settings]
                 within = np.clip(setting.covariates[c], min(among), max(among))
                 parts.append(np.array([np.log(within / self.covariates[c]) / spread]))
-        cell = self.cell_of(setting) if level_effects else None
-        level = np.array([float(cell == one) for one in self.cells])
-        session = np.array([float(setting.session == s) for s in self.sessions])
-        device = np.array([float(setting.device == d) for d in self.devices])
-        weights = {"level": level, "session": session, "device": device}
         for effect in self.effects:
-            parts += [weights[effect.name] / self.spread[k] for k in effect.members]
+            there = level_effects or effect.name != "level"
+            home = self.home(effect.name, setting) if there else None
+            weights = np.array([float(home == one) for one in effect.homes])
+            parts += [weights / self.spread[k] for k in effect.members]
         return np.concatenate(parts)
 
     def linear(self, z: Array, rows: Array) -> Array:
@@ -314,12 +369,7 @@ class Design:
     def law_shapes(self, q: Array, choice: Index) -> tuple[Array, Array]:
         """Share and exponent of each law, (n, L) each.
 
-        Parameters
-        ----------
-        q : (n, S)
-            Coordinates of `shapes`.
-        choice : (L,) or (n, L) int
-            Number of the law of each quantity of `laws`.
+        They are of the coordinates of `shapes` (n, S), and of numbers of laws, (L,) or (n, L).
         """
         found: list[Array] = []
         for shape in ("share", "exponent"):
@@ -356,27 +406,8 @@ def design_of(
 ) -> Design:
     """Design of the mixed model of tests under these settings.
 
-    Parameters
-    ----------
-    priors : PriorFile
-    names : sequence of str
-        Quantities of the tests; also the shapes, such as "exponent_Fc_fwd", that tests have to
-        themselves along a changing actuation.
-    settings : sequence of Setting
-        Of each test.
-    laws : mapping of str to str, optional
-        Laws by quantity, instead of the paper's.
-    dependence : mapping of str to sequence of str, optional
-        Covariates that quantities follow.
-    model : Model, optional
-        What the quantities are of; the package's models by default.
-
-    Raises
-    ------
-    PriorError
-        When a shared quantity has no scatter prior.
-    FitError
-        When a law's quantity can be negative, an actuation is negative, or all are zero.
+    `names` are the quantities of the tests, and the shapes, such as "exponent_Fc_fwd", that tests
+    have to themselves along a changing actuation. The laws are the paper's where none are given.
     """
     quantities, usual = known_quantities(model), default_laws(model)
     shapes = {f"{shape}_{law}": shape for law in usual for shape in ("share", "exponent")}

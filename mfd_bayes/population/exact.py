@@ -49,29 +49,12 @@ RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
 class State(NamedTuple):
-    """All chains, n of them: h (n, dim), z (n, Z), and the tests' coordinates x (n, J, D).
+    """All chains, n of them."""
 
-    `e_z` (n, Z) and `e` (n, J, L) are standard normal numbers of z, and of the local coordinates;
-    `excess` (n, J) is the exact less the approximate log density of each test.
-    """
-
-    h: Array
-    z: Array
-    e_z: Array
-    e: Array
-    x: Array
-    excess: Array
-
-    def where(self, accepted: NDArray[np.bool_], other: State) -> State:
-        """The other state where it was accepted: chains (n,), or tests of chains (n, J)."""
-
-        def choose(mine: Array, its: Array) -> Array:
-            if accepted.ndim > 1 and mine.shape[:2] != accepted.shape:
-                return mine
-            shape = (*accepted.shape, *[1] * (mine.ndim - accepted.ndim))
-            return np.where(accepted.reshape(shape), its, mine)
-
-        return State(*map(choose, self, other))
+    h: Array  # (n, dim)
+    z: Array  # (n, Z)
+    x: Array  # (n, J, D): the tests' coordinates
+    excess: Array  # (n, J): exact less approximate log density of each test
 
 
 class Draws(NamedTuple):
@@ -104,15 +87,14 @@ class ExactSampler:
         local = np.any(unpooled, axis=0)
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
-        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8
+        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8  # step sizes
         # while warming up: proposals x, their excess, and the share of it that each test accepts
         self.proposals: list[tuple[Array, Array, Array]] = []
         self.warming_up = True
         self.rates: list[tuple[Array, float]] = []  # accepted shares: of each test, and of z
-        n, z = len(choice), mixed.design.quantity.size
         h = self._fresh_h()
-        e = rng.standard_normal((n, len(fit.mean), self.local.size))
-        self.state = self._at(h, rng.standard_normal((n, z)), e)
+        e = rng.standard_normal((len(h), len(fit.mean), self.local.size))
+        self.state = self._at(h, mixed.marginal(h, choice)[1].draw(rng), e)
 
     def _fresh_h(self) -> Array:
         """Draws of h of every chain under the approximation."""
@@ -126,32 +108,31 @@ class ExactSampler:
         """Scatter of the free quantities of the tests, (n, J, F)."""
         return self.mixed.tau(h)[:, None] / np.sqrt(self.mixed.weight)
 
-    def _conditional(self, h: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Base (n, J, D), and mean and factor of precision of the local coordinates around it.
+    def _conditional(self, h: Array, z: Array) -> tuple[Array, Array]:
+        """Mean (n, J, D) of the tests given the population, and factor of the local precision.
 
-        The base is what the population says of the tests' coordinates; 0 for the unpooled.
+        Of the coordinates that are not local the mean is what the population says.
         """
-        local, base = self.local, np.zeros((len(h), *self.unpooled.shape))
-        base[..., : self.d] = self.mixed.offsets(h, self.choice) + self._linear(z)
-        base = np.where(self.unpooled, 0.0, base)
+        local, mean = self.local, np.zeros((len(h), *self.unpooled.shape))
+        mean[..., : self.d] = self.mixed.offsets(h, self.choice) + self._linear(z)
+        mean = np.where(self.unpooled, 0.0, mean)
         sd = np.ones((len(h), len(self.unpooled), local.size))
         sd[..., np.searchsorted(local, self.mixed.free)] = self._sd(h)
         sd = np.where(self.unpooled[:, local], 1.0, sd)
         p = self.fit.precision[:, local]
         inner = p[:, :, local] + sd[..., None] ** -2.0 * np.eye(local.size)
-        pull = np.einsum("jla,nja->njl", p, self.fit.mean - base)
-        return base, forward(inner, pull), np.asarray(np.linalg.cholesky(inner))
+        pull = np.einsum("jla,nja->njl", p, self.fit.mean - mean)
+        mean[..., local] += forward(inner, pull)
+        return mean, np.asarray(np.linalg.cholesky(inner))
 
-    def _at(self, h: Array, e_z: Array, e: Array) -> State:
-        """State of these numbers; the forces of all tests are computed."""
-        gaussian = self.mixed.marginal(h, self.choice)[1]
-        return self._of(h, gaussian.mean + backward(gaussian.factor, e_z), e_z, e)
+    def _at(self, h: Array, z: Array, e: Array) -> State:
+        """State with standard normal numbers e (n, J, L) of the tests."""
+        x, factor = self._conditional(h, z)
+        x[..., self.local] += backward(factor, e)
+        return State(h, z, x, self._excess(x))
 
-    def _of(self, h: Array, z: Array, e_z: Array, e: Array) -> State:
-        """The same, where z is known."""
-        x, mean, factor = self._conditional(h, z)
-        x[..., self.local] += mean + backward(factor, e)
-        # exact less approximate log density of each test
+    def _excess(self, x: Array) -> Array:
+        """Exact less approximate log density of each test, (n, J)."""
         away = x - self.fit.mean
         pairs = "nja,jab,njb->nj"
         gaussian = -0.5 * np.einsum(pairs, away, self.fit.precision, away, optimize=True)
@@ -161,44 +142,54 @@ class ExactSampler:
             if np.any(unpooled):
                 excess[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)
                 excess[:, j] += 0.5 * np.sum(x[:, j][:, unpooled] ** 2, axis=1)
-        return State(h, z, e_z, e, x, np.where(np.isnan(excess), -np.inf, excess))
+        return np.where(np.isnan(excess), -np.inf, excess)
 
     def sweep(self) -> None:
-        """One move of each kind."""
-        s, rng = self.state, self.rng
-        beta = self.beta[:, None]
-        e = np.sqrt(1.0 - beta**2) * s.e + beta * rng.standard_normal(s.e.shape)
-        new = self._of(s.h, s.z, s.e_z, e)
-        self._keep(new)
-        accepted = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
-        self.state = s.where(accepted, new)
-        self.rates.append((accepted.mean(axis=0), self._move_z()))
-        self._move_h()
-
-    def _move_z(self) -> float:
-        """Move z, with h from its draws; gives the accepted share."""
-        s, beta = self.state, self.beta_z
-        step = beta * self.rng.standard_normal(s.e_z.shape)
-        new = self._at(self._fresh_h(), np.sqrt(1.0 - beta**2) * s.e_z + step, s.e)
-        self._keep(new)
+        """One move of each kind; while warming up the step sizes are tuned."""
+        s, rng, marginal = self.state, self.rng, self.mixed.marginal
+        mean, factor = self._conditional(s.h, s.z)
+        e = np.einsum("njab,nja->njb", factor, (s.x - mean)[..., self.local])
+        # each test
+        moved = self._autoregressive(e, self.beta[:, None])
+        new = self._at(s.h, s.z, moved)
+        self._keep(s, new)
+        tests = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
+        own, e = tests[..., None], np.where(tests[..., None], moved, e)
+        excess = np.where(tests, new.excess, s.excess)
+        s = s._replace(x=np.where(own, new.x, s.x), excess=excess)
+        # z, with h from its draws
+        gaussian = marginal(s.h, self.choice)[1]
+        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
+        e_z, h = self._autoregressive(e_z, self.beta_z), self._fresh_h()
+        gaussian = marginal(h, self.choice)[1]
+        new = self._at(h, gaussian.mean + backward(gaussian.factor, e_z), e)
+        self._keep(s, new)
         better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
-        accepted = np.log(self.rng.random(len(better))) < better
-        self.state = s.where(accepted, new)
-        return float(accepted.mean())
+        accepted = np.log(rng.random(len(better))) < better
+        self.state = State(
+            *(
+                np.where(accepted.reshape(-1, *[1] * (a.ndim - 1)), b, a)
+                for a, b in zip(s, new, strict=True)
+            )
+        )
+        self._move_h()
+        each, together = tests.mean(axis=0), float(accepted.mean())
+        self.rates.append((each, together))
+        if self.warming_up:
+            self.beta = np.clip(self.beta * np.exp(0.1 * (each - ACCEPT)), 0.05, 1.0)
+            step = self.beta_z * np.exp(0.1 * (together - ACCEPT_Z))
+            self.beta_z = float(np.clip(step, 0.02, 1.0))
 
-    def _tuned_sweep(self) -> None:
-        """A sweep, and step sizes by the shares of its moves that were accepted."""
-        self.sweep()
-        tests, together = self.rates[-1]
-        self.beta = np.clip(self.beta * np.exp(0.1 * (tests - ACCEPT)), 0.05, 1.0)
-        self.beta_z = float(np.clip(self.beta_z * np.exp(0.1 * (together - ACCEPT_Z)), 0.02, 1.0))
+    def _autoregressive(self, e: Array, beta: Array | float) -> Array:
+        """Standard normal numbers near others."""
+        return np.asarray(np.sqrt(1.0 - beta**2) * e + beta * self.rng.standard_normal(e.shape))
 
-    def _keep(self, new: State) -> None:
+    def _keep(self, state: State, new: State) -> None:
         """Keep a proposal for the next fit."""
         if self.warming_up:
             possible = np.isfinite(new.excess)
             excess = np.where(possible, new.excess, 0.0)
-            share = np.exp(np.minimum(excess - self.state.excess, 0.0)) * possible
+            share = np.exp(np.minimum(excess - state.excess, 0.0)) * possible
             self.proposals.append((new.x, excess, share))
 
     def refit(self, x: Array, excess: Array, weight: Array) -> None:
@@ -232,8 +223,7 @@ class ExactSampler:
             precision[j] = (outer * values) @ outer.T
         self.fit = replace(old, mean=mean, precision=precision)
         self.mixed, self.pool = self.approximate(self.fit)
-        s = self._numbered(self.state)
-        self.state = self._of(s.h, s.z, s.e_z, s.e)
+        self.state = self.state._replace(excess=self._excess(self.state.x))
 
     def _move_h(self) -> None:
         """Random-walk Metropolis of each coordinate of h with z and x as they are."""
@@ -251,15 +241,7 @@ class ExactSampler:
         left = s.x[..., : self.d] - mixed.offsets(h, self.choice)
         pooled = mixed.weight * ~self.unpooled[:, mixed.free]
         z = mixed.draw_given_tests(h, left, pooled, s.z, rng)
-        self.state = self._numbered(s._replace(h=h, z=z))
-
-    def _numbered(self, s: State) -> State:
-        """The state with the numbers that belong to its h, z and x."""
-        gaussian = self.mixed.marginal(s.h, self.choice)[1]
-        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
-        base, mean, factor = self._conditional(s.h, s.z)
-        e = np.einsum("njab,nja->njb", factor, (s.x - base)[..., self.local] - mean)
-        return s._replace(e_z=e_z, e=e)
+        self.state = s._replace(h=h, z=z)
 
     def _log_given_tests(self, h: Array, z: Array, without_law: Array) -> Array:
         """Log density of h given z and the tests' coordinates, (n,)."""
@@ -285,7 +267,7 @@ class ExactSampler:
     ) -> Draws:
         """Sweep until targets or limit are reached; `kept` draws of each group are kept."""
         for step in range(1, (REFITS + 1) * WARM_UP + 1):
-            self._tuned_sweep()
+            self.sweep()
             if step % WARM_UP == 0 and step <= REFITS * WARM_UP:
                 proposals = self.proposals[len(self.proposals) // 4 :]
                 self.refit(*(np.concatenate(part) for part in zip(*proposals, strict=True)))

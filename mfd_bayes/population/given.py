@@ -1,8 +1,11 @@
 """Predictions of a test of which a first part is given, or arrives sample by sample.
 
-Draws of the population are weighted by the likelihood of the given force. Where the weights of a
-few draws take over, the draws are resampled and moved by some Metropolis steps, and the rest of the
-force is taken in (iterated batch importance sampling: Chopin, 2002).
+Draws of the population are weighted by the likelihood of the known force. Where the weights of a
+few draws would take over, the likelihood is taken in by growing powers of it, and after each the
+draws are resampled and moved (sequential Monte Carlo with adaptive tempering: Del Moral, Doucet and
+Jasra, 2006 and 2012). Islands of draws that are resampled apart show whether the moves mix. A test
+that runs, as in hybrid simulation, is stepped along with the model's own steps, so that an update
+costs the same however long the test has run.
 """
 
 from __future__ import annotations
@@ -10,9 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, optimize, stats
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.priors import units
@@ -31,14 +36,17 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-PARTICLES = 1500  # draws of the population that take in a given part
+PARTICLES = 1600  # draws of the population that take in a given part
 LEAST_EFFECTIVE = 0.3  # share of effective draws below which they are resampled and moved
-BLOCKS = 40  # most steps in which a part is taken in
-MOVES = 5  # Metropolis steps after each resampling
+ISLANDS = 8  # groups of draws, of which each is resampled by itself
+MOVES, MOST = 5, 50  # Metropolis steps after each resampling; most after the last one
+ACCEPT = 0.25  # share of moves that is to be accepted
 FEWEST = 100  # effective draws below which a band is said not to be reliable
+LOWEST = -1e15  # log likelihood of what cannot be
 QUIET = 0.25  # share of the slip force below which a device is taken to be in its gap
 SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
 ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
+AHEAD = 2  # samples at rest before the first of a test that is followed: a record has three
 EITHER_WAY = (0.25, 4.0)  # actuations over the planned one, for deviations from the laws
 
 
@@ -52,7 +60,6 @@ class Conditioned:
     method: str  # "weights" alone, or "sampling": resampled and moved too
     effective: float  # effective number of draws behind the band
     stages: int = 0  # how often the draws were resampled and moved
-    accepted: float = 1.0  # share of the last moves that were accepted; 1 for weights alone
 
     def holds(self, time: Array) -> Mask:
         """Whether times (T,), s, are in the given part."""
@@ -69,7 +76,7 @@ class Conditioned:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Reason to trust the band less, if there is one."""
-        if self.effective >= FEWEST and self.pareto_k <= LARGEST_K and self.accepted >= 0.02:
+        if self.effective >= FEWEST and self.pareto_k <= LARGEST_K:
             return ()
         return (
             f"the band is not reliable: {self.effective:.0f} effective draws (Pareto k "
@@ -77,29 +84,38 @@ class Conditioned:
         )
 
 
-def stroke_likelihoods(
-    residuals: Array, count: Array, strokes: Index, sd: Array, share: float, blocks: int
-) -> Array:
-    """Log likelihood of residuals (n, T) at the end of each block of samples, (n, blocks).
+class Sums(NamedTuple):
+    """Sums of standardised residuals over the S strokes: all that the likelihood needs.
 
-    The noise has standard deviations (n,) and a `share` that the samples of a stroke (T,) have in
-    common: a random intercept. Each sample counts for `count` (T,) independent ones.
+    `samples` (S,) are numbers of independent samples; `first` and `second` (n, S) are the sums of
+    the residuals and of their squares, each times the count of its sample.
     """
-    home = (strokes[:, None] == np.arange(strokes[-1] + 1)) * count[:, None]
-    rest, level = 1.0 - share**2, share**2
-    samples: Array = np.zeros(home.shape[1])
-    first, second = (np.zeros((len(sd), samples.size)) for _ in range(2))
-    found = []
-    for block in np.array_split(np.arange(count.size), blocks):
-        samples = samples + home[block].sum(axis=0)
-        first = first + residuals[:, block] @ home[block]
-        second = second + residuals[:, block] ** 2 @ home[block]
-        factor = 1.0 + level * samples / rest
-        of_mean = level / rest**2 * (first / sd[:, None]) ** 2 / factor
-        squares = second / sd[:, None] ** 2 / rest - of_mean
-        log = np.log(factor) + samples * np.log(rest)
-        found.append(-0.5 * (squares + log).sum(axis=1) - samples.sum() * np.log(sd))
-    return np.stack(found, axis=1)
+
+    samples: Array
+    first: Array
+    second: Array
+
+    @classmethod
+    def of(cls, residuals: Array, count: Array, strokes: Index, size: int) -> Sums:
+        """Of residuals (n, T) with counts (T,) in strokes (T,) of `size` strokes."""
+        home = (strokes[:, None] == np.arange(size)) * count[:, None]
+        return cls(home.sum(axis=0), residuals @ home, residuals**2 @ home)
+
+    def plus(self, other: Sums) -> Sums:
+        """Of the samples of both; the other may have more strokes."""
+        more = other.samples.size - self.samples.size
+        mine = [np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)]) for a in self]
+        return Sums(*(a + b for a, b in zip(mine, other, strict=True)))
+
+    def log_likelihood(self, sd: Array, share: float) -> Array:
+        """Log likelihood for noise of sd (n,) with a random intercept of each stroke, (n,)."""
+        rest, level = 1.0 - share**2, share**2
+        factor = 1.0 + level * self.samples / rest
+        first, second = self.first / sd[:, None], self.second / sd[:, None] ** 2
+        squares = second / rest - level / rest**2 * first**2 / factor
+        log = np.log(factor) + self.samples * np.log(rest)
+        total = -0.5 * (squares + log).sum(axis=1) - self.samples.sum() * np.log(sd)
+        return np.asarray(total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,79 +141,149 @@ class PartialTest:
             part, self.setting, p, self.grid, scatter=scatter, motion=self.motion
         )
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
-        """Log likelihood of the counted samples so far, at the end of each block, (n, blocks).
+    def sums(
+        self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
+    ) -> Sums:
+        """What the measured force says at samples `rows` (m,).
 
-        A block is one independent sample, or more. Of all counted samples (T,) the first one counts
-        as an independent sample.
+        `force` (n, m) is the model's there, kip, of particles with these quantities (n,). Of all
+        counted samples (T,) the first one counts as an independent sample.
         """
-        residual, model = self.predictor.population.residual, self.predictor.model
-        drawn, rows, strokes = self.drawn(p, part), np.flatnonzero(counted), strokes_of(part)
-        values, functions = self.predictor.values(drawn), residual.basis(part)
-        slip, measured = slip_force_of(model, values), np.asarray(part.force)
-        force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
+        residual, strokes = self.predictor.population.residual, strokes_of(trace)
+        slip, functions = slip_force_of(self.predictor.model, values), residual.basis(trace)
         # before a full stroke a device far below slip is as quiet as in its gap
         shape = np.exp(functions @ residual.log_shape)
-        quiet = np.abs(measured) < QUIET * np.median(slip)
+        quiet = np.abs(np.asarray(trace.force)) < QUIET * np.median(slip)
         unknown = ~np.any(functions, axis=1) & quiet
         shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
         discrepancy = np.outer(slip / residual.slip_force, functions[rows] @ residual.mean)
-        residuals = measured[rows] - force - discrepancy - values["offset"][:, None]
+        residuals = np.asarray(trace.force)[rows] - force - discrepancy - values["offset"][:, None]
         residuals = residuals / shape[rows]
         residuals = np.where(np.isfinite(residuals), residuals, 1e6)
-        count = np.where(counted, residual.counts(part), 0.0)
-        count[rows[0]] = 1.0
-        blocks = int(np.clip(count[rows].sum(), 1, BLOCKS))
-        noise = values["noise_sd"], residual.stroke_share
-        return stroke_likelihoods(residuals, count[rows], strokes[rows], *noise, blocks)
+        count = np.where(counted, residual.counts(trace), 0.0)
+        count[np.argmax(counted)] = 1.0
+        return Sums.of(residuals, count[rows], strokes[rows], int(strokes[-1]) + 1)
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
+        """Log likelihood of the counted samples, (n,)."""
+        drawn, rows = self.drawn(p, part), np.flatnonzero(counted)
+        values = self.predictor.values(drawn)
+        share = self.predictor.population.residual.stroke_share
+        force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
+        sums = self.sums(part, force, values, counted, rows)
+        log = sums.log_likelihood(values["noise_sd"], share)
+        return np.maximum(np.nan_to_num(log, nan=LOWEST), LOWEST)
 
     def condition(
         self, part: Trace, counted: Mask, n: int, rng: np.random.Generator
     ) -> tuple[Particles, Array, Conditioned]:
-        """Particles given the counted samples of a part, with their log weights (n,)."""
-        population, level = self.predictor.population, self.setting.actuation
-        active = population.active(self.setting, self.grid)
-        p = self.draw(n, rng)
-        log, taken = self.log_likelihood(p, part, counted), np.zeros(n)
-        # the last block that the particles are drawn with
-        done, stages, accepted = -1, 0, np.ones(n, dtype=bool)
-        while done < log.shape[1] - 1:
-            weights = log[:, done + 1 :] - taken[:, None]
-            low = np.flatnonzero(effective_draws(weights) < LEAST_EFFECTIVE * n)
-            if not low.size:
+        """Particles given the counted samples of a part, n or some more, with log weights."""
+        p = self.draw(n + -n % ISLANDS, rng)
+        log, power, stages, beta = self.log_likelihood(p, part, counted), 0.0, 0, 1.0
+        while True:
+            step = next_power(log, power) - power
+            log_weights, k = smoothed(step * log)
+            power += step
+            effective = float(effective_draws(log_weights[:, None])[0])
+            if power == 1.0 and not stages:  # weights alone
                 break
-            last = max(int(low[0]) - 1, 0)
-            done += last + 1
-            p = p.of(systematic(weights[:, last], n, rng))
-            log = self.log_likelihood(p, part, counted)
-            for step in range(MOVES):  # a random walk, with other draws of the population in turn
-                index = population.draw_index(n, level, rng) if step % 2 else p.draw
-                scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
-                old, flat = p.numbers.flat, p.numbers.flat.copy()
-                spread = np.cov(old[:, active].T) + 1e-9 * np.eye(active.size)
-                walk = rng.standard_normal((n, active.size)) @ np.linalg.cholesky(spread).T
-                flat[:, active] += scale * walk
-                proposed = Particles(index, replace(p.numbers, flat=flat))
-                new = self.log_likelihood(proposed, part, counted)
-                prior = 0.5 * np.sum(old[:, active] ** 2 - flat[:, active] ** 2, axis=1)
-                accepted = np.log(rng.random(n)) < new[:, done] - log[:, done] + prior
-                rows = accepted[:, None]
-                numbers = replace(p.numbers, flat=np.where(rows, flat, old))
-                p = Particles(np.where(accepted, index, p.draw), numbers)
-                log = np.where(rows, new, log)
-            taken, stages = log[:, done].copy(), stages + 1
-        smooth, k = smoothed(log[:, -1] - taken)
+            gaussian = self._gaussian(p, step * log)
+            p, log = resampled(p, log, step * log, rng)
+            for moves in range(1, MOST + 1):
+                p, log, beta = self._move(p, log, part, counted, power, gaussian, beta, rng)
+                if moves % MOVES == 0:
+                    effective = self._effective(p, part)
+                    if power < 1.0 or effective >= 2 * FEWEST:
+                        break
+            stages += 1
+            if power == 1.0:
+                log_weights = np.zeros(len(log))
+                break
         conditioned = Conditioned(
             window=(float(part.time[counted][0]), float(part.time[counted][-1])),
             samples=int(counted.sum()),
             pareto_k=k,
             method="sampling" if stages else "weights",
-            effective=float(effective_draws(smooth[:, None])[0]),
+            effective=effective,
             stages=stages,
-            accepted=float(accepted.mean()),
         )
-        return p, smooth, conditioned
+        return p, log_weights, conditioned
+
+    def _gaussian(self, p: Particles, log_weights: Array) -> tuple[Index, Array, Array]:
+        """Columns of the numbers that matter, their weighted mean and root of covariance."""
+        active = self.predictor.population.active(self.setting, self.grid)
+        weights, own = np.exp(log_weights - log_weights.max()), p.numbers.flat[:, active]
+        spread = np.atleast_2d(np.cov(own.T, aweights=weights)) + 1e-9 * np.eye(active.size)
+        root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
+        return active, np.average(own, axis=0, weights=weights), root
+
+    def _move(
+        self,
+        p: Particles,
+        log: Array,
+        part: Trace,
+        counted: Mask,
+        power: float,
+        gaussian: tuple[Index, Array, Array],
+        beta: float,
+        rng: np.random.Generator,
+    ) -> tuple[Particles, Array, float]:
+        """Particles after a Metropolis step, their log likelihood, and the size of the next step.
+
+        A preconditioned Crank-Nicolson step, which leaves a Gaussian as it is; half of the
+        particles take another draw of the population.
+        """
+        active, mean, root = gaussian
+        n, old, flat = len(log), p.numbers.flat, p.numbers.flat.copy()
+        walk = rng.standard_normal((n, active.size)) @ root.T
+        flat[:, active] = mean + np.sqrt(1.0 - beta**2) * (old[:, active] - mean) + beta * walk
+        other = self.predictor.population.draw_index(n, self.setting.actuation, rng)
+        index = np.where(rng.random(n) < 0.5, other, p.draw)
+        proposed = Particles(index, replace(p.numbers, flat=flat))
+        new = self.log_likelihood(proposed, part, counted)
+
+        def over_gaussian(numbers: Array) -> Array:
+            u = linalg.solve_triangular(root, (numbers[:, active] - mean).T, lower=True)
+            prior = -0.5 * np.sum(numbers[:, active] ** 2, axis=1)
+            return np.asarray(prior + 0.5 * np.sum(u**2, axis=0))
+
+        ratio = power * (new - log) + over_gaussian(flat) - over_gaussian(old)
+        accepted = np.log(rng.random(n)) < ratio
+        numbers = replace(p.numbers, flat=np.where(accepted[:, None], flat, old))
+        beta = float(np.clip(beta * np.exp(accepted.mean() - ACCEPT), 0.05, 1.0))
+        kept = Particles(np.where(accepted, index, p.draw), numbers)
+        return kept, np.where(accepted, new, log), beta
+
+    def _effective(self, p: Particles, part: Trace) -> float:
+        """Effective number of draws of the worst quantity, by the means of islands' ranks."""
+        values = self.predictor.values(self.drawn(p, part))
+        ranks = stats.rankdata(np.column_stack([*values.values()]), axis=0)
+        islands = ranks.reshape(ISLANDS, -1, ranks.shape[1])
+        between = islands.mean(axis=1).var(axis=0, ddof=1)
+        within = islands.var(axis=1, ddof=1).mean(axis=0)
+        worst = np.max(between / np.maximum(within, 1e-9))
+        return float(min(len(ranks), ISLANDS / max(worst, 1e-9)))
+
+
+def next_power(log: Array, power: float) -> float:
+    """Largest power of the likelihood that leaves enough effective draws, at most 1."""
+
+    def share(after: float) -> float:
+        return float(effective_draws((after - power) * log[:, None])[0]) / len(log)
+
+    if share(1.0) >= LEAST_EFFECTIVE:
+        return 1.0
+    return float(optimize.brentq(lambda after: share(after) - LEAST_EFFECTIVE, power, 1.0))
+
+
+def resampled(
+    p: Particles, log: Array, log_weights: Array, rng: np.random.Generator
+) -> tuple[Particles, Array]:
+    """Particles and their log likelihoods, resampled within each island."""
+    parts = np.split(np.arange(len(log)), ISLANDS)
+    chosen = np.concatenate([at[systematic(log_weights[at], at.size, rng)] for at in parts])
+    return p.of(chosen), log[chosen]
 
 
 def smoothed(log_weights: Array) -> tuple[Array, float]:
@@ -236,9 +322,9 @@ def usual_step(residual: Residual, setting: Setting) -> float:
     return float(np.clip(usual, 0.25 * own, 4.0 * own))
 
 
-def block_size(time: Array, step: float) -> int:
-    """Samples that are averaged, so that their means are at most about `step` s apart."""
-    return max(1, int(step / float(np.median(np.diff(time))) + 0.25))
+def block_size(own: float, step: float) -> int:
+    """Samples `own` s apart that are averaged, so that means are at most about `step` s apart."""
+    return max(1, int(step / own + 0.25))
 
 
 # --- a window -------------------------------------------------------------------------------------
@@ -253,26 +339,13 @@ def predict_given(
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)
-    p, log_weights, given = test.condition(part, counted, max(PARTICLES, n), rng)
-    given = replace(given, window=checked_window(window, "given", FitError))
-    return given_band(test, p.of(systematic(log_weights, n, rng)), trace, forecast, given, rng)
-
-
-def given_band(
-    test: PartialTest,
-    p: Particles,
-    trace: Trace,
-    forecast: Forecast,
-    given: Conditioned,
-    rng: np.random.Generator,
-    samples: int = 0,
-) -> Band:
-    """Band of particles that took a part in: of all samples of a motion, or of so many last."""
-    knots = test.predictor.population.residual.draw_knots(rng, len(p.draw))
-    drawn = replace(test.drawn(p, trace), knots=knots)
-    source = f"population laws with scatter, and {given.sentence}"
-    band = test.predictor.finish(trace, forecast, drawn, rng, source, slice(-samples, None))
-    return replace(band, given=given, remarks=(*band.remarks, *given.remarks))
+    p, log_weights, conditioned = test.condition(part, counted, max(PARTICLES, n), rng)
+    conditioned = replace(conditioned, window=checked_window(window, "given", FitError))
+    drawn = test.drawn(p.of(systematic(log_weights, n, rng)), trace)
+    drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
+    source = f"population laws with scatter, and {conditioned.sentence}"
+    band = predictor.finish(trace, forecast, drawn, rng, source)
+    return replace(band, given=conditioned, remarks=(*band.remarks, *conditioned.remarks))
 
 
 def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[Trace, Mask]:
@@ -291,7 +364,7 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
             f"{last:g} s"
         )
     inside = np.flatnonzero((trace.time >= begin) & (trace.time <= end))
-    size = block_size(trace.time, step)
+    size = block_size(float(np.median(np.diff(trace.time))), step)
     if inside.size < SAMPLES * size:
         raise FitError(
             f"the given part {words} holds {inside.size} samples, too few: at least "
@@ -343,24 +416,25 @@ class Forecaster:
     ) -> None:
         check_kind(forecast)
         check_flag("refresh", refresh)
-        population, self._level = predictor.population, setting.actuation
+        model, population = predictor.model, predictor.population
+        if not (hasattr(model, "step") and hasattr(model, "start")):
+            raise FitError(f"the model {model.name} has no steps, which following a test needs")
         self.complete = lambda band, motion: band
         self._predictor, self._forecast, self._may_refresh = predictor, forecast, refresh
-        self._residual, self._model = population.residual, predictor.model
+        self._model: Any = model
+        self._residual, self._level = population.residual, setting.actuation
         tested = [one.actuation for one in population.design.settings]
         self._zero = ZERO * max(tested)
         reached = [self._level * way for way in EITHER_WAY] + [p for p in tested if p > 0.0]
         self._test = PartialTest(predictor, setting, population.grid(self._level, reached))
         self._rng = np.random.default_rng(forecast.seed)
         self._step = usual_step(self._residual, setting)
-        self._hysteresis = HYSTERESIS * setting.covariates["amplitude"]
-        # time, displacement, actuation and force: measured, and means of complete blocks
-        self._waiting, self._rows, self._size = np.empty((4, 0)), np.empty((4, 0)), 0
-        self._first, self._last = np.nan, np.nan
+        self._play = HYSTERESIS * setting.covariates["amplitude"]
+        self._waiting, self._rows = np.empty((4, 0)), np.empty((4, 0))
+        self._first, self._last, self._resting, self._size = np.nan, np.nan, 0, 0
         psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
-        self._new_tests = self._particles = self._test.draw(forecast.draws, self._rng)
-        self._log_prior = np.zeros(forecast.draws)
-        self._weighted: tuple[Array, float] | None = None  # of the samples so far
+        self._new_tests = self._test.draw(forecast.draws, self._rng)
+        self._begin(self._new_tests)
         self._conditioned: Conditioned | None = None
 
     @property
@@ -416,13 +490,40 @@ class Forecaster:
         self._last = float(rows[0, -1])
         self._waiting = np.concatenate([self._waiting, rows], axis=1)
         if not self._size and self._waiting.shape[1] > 1:
-            self._size = block_size(self._waiting[0], self._step)
+            self._size = block_size(float(np.median(np.diff(self._waiting[0]))), self._step)
         blocks = self._waiting.shape[1] // self._size if self._size else 0
         if blocks:
             used = blocks * self._size
             means = self._waiting[:, :used].reshape(4, blocks, self._size).mean(axis=2)
             self._waiting = self._waiting[:, used:]
-            self._rows, self._weighted = np.concatenate([self._rows, means], axis=1), None
+            self._add(means)
+
+    def _add(self, means: Array) -> None:
+        """Take in means (4, m); those at rest are one, with their mean force."""
+        if not self._rows.size:
+            self._rows = np.repeat(means[:, :1], AHEAD, axis=1)
+            self._rows[0] += self._step * np.arange(-AHEAD, 0)
+        means[1] = self._without_play(means[1])
+        moving = self._state is not None
+        rest = 0 if moving else int(np.argmax([*(means[1] != self._rows[1, -1]), True]))
+        if rest:
+            before = self._rows[3, AHEAD] if self._resting else 0.0
+            mean = means[:, rest - 1].copy()
+            mean[3] = (self._resting * before + means[3, :rest].sum()) / (self._resting + rest)
+            self._resting += rest
+            self._rows = np.concatenate([self._rows[:, :AHEAD], mean[:, None]], axis=1)
+        begin = self._rows.shape[1]
+        self._rows = np.concatenate([self._rows, means[:, rest:]], axis=1)
+        if self._rows.shape[1] > begin:
+            self._advance(begin if moving else AHEAD)
+
+    def _without_play(self, displacement: Array) -> Array:
+        """Displacement that follows the measured one as through a small play, (m,), in."""
+        here, found = float(self._rows[1, -1]), np.empty(displacement.size)
+        for i, x in enumerate(displacement.tolist()):
+            here = min(max(here, x - self._play), x + self._play)
+            found[i] = here
+        return found
 
     def _check_actuation(self, actuation: ArrayLike) -> None:
         """Refuse an actuation where the laws say nothing of it."""
@@ -433,44 +534,78 @@ class Forecaster:
                 "actuation of the test"
             )
 
-    def _trace(self, rows: Array) -> Trace:
-        """Trace of time, displacement, actuation and force, (4, T)."""
-        time, displacement, actuation, force = rows
-        level = actuation if self._level > 0 and np.any(actuation != self._level) else self._level
-        return Trace.from_arrays(time, displacement, level, force, hysteresis=self._hysteresis)
+    def _begin(self, p: Particles) -> None:
+        """Particles before the first sample, of even weights."""
+        self._particles, self._log_prior = p, np.zeros(len(p.draw))
+        self._values = self._values_of(p)
+        self._state: Any = None
+        none = np.empty((len(p.draw), 0))
+        self._sums = Sums(none[0], none, none)
 
     def _values_of(self, p: Particles, *, scatter: bool = True) -> dict[str, Array]:
         """Quantities of particles by name, (n,) each."""
         still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
         return self._predictor.values(self._test.drawn(p, still, scatter=scatter))
 
-    def _log_likelihood(self) -> Array:
-        """Log likelihood of the force so far, (n,); 0 before there is a trace of it."""
-        if self._rows.shape[1] < SAMPLES:
-            return np.zeros(len(self._particles.draw))
-        every = np.ones(self._rows.shape[1], dtype=bool)
-        return self._test.log_likelihood(self._particles, self._trace(self._rows), every)[:, -1]
+    def _advance(self, begin: int) -> None:
+        """Step the particles along the means from `begin` on, and add up what their force says."""
+        trace = _trace(self._rows)
+        rows, counted = np.arange(begin, trace.samples), np.arange(trace.samples) >= AHEAD
+        force, self._state = self._stepped(trace, rows, self._state)
+        self._sums = self._sums.plus(self._test.sums(trace, force, self._values, counted, rows))
 
-    def _weights(self, *, trusted: bool = False) -> tuple[Array, float]:
-        """Smoothed log weights of the particles, (n,), and Pareto k.
+    def _stepped(self, trace: Trace, rows: Index, state: Any) -> tuple[Array, Any]:
+        """Forces at samples of a trace (n, m), kip, and the state after them."""
+        model, index = self._model, self._particles.draw
+        if state is None:
+            state = model.start(
+                model.theta(self._values),
+                self._values["start"],
+                direction=trace.path.direction,
+                reference_actuation=self._level or None,
+            )
+        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[rows]
+        scales = {}
+        if np.any(np.abs(actuation - self._level) > 1e-9 * self._level) and self._level > 0:
+            population, grid = self._predictor.population, self._test.grid
+            session, numbers = self._test.setting.session, self._particles.numbers
+            effects = population.level_effects(index, session, grid, numbers.level)
+            scales = population.scales(model, actuation, index, self._level, (grid, effects))
+        before = np.diff(trace.time, prepend=trace.time[0])
+        force = np.empty((len(index), rows.size))
+        for i, at in enumerate(rows.tolist()):
+            sample = (float(a[at]) for a in (trace.displacement, trace.velocity, before))
+            given = {name: factors[:, i] for name, factors in scales.items()} or None
+            force[:, i], state = model.step(state, *sample, scales=given)
+        return force, state
 
-        Where they are to be trusted, but cannot be, and it is allowed, `refresh` comes first.
-        """
-        if self._weighted is None:
-            self._weighted = smoothed(self._log_prior + self._log_likelihood())
-        if trusted and self._may_refresh and self._weighted[1] > LARGEST_K:
+    def _weights(self) -> tuple[Array, float]:
+        """Smoothed log weights of the particles, (n,), and Pareto k."""
+        return smoothed(self._log_prior + self._log_likelihood())
+
+    def _trusted_weights(self) -> tuple[Array, float]:
+        """The same, after `refresh` where they cannot be trusted and it is allowed."""
+        log_weights, k = self._weights()
+        if k > LARGEST_K and self._may_refresh:
             self.refresh()
-            return self._weights()
-        return self._weighted
+            log_weights, k = self._weights()
+        return log_weights, k
+
+    def _log_likelihood(self) -> Array:
+        """Log likelihood of the force so far, (n,)."""
+        return self._sums.log_likelihood(self._values["noise_sd"], self._residual.stroke_share)
 
     def refresh(self) -> None:
-        """Take in all samples so far anew, in some seconds; before three means, do nothing."""
-        if self._rows.shape[1] < SAMPLES:
+        """Take in all samples so far anew, in some seconds; nothing before the first motion."""
+        if self._state is None:
             return
-        trace, n = self._trace(self._rows), self._forecast.draws
-        every = np.ones(trace.samples, dtype=bool)
-        p, weights, self._conditioned = self._test.condition(trace, every, max(n, 1000), self._rng)
-        self._particles, self._weighted = p.of(systematic(weights, n, self._rng)), None
+        trace, n = _trace(self._rows), self._forecast.draws
+        counted = np.arange(trace.samples) >= AHEAD
+        p, weights, self._conditioned = self._test.condition(
+            trace, counted, max(n, 1000), self._rng
+        )
+        self._begin(p.of(systematic(weights, n, self._rng)))
+        self._advance(AHEAD)
         self._log_prior = -self._log_likelihood()
 
     @property
@@ -479,9 +614,9 @@ class Forecaster:
 
         Then the force is not that of such a test, and neither estimates nor bands are reliable.
         """
-        noise, new = (self._values_of(p)["noise_sd"] for p in (self._particles, self._new_tests))
-        (middle,) = quantiles(noise, np.exp(self._weights()[0]), (0.5,))
-        return bool(middle > np.quantile(new, 0.99))
+        (middle,) = quantiles(self._values["noise_sd"], np.exp(self._weights()[0]), (0.5,))
+        most = np.quantile(self._values_of(self._new_tests)["noise_sd"], 0.99)
+        return bool(middle > most)
 
     @cached_property
     def _stopping(self) -> Stopping:
@@ -504,21 +639,27 @@ class Forecaster:
         what one more cycle is expected to tell; `stopping.is_enough` says when to stop. Where the
         weights cannot be trusted, `refresh` comes first.
         """
-        log_weights, _ = self._weights(trusted=True)
-        values, residual = self._values_of(self._particles), self._residual
-        draws, slip = properties(self._model, values), slip_force_of(self._model, values)
-        # the force tells the sum of slip force and discrepancy: what is not known of the
-        # discrepancy, which all tests of the device share, is not known of the slip force either
-        knots = residual.draw_knots(self._rng, len(slip)) - residual.mean
-        if self._rows.shape[1] >= SAMPLES:
-            force, functions = self._rows[3], residual.basis(self._trace(self._rows))
-            for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
-                sliding = side * force > 0.5 * np.median(slip)
-                if sliding.any():
-                    off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
-                    draws[name] = draws[name] - side * off
+        log_weights, _ = self._trusted_weights()
         weights = np.exp(log_weights - log_weights.max())
-        return self._stopping.estimates(draws, weights, cycles)
+        return self._stopping.estimates(self._properties(), weights, cycles)
+
+    def _properties(self) -> dict[str, Array]:
+        """Draws of the properties of this test, (n,) each.
+
+        The force tells the sum of slip force and discrepancy: what is not known of the discrepancy,
+        which all tests of the device share, is not known of the slip force, however long the test.
+        """
+        draws, residual = properties(self._model, self._values), self._residual
+        slip = slip_force_of(self._model, self._values)
+        trace = _trace(self._rows)
+        force, functions = np.asarray(trace.force), residual.basis(trace)
+        knots = residual.draw_knots(self._rng, len(slip)) - residual.mean
+        for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
+            sliding = side * force > 0.5 * np.median(slip)
+            if sliding.any():
+                off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
+                draws[name] = draws[name] - side * off
+        return draws
 
     def band(self, trace: Trace) -> Band:
         """Band of the force in the motion that follows, given all samples so far.
@@ -540,10 +681,10 @@ class Forecaster:
             When a test that was planned without actuation shall have one.
         """
         check_trace("trace", trace, FitError)
-        if self._rows.shape[1] < SAMPLES:
+        if not self._rows.size:
             raise FitError(
                 f"a band needs some samples: a forecaster averages them over {self._step:.3g} s, "
-                f"and fewer than {SAMPLES} such means are complete"
+                "and no such mean is complete"
             )
         if not trace.time[0] > self._last:
             raise FitError(
@@ -551,19 +692,44 @@ class Forecaster:
                 f"{trace.time[0]:g} s"
             )
         self._check_actuation(np.nan_to_num(np.asarray(trace.actuation)))
-        log_weights, k = self._weights(trusted=True)
-        window, samples = (self._first, self._last), self._rows.shape[1]
-        effective = float(effective_draws(log_weights[:, None])[0])
-        given = Conditioned(window, samples, k, "weights", effective)
-        if (past := self._conditioned) is not None:
-            given = replace(given, method="sampling", stages=past.stages, accepted=past.accepted)
+        log_weights, k = self._trusted_weights()
+        forecast, residual, rng = self._forecast, self._residual, self._rng
         actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
         planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
         future = np.stack([trace.time, trace.displacement, planned, np.zeros(trace.samples)])
-        joined = self._trace(np.concatenate([self._rows, self._waiting, future], axis=1))
-        p = self._particles.of(systematic(log_weights, self._forecast.draws, self._rng))
-        band = given_band(self._test, p, joined, self._forecast, given, self._rng, trace.samples)
-        return self.complete(band, joined)
+        rows = np.concatenate([self._waiting, future], axis=1)
+        rows[1] = self._without_play(rows[1])
+        joined = _trace(np.concatenate([self._rows, rows], axis=1))
+        first = self._rows.shape[1] if self._state is not None else AHEAD
+        force, _ = self._stepped(joined, np.arange(first, joined.samples), self._state)
+        chosen = systematic(log_weights, forecast.draws, rng)
+        values = {name: value[chosen] for name, value in self._values.items()}
+        slip, last = slip_force_of(self._model, values), slice(-trace.samples, None)
+        knots = residual.draw_knots(rng, len(chosen))
+        force = force[chosen, last] + residual.discrepancy(joined, slip, knots)[:, last]
+        if forecast.kind == "observation":
+            noise = residual.draw_noise(rng, joined, values["noise_sd"])
+            force = force + values["offset"][:, None] + noise[:, last]
+        effective = float(effective_draws(log_weights[:, None])[0])
+        window, samples = (self._first, self._last), self._rows.shape[1] - AHEAD
+        given = Conditioned(window, samples, k, "weights", effective)
+        if (past := self._conditioned) is not None:
+            given = replace(given, method="sampling", stages=past.stages)
+        source = f"population laws with scatter, and {given.sentence}"
+        shown = self._predictor.shown(values)
+        band = Band.of(joined.time[last], force, forecast, source, shown)
+        return self.complete(replace(band, given=given, remarks=given.remarks), joined)
+
+
+def _trace(rows: Array) -> Trace:
+    """Trace of time, displacement, actuation and force, (4, T)."""
+    time, displacement, actuation, force = rows
+    level = actuation if np.ptp(actuation) > 0 else float(actuation[0])
+    # backward difference of second order: samples that are still to come do not change it
+    step = np.diff(time, prepend=time[0] - 1.0)
+    speed = np.diff(displacement, prepend=displacement[0]) / step
+    speed[1:] += np.diff(speed) * step[1:] / (step[1:] + step[:-1])
+    return Trace.from_arrays(time, displacement, level, force, speed, hysteresis=0.0)
 
 
 def _checked_rows(**columns: ArrayLike) -> Array:

@@ -53,71 +53,37 @@ _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
 @dataclass(frozen=True)
 class InferenceSettings:
-    """How a population is inferred.
+    """How a population is inferred."""
 
-    Attributes
-    ----------
-    laws : mapping of str to str
-        Law of each quantity that follows the actuation, or "compare".
-    actuation_unit : str
-    effort : str or Effort
-    seed : sequence of int
-    dependence : mapping of str to sequence of str
-        Covariates that quantities follow.
-    sessions, devices : mapping of str to str
-        Session and device of each test; none where it is missing.
-    conditions : mapping of str to mapping of str to float
-        What is known of the date, the count of cycles and the temperature of each test.
-    jobs : int
-        Processes that compute the tests' likelihoods; the draws are the same.
-    """
-
-    laws: Mapping[str, str]
+    laws: Mapping[str, str]  # of each quantity that follows the actuation, or "compare"
     actuation_unit: str
     effort: str | Effort
     seed: Sequence[int]
-    dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    sessions: Mapping[str, str] = field(default_factory=dict)
-    jobs: int = 1
-    devices: Mapping[str, str] = field(default_factory=dict)
+    dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)  # covariates
+    sessions: Mapping[str, str] = field(default_factory=dict)  # of each test; none if missing
+    jobs: int = 1  # processes that compute the tests' likelihoods; the draws are the same
+    devices: Mapping[str, str] = field(default_factory=dict)  # likewise
+    # date, count of cycles and temperature of each test, where they are known
     conditions: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def setting(self, name: str, trace: Trace) -> Setting:
         """Setting of a test."""
-        return setting_of(
-            trace,
-            self.sessions.get(name, ""),
-            self.devices.get(name, ""),
-            self.conditions.get(name, {}),
-        )
+        session, device = self.sessions.get(name, ""), self.devices.get(name, "")
+        return setting_of(trace, session, device, self.conditions.get(name, {}))
 
 
 @dataclass(frozen=True, eq=False)
 class Inference:
-    """What is inferred from a set of tests.
-
-    Attributes
-    ----------
-    population : Population
-    tests : (chain, draw, J, D)
-        Coordinates of the tests in prior units.
-    scores : tuple of LawScore
-        Every law's, for each quantity that follows the actuation.
-    exponents : mapping of str to (float, float, float)
-        Quantiles of each proportional law's exponent, estimated as in a power law.
-    dependence : tuple of DependenceScore
-    sweeps : int
-    accepted : (float, float)
-        Shares of accepted moves of tests and of the population.
-    """
+    """What is inferred from a set of tests."""
 
     population: Population
-    tests: Array
-    scores: tuple[LawScore, ...]
+    tests: Array  # (chain, draw, J, D): coordinates of the tests
+    scores: tuple[LawScore, ...]  # of every law, for each quantity that follows the actuation
+    # quantiles of each proportional law's exponent, estimated as in a power law
     exponents: Mapping[str, tuple[float, float, float]]
     dependence: tuple[DependenceScore, ...]
     sweeps: int
-    accepted: tuple[float, float]
+    accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
 
     def values(self, j: int) -> dict[str, Array]:
         """Quantities of test j with the others, by name, (chain, draw)."""
@@ -132,21 +98,7 @@ def infer_population(
     settings: InferenceSettings,
     report: Callable[[Progress], None] = lambda _: None,
 ) -> Inference:
-    """Population of calibrated tests.
-
-    Parameters
-    ----------
-    tests : mapping of str to TestResult
-    priors : PriorFile
-    settings : InferenceSettings
-    report : callable, optional
-        Called now and then with the progress of the sampling.
-
-    Raises
-    ------
-    MfdError
-        When a law, a prior or an actuation does not allow it.
-    """
+    """Population of calibrated tests; `report` gets the progress of the sampling."""
     # BLAS adds up in another order with several threads, which small matrices do not need
     with threadpool_limits(1, user_api="blas"):
         return _inferred(tests, priors, settings, report)

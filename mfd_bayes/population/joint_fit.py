@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.jobs.parallel import Evaluate, in_turn
-from mfd_bayes.population.coordinates import Coordinates
+from mfd_bayes.population.design import Coordinates
 from mfd_bayes.population.discrepancy import (
     Residual,
     TravelBasis,

@@ -79,7 +79,7 @@ class MixedModel:
         covariance = design.level_covariance(design.cells, design.cells)
         level = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
         self.effect_precision = [
-            level if e.name == "level" else np.eye(len(design.groups_of(e))) for e in effects
+            level if e.name == "level" else np.eye(len(e.homes)) for e in effects
         ]
 
     # --- parts of h -------------------------------------------------------------------------------

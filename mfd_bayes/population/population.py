@@ -46,25 +46,28 @@ class Numbers:
     grid: int
     several: bool = False
 
+    def _block(self, number: int) -> Array:
+        return self.flat[:, number * self.quantities : (number + 1) * self.quantities]
+
     @property
     def scatter(self) -> Array:
         """From test to test, (n, d)."""
-        return self.flat[:, : self.quantities]
+        return self._block(0)
 
     @property
     def extrapolation(self) -> Array:
         """Of a motion outside the tests, (n, d)."""
-        return self.flat[:, self.quantities : 2 * self.quantities]
+        return self._block(1)
 
     @property
     def session(self) -> Array:
         """Of a new session, (n, d)."""
-        return self.flat[:, 2 * self.quantities : 3 * self.quantities]
+        return self._block(2)
 
     @property
     def device(self) -> Array:
         """Of a new device, (n, d); only where several devices were tested."""
-        return self.flat[:, 3 * self.quantities : 4 * self.quantities]
+        return self._block(3)
 
     @property
     def level(self) -> Array:
@@ -102,64 +105,30 @@ class Parts:
 
 @dataclass(frozen=True, eq=False)
 class LawDraws:
-    """Draws of the population, (n, …) or (chain, draw, …).
+    """Draws of the population, (n, …) or (chain, draw, …)."""
 
-    Attributes
-    ----------
-    h : (…, F + E)
-        Logarithms of the scatter of the F free quantities and of the sds of the E effects.
-    z : (…, Z)
-        Linear coefficients, as in `Design`.
-    share, exponent : (…, L)
-        Shapes of the law of each quantity that follows the actuation.
-    """
-
-    h: Array
-    z: Array
-    share: Array
+    h: Array  # (…, F + E): logs of the scatter of free quantities, and of the sds of the effects
+    z: Array  # (…, Z): linear coefficients, as in `Design`
+    share: Array  # (…, L): shapes of the law of each quantity that follows the actuation
     exponent: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Draws of the population of a campaign's tests, (chain, draw) first.
-
-    Attributes
-    ----------
-    design : Design
-    draws : LawDraws
-        (chain, draw, …).
-    choice : (chain, draw, L) int
-        Number of the law of each quantity that follows the actuation.
-    law_weights : mapping of str to mapping of str to float
-        Weight of each law that was considered, by quantity.
-    alternatives : LawDraws
-        (m, …): draws under all laws, for actuations beyond the tested levels.
-    alternative_weight : (m,)
-        Of each of these.
-    residual : Residual
-        Discrepancy and noise that the tests have in common.
-    starts : Starts
-    priors : mapping of str to Prior
-    actuation_unit : str
-    walkers : int
-        Chains of each group, by which its draws are ordered.
-    convergence : Convergence
-        Of scatter, effects' sd, shapes and levels.
-    """
+    """Draws of the population of a campaign's tests, (chain, draw) first."""
 
     design: Design
-    draws: LawDraws
-    choice: Index
-    law_weights: Mapping[str, Mapping[str, float]]
-    alternatives: LawDraws
-    alternative_weight: Array
-    residual: Residual
+    draws: LawDraws  # (chain, draw, …)
+    choice: Index  # (chain, draw, L): number of the law of each quantity that has one
+    law_weights: Mapping[str, Mapping[str, float]]  # of each law considered, by quantity
+    alternatives: LawDraws  # (m, …): under all laws, for actuations beyond the tested levels
+    alternative_weight: Array  # (m,)
+    residual: Residual  # discrepancy and noise that the tests have in common
     starts: Starts
     priors: Mapping[str, Prior]
     actuation_unit: str
-    walkers: int
-    convergence: Convergence
+    walkers: int  # chains of each group, by which its draws are ordered
+    convergence: Convergence  # of scatter, effects' sd, shapes and levels
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -214,13 +183,7 @@ class Population:
         return {pair: self.draws.z[..., begin + i] for i, pair in enumerate(pairs)}
 
     def shapes(self, name: str) -> tuple[Array, Array]:
-        """Share and exponent of a quantity's law, (chain, draw) each.
-
-        Raises
-        ------
-        NotThereError
-            When it has no law.
-        """
+        """Share and exponent of a quantity's law, (chain, draw) each."""
         laws = list(self.design.laws)
         if name not in laws:
             raise NotThereError(f"no law of {name!r}: there are {', '.join(laws) or 'none'}")
@@ -232,13 +195,6 @@ class Population:
 
         It is (chain, draw, m), or (n, m) for draws by number. It is 1 for a quantity without a law;
         what follows another, such as static friction, has its law.
-
-        Raises
-        ------
-        NotThereError
-            When there is no such quantity.
-        FitError
-            When an actuation is no number, 0 or more.
         """
         at, design = np.atleast_1d(np.asarray(actuation, dtype=np.float64)), self.design
         if not np.all((at >= 0.0) & np.isfinite(at)):
@@ -255,15 +211,7 @@ class Population:
         return found.reshape(*self.shape, -1) if index is None else found
 
     def median(self, name: str, actuation: ArrayLike) -> Array:
-        """Median over tests of a quantity at actuations (m,) by the laws alone, (chain, draw, m).
-
-        Raises
-        ------
-        NotThereError
-            When there is no such quantity.
-        FitError
-            When an actuation is no number, 0 or more.
-        """
+        """Median of a quantity over tests at actuations (m,), by its law, (chain, draw, m)."""
         followed = self.ratio(name, actuation)
         levels = self.draws.z[..., : len(self.design.names)].reshape(self.size, -1)
         return self.values(levels)[name].reshape(*self.shape, 1) * followed
@@ -386,19 +334,10 @@ class Population:
         *,
         scatter: bool = True,
     ) -> Parts:
-        """What tests under a setting are made of.
+        """What tests under a setting are made of, by draws of the population (n,).
 
-        Parameters
-        ----------
-        setting : Setting
-        index : (n,) int
-            Draws of the population, by number.
-        numbers : Numbers
-        effects : mapping of str to (n,)
-            Level effects of quantities at the setting's actuation.
-        scatter : bool
-            Whether to add the scatter from test to test, and what is unknown of a new session and
-            of a new device; without it, this is the mean property.
+        `effects` are level effects (n,) at the setting's actuation. Without `scatter` from test to
+        test, and what is unknown of a new session or device, this is the mean property.
         """
         design, draws, at = self.design, self._all, np.array([setting.actuation])
         row = design.row(setting, level_effects=False)[None]
@@ -412,13 +351,11 @@ class Population:
         if scatter:
             sd, free = np.exp(draws.h[index]), design.free
             scattered[:, free] = sd[:, : free.size] / design.spread[free] * numbers.scatter[:, free]
-            new = {
-                "session": (numbers.session, setting.session not in design.sessions),
-                "device": (numbers.device, setting.device not in design.devices),
-            }
             for e, effect in enumerate(design.effects, free.size):
-                own, unknown = new.get(effect.name, (numbers.scatter, False))
-                for k in effect.members if unknown else ():
+                if effect.name == "level" or design.home(effect.name, setting) in effect.homes:
+                    continue
+                own = numbers.session if effect.name == "session" else numbers.device
+                for k in effect.members:
                     scattered[:, k] += sd[:, e] / design.spread[k] * own[:, k]
         return Parts(mean, scattered)
 
@@ -463,8 +400,7 @@ class Population:
     ) -> dict[str, Array]:
         """What tests of coordinates x (n, d) do not share, by name, (n,): start, γ1, what is fixed.
 
-        The numbers (n, 2) are those of the start; setting and trace are those of the motion, where
-        it is known.
+        The numbers (n, 2) are the start's; setting and trace are the motion's, where it is known.
         """
         n = len(x)
         others = {k: p for k, p in self.priors.items() if k not in self.design.names}
@@ -488,14 +424,7 @@ class Population:
     ) -> dict[str, Array]:
         """Factors along a history of actuation (T,) of what follows it, over a level, (n, T) each.
 
-        Parameters
-        ----------
-        model : Model
-        actuation : (T,), ksi or kip
-        index : (n,) int
-        level : float
-        deviations : (G,) and mapping of str to (n, G)
-            Actuations, increasing, the level among them, and level effects there.
+        `deviations` are actuations (G,), increasing, the level among them, and level effects there.
         """
         grid, effects = deviations
         found = {}

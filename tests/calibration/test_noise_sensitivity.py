@@ -1,25 +1,15 @@
 """Which quantities of a test its noise model decides."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.noise_sensitivity import (
-    BY_WALKERS,
-    ENOUGH,
-    LARGEST_K,
-    fit_again,
-    moves,
-    other_noises,
-    quantiles_of,
-)
+from mfd_bayes.calibration.noise_sensitivity import moves, other_noises, quantiles_of
 from mfd_bayes.calibration.priors import load_priors
-from mfd_bayes.calibration.result import Task, calibrate_test
-from mfd_bayes.errors import FitError
+from mfd_bayes.calibration.result import Task
 from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_test
@@ -73,7 +63,7 @@ def test_a_test_is_fitted_under_every_other_noise_ou_first():
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("checked")
-    assert not calibrate_test(task_of(), folder, lambda _: None).error
+    assert not task_of().run(folder, lambda _: None).error
     return load_test(folder / "a.nc")
 
 
@@ -94,80 +84,8 @@ def test_a_noise_without_priors_is_an_error_of_its_fit_alone(tmp_path):
     file = load_priors("brfd")
     parameters = {k: v for k, v in file.parameters.items() if k != "noise_build"}
     task = task_of(priors=replace(file, parameters=parameters))
-    assert calibrate_test(task, tmp_path, lambda _: None).error == ""
+    assert task.run(tmp_path, lambda _: None).error == ""
     staged, iid, _ = load_test(tmp_path / "a.nc").facts["other_noises"]
     assert "no prior for noise_build" in staged["error"]
     assert staged["quantities"] == {}
     assert iid["quantities"]
-
-
-def test_fits_by_weights_have_enough_draws(stored):
-    for fit in stored.facts["other_noises"]:
-        assert fit["error"] or fit["how"] == BY_WALKERS or fit["size"] >= ENOUGH
-        assert fit["error"] or fit["how"] == BY_WALKERS or fit["k"] <= LARGEST_K
-
-
-# --- fits near another one, against closed forms
-
-DIM = 5
-NAMES = tuple("abcde")
-
-
-class Normal:
-    """A posterior that is normal, with the priors' coordinates as its own."""
-
-    names, dim = NAMES, DIM
-
-    def __init__(self, mean, sd, correlation=0.6):
-        self.mean = np.full(DIM, float(mean))
-        self.covariance = sd**2 * ((1 - correlation) * np.eye(DIM) + correlation)
-        plain = SimpleNamespace(coordinate=lambda values: values)
-        self.priors = dict.fromkeys(NAMES, plain)
-
-    def log_prob(self, q):
-        away = q - self.mean
-        return -0.5 * np.einsum("ni,ij,nj->n", away, np.linalg.inv(self.covariance), away)
-
-    def draw_prior(self, rng, n):
-        return dict(zip(NAMES, 3.0 * rng.normal(size=(DIM, n)), strict=True))
-
-    def coordinates(self, values):
-        return np.stack([values[name] for name in NAMES], axis=1)
-
-    def to_own(self, q):
-        return q.copy()
-
-    def from_own(self, own):
-        return own.copy()
-
-
-def named(points, names=NAMES):
-    return dict(zip(names, np.atleast_2d(points).T, strict=False))
-
-
-def first_draws(seed=0, n=4000):
-    """Draws of a first fit: a normal about 0 with standard deviation 1."""
-    return np.random.default_rng(seed).normal(size=(n, DIM))
-
-
-@pytest.mark.parametrize(("mean", "sd"), [(0.0, 1.0), (-8.0, 0.5)])
-def test_medians_and_intervals_are_those_of_the_second_posterior(mean, sd):
-    found = fit_again(Normal(mean, sd), named(first_draws()), np.random.default_rng(1))
-    assert found.k <= LARGEST_K
-    assert found.weights.sum() == pytest.approx(1.0)
-    for column in found.q.T:
-        low, middle, high = np.quantile(
-            column, [0.025, 0.5, 0.975], weights=found.weights, method="inverted_cdf"
-        )
-        assert middle == pytest.approx(mean, abs=0.25 * sd)
-        assert high - low == pytest.approx(3.92 * sd, rel=0.2)
-
-
-def test_no_density_at_any_start_is_said():
-    class Nothing(Normal):
-        def log_prob(self, q):
-            return np.full(len(q), -np.inf)
-
-    rng = np.random.default_rng(1)
-    with pytest.raises(FitError, match="no density around the first fit"):
-        fit_again(Nothing(0, 1), named(first_draws()), rng)

@@ -99,14 +99,6 @@ def test_laboratories_call_their_columns_as_they_like(tmp_path, header, units):
             *("time_s,LVDT1_in,force_kip,LVDT2_in", with_column(MOTION * 0.98)),
             *("displacement", ("LVDT1_in", "in"), "LVDT2_in"),
         ),
-        (
-            *(f"{HEADER},velocity_in_per_s", with_column(np.gradient(MOTION, TIME))),
-            *("velocity", ("velocity_in_per_s", "in/s"), ""),
-        ),
-        (
-            *(f"{HEADER},velocity_in_per_s", with_column(-np.gradient(MOTION, TIME))),
-            *("velocity", None, ""),
-        ),
     ],
 )
 def test_what_is_guessed_is_a_doubt(tmp_path, header, table, role, column, doubt):
@@ -254,7 +246,6 @@ def test_files_that_are_no_tests_are_left_out_with_the_reason(tmp_path):
             ",".join(names),
             np.column_stack([SIGNALS, FORCE, FORCE]),
         )
-    write(tmp_path / "parameters.csv", "test,parameter", np.eye(2))
     (tmp_path / "notes.txt").write_text("We tested on Monday\nand it rained\n")
     (tmp_path / "broken.csv").write_text(f"{HEADER}\n1,fast,3\n")
     (tmp_path / "empty.csv").touch()
@@ -272,7 +263,7 @@ def test_files_that_are_no_tests_are_left_out_with_the_reason(tmp_path):
     (folder / "900psi.csv").symlink_to(tmp_path / "elsewhere" / "900psi.csv")
     assert [test.id for test in accepted(folder).tests] == ["500psi"]
     reasons = dict(draft_campaign(tmp_path).left_out)
-    own = ("bands_kip.csv", "bands_lbf.csv", "parameters.csv")
+    own = ("bands_kip.csv", "bands_lbf.csv")
     others = ("still_500psi.csv", "notes.txt", "broken.csv", "empty.csv", "800psi.json")
     assert reasons.keys() == {*own, *others}
     assert {reasons[name] for name in own} == {"written by mfd-bayes"}

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
-from mfd_bayes.campaign.draft.guesses import by_loop
+from mfd_bayes.campaign.guesses import by_loop
 from mfd_bayes.cli.commands import app
 from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
 from mfd_bayes.records.loops import scales_of

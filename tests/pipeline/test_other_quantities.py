@@ -297,7 +297,7 @@ def test_init_drafts_a_campaign_and_priors_for_a_model(tmp_path):
     assert "left out: notes.csv: no column for strain and stress" in words
     assert "tests 3" in words
     text = (tmp_path / "campaign.toml").read_text()
-    assert text.count('columns.stress = { name = "stress_MPa", unit = "MPa" }') == 3
+    assert text.count('stress = { name = "stress_MPa", unit = "MPa" }') == 1
     assert "actuation" not in text
     said("calibrate", tmp_path / "campaign.toml", "-o", tmp_path / "out", "--dry-run")
     assert "exists" in said("init", tmp_path, "--model", "steel.py:Steel", code=2)

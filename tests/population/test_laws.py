@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.population.coordinates import Coordinates
+from mfd_bayes.population.design import Coordinates
 from mfd_bayes.population.laws import (
     LAWS,
     complete_laws,

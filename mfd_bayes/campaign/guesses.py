@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
-from typing import Any
 from unicodedata import normalize
 
 import numpy as np
 
+from mfd_bayes.axes import Axes, Axis, check_unit
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.channels import Source, stated_unit, step_of
+from mfd_bayes.records.channels import Source, header_unit, stated_unit, step_of
 from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.readers import Table
@@ -29,6 +29,7 @@ from mfd_bayes.units import (
     parse_actuation,
 )
 
+ESSENTIAL = ("time", "displacement", "force")
 _WORDS: Mapping[str, Mapping[str, int]] = {
     "time": {"time": 4, "timestamp": 3, "elapsed": 3, "t": 3, "zeit": 4, "seconds": 2, "sec": 2},
     "displacement": {
@@ -40,7 +41,6 @@ _WORDS: Mapping[str, Mapping[str, int]] = {
         **dict.fromkeys(("force", "load", "loadcell", "kraft"), 4),
         **dict.fromkeys(("f", "reaction", "resistance", "cell"), 2),
     },
-    "velocity": {**dict.fromkeys(("velocity", "vel", "speed"), 4), "v": 2},
     "actuation": {
         **dict.fromkeys(("pressure", "actuation", "tension", "preload", "druck"), 6),
         **dict.fromkeys(("press", "clamping", "clamp", "psi", "kpa", "mpa", "bar"), 5),
@@ -102,42 +102,55 @@ class Guess:
         return Source(self.name, self.unit, sign=self.sign)
 
 
-def guess_columns(table: Table) -> dict[str, Guess]:
-    """Role to column, guessed from names and units, or else from numbers.
+def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
+    """Role to column of a model's motion and response, of time and of actuation.
 
-    Only time, displacement and force are guessed from numbers. Where no unit of time is given, its
-    steps decide between s and ms.
+    Guessed from names and units, or else from numbers; those of a user's own axes by name alone.
+    A rate that the file states stands in place of a time that it has not; where it states none,
+    the time is left open, if displacement and force have their names.
     """
+    own = {} if axes.of_damper else {"displacement": axes.motion, "force": axes.response}
+    roles = ("actuation",) * axes.actuated + ("time",) * axes.timed + ("displacement", "force")
     guesses: dict[str, Guess] = {}
-    for role in ("actuation", "time", "displacement", "force", "velocity"):
-        guess = _by_name(table, role, [guess.name for guess in guesses.values()])
-        if guess is not None:
-            guesses[role] = guess
-    missing = [role for role in ("time", "displacement", "force") if role not in guesses]
+    for role in roles:
+        taken = [guess.name for guess in guesses.values()]
+        named = _of_axis(table, own[role]) if role in own else _by_name(table, role, taken)
+        if named is not None:
+            guesses[role] = named
+    missing = [role for role in roles if role not in {*guesses, *own, "actuation"}]
     if missing:
         guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
-    guesses = {role: _with_unit(table, role, guess, guesses) for role, guess in guesses.items()}
-    if "velocity" in guesses and not _is_slope(table, guesses):
-        del guesses["velocity"]
     for role, guess in guesses.items():
-        if guess.name and own_name(guess.name) != guess.name:  # no name of its own
-            guesses[role] = replace(guess, number=table.number_of(guess.name))
+        found = guess if guess.unit or role in own else _with_unit(table, role, guess, guesses)
+        if role == "time" and (problem := _equal_stamps(table, guess.name)):
+            found = Guess("", None, lacking=problem)
+        if found.name and own_name(found.name) != found.name:  # no name of its own
+            found = replace(found, number=table.number_of(found.name))
+        guesses[role] = found
+    rate, doubt = rate_in_header(table.head)
+    if (time := guesses.get("time")) is None:
+        lacks = {"displacement", "force"} <= guesses.keys()
+    else:
+        lacks = bool(rate and time.lacking)
+    if axes.timed and lacks and (rate or not (table.notes or table.blocks)):
+        stated = Guess("", "s", (doubt,) if doubt else (), rate=rate)
+        guesses["time"] = stated if rate else Guess("", None, lacking=NO_TIME)
     return guesses
 
 
-def timed_by_rate(guesses: dict[str, Guess], rate: str, doubt: str) -> dict[str, Guess]:
-    """Guesses with the rate that a file states, where no column is a time.
-
-    Where it states none, the time is left open, if displacement and force have their names.
-    """
-    time = guesses.get("time")
-    if time is None and not {"displacement", "force"} <= guesses.keys():
-        return guesses
-    if time is None or (rate and time.lacking):
-        doubts = (doubt,) if doubt else ()
-        guess = Guess("", "s", doubts, rate=rate) if rate else Guess("", None, lacking=NO_TIME)
-        return guesses | {"time": guess}
-    return guesses
+def _of_axis(table: Table, axis: Axis) -> Guess | None:
+    """The first column that is called as a user's own axis, with its unit."""
+    for name in table.names:
+        if re.match(axis.name, re.sub(r"^[^a-z]+", "", name.lower())):
+            for unit in filter(None, (table.units.get(name), header_unit(name), axis.unit)):
+                try:
+                    check_unit(unit, axis, "")
+                except UnitError:
+                    continue
+                guessed = unit == axis.unit != "1" and unit not in name
+                doubt = f"no unit is given: that of the model, {unit}, is taken"
+                return Guess(name, unit, (doubt,) if guessed else ())
+    return None
 
 
 def unit_of(table: Table, name: str, role: str) -> str | None:
@@ -163,10 +176,7 @@ def _fits(unit: str, role: str) -> bool:
 
 
 def numbers_of(table: Table, name: str, *, is_time: bool = False) -> Array | None:
-    """Numbers of a column, (T,), or None where it holds anything else.
-
-    A time may be as large as a date in ns.
-    """
+    """Numbers of a column, (T,), or None where it holds anything else; a time may be a date."""
     try:
         numbers = table.columns([name])[name]
         if not is_time:
@@ -178,32 +188,24 @@ def numbers_of(table: Table, name: str, *, is_time: bool = False) -> Array | Non
 
 def _by_name(table: Table, role: str, taken: Sequence[str]) -> Guess | None:
     """Column whose name and unit have the highest score for a role."""
-    scores = {
-        name: score
-        for name in table.names
-        if name not in taken and table.names.count(name) == 1
-        if (score := _score(table, name, role)) > 0
-    }
+    names = [name for name in table.names if name not in taken and table.names.count(name) == 1]
+    scores = {name: score for name in names if (score := _score(table, name, role)) > 0}
     if not scores:
         return None
     best = max(scores, key=lambda name: scores[name])
     fewest = max(scores[best] - 1, min(scores[best], 2))
     rivals = [name for name, score in scores.items() if name != best and score >= fewest]
-    doubts: list[str] = []
-    if scores[best] == _UNIT_ALONE:
-        doubts.append(f"column for {role} chosen by its unit alone")
-    if rivals:
-        doubts.append(f"column for {role} could also be {_listed(rivals)}")
-    return Guess(best, unit_of(table, best, role), tuple(doubts))
+    alone = (f"column for {role} chosen by its unit alone",) if scores[best] == _UNIT_ALONE else ()
+    others = (f"column for {role} could also be {_listed(rivals)}",) if rivals else ()
+    return Guess(best, unit_of(table, best, role), alone + others)
 
 
 def _score(table: Table, name: str, role: str) -> float:
     """Score of a column's name and unit for a role; 0 where it cannot have the role."""
     text = normalize("NFKC", own_name(name))
     words = re.findall(r"[a-z]+", _CAMEL.sub(" ", _IN_BRACKETS.sub("", text)).lower())
-    own = max((_WORDS[role].get(word, 0) for word in words), default=0)
-    others = (scores for other, scores in _WORDS.items() if other != role)
-    other = max((scores.get(word, 0) for scores in others for word in words), default=0)
+    scores = {r: max((known.get(w, 0) for w in words), default=0) for r, known in _WORDS.items()}
+    own, other = scores.pop(role), max(scores.values())
     if own and any(map(_NOT_MEASURED.fullmatch, words)):
         own = 1
     unit = unit_of(table, name, role)
@@ -214,8 +216,7 @@ def _score(table: Table, name: str, role: str) -> float:
     if unit is None:
         match = _IN_BRACKETS.search(text)
         stated = match[1] if match else table.units.get(name, "")
-        dimensions = ("time", "displacement", "force", "velocity", "pressure")
-        if stated and any(_fits(stated, dimension) for dimension in dimensions):
+        if stated and any(_fits(stated, kind) for kind in (*ESSENTIAL, "velocity", "pressure")):
             return 0.0  # the unit is that of another role
     return own + (unit is not None) if own >= other else 0.0
 
@@ -225,9 +226,9 @@ def _by_numbers(table: Table, missing: Sequence[str], taken: Sequence[str]) -> d
     signals: dict[str, Array] = {}
     steady: dict[str, bool] = {}  # to whether it is a counter
     for name in table.names:
-        if name in taken or table.names.count(name) > 1:
-            continue
-        values = numbers_of(table, name, is_time=True)
+        values = None
+        if name not in taken and table.names.count(name) == 1:
+            values = numbers_of(table, name, is_time=True)
         if values is None or values.size < 3:
             continue
         steps = np.diff(values)
@@ -235,16 +236,17 @@ def _by_numbers(table: Table, missing: Sequence[str], taken: Sequence[str]) -> d
             steady[name] = bool(np.ptp(steps) == 0.0)
         elif np.ptp(values) > 0 and numbers_of(table, name) is not None:
             signals[name] = values
-    guesses: dict[str, Guess] = {}
-    if "time" in missing and steady:
-        guesses["time"] = _guessed("time", sorted(steady, key=lambda name: steady[name]))
     names = sorted(signals, key=lambda name: roughness(signals[name]))
     if {"displacement", "force"} <= set(missing):
         names = by_loop({name: signals[name] for name in names})
-    for role in ("displacement", "force"):
-        if role in missing and names:
-            guesses[role] = _guessed(role, names)
-            names = names[1:]
+    guesses: dict[str, Guess] = {}
+    for role in missing:
+        found = sorted(steady, key=lambda name: steady[name]) if role == "time" else names
+        if found:
+            others = f"; it could also be {_listed(found[1:])}" if found[1:] else ""
+            doubt = f"column for {role} guessed from the numbers{others}"
+            guesses[role] = Guess(found[0], unit_of(table, found[0], role), (doubt,))
+            names = names if role == "time" else names[1:]
     return guesses
 
 
@@ -269,39 +271,19 @@ def by_loop(signals: Mapping[str, Array]) -> list[str]:
     return [motion, force, *(name for name in names if name not in best)]
 
 
-def _guessed(role: str, names: list[str]) -> Guess:
-    others = f"; it could also be {_listed(names[1:])}" if names[1:] else ""
-    return Guess(names[0], None, (f"column for {role} guessed from the numbers{others}",))
-
-
 def _with_unit(table: Table, role: str, guess: Guess, guesses: Mapping[str, Guess]) -> Guess:
-    """Guess with a unit where its name, the other columns or the steps of time tell it."""
-    unit = guess.unit or unit_of(table, guess.name, role)
+    """Guess without a unit: that which the other columns or the steps of time tell."""
     stated = stated_unit(own_name(guess.name), table.units.get(guess.name, ""))
-    lacking = (
-        f"{stated!r}, as the file says, is no known unit of {role}{force_meant(stated)}"
-        if stated
-        else ""
-    )
+    if stated:
+        text = f"{stated!r}, as the file says, is no known unit of {role}{force_meant(stated)}"
+        return replace(guess, lacking=text)
     if role == "time":
-        if problem := _equal_stamps(table, guess.name):
-            return Guess("", None, lacking=problem)
-        if unit is not None or lacking:
-            return replace(guess, unit=unit, lacking="" if unit else lacking)
-        return replace(guess, **_unit_of_time(table, guess, guesses.get("displacement")))
-    if unit is not None:
-        return replace(guess, unit=unit)
-    if lacking:
-        return replace(guess, unit=None, lacking=lacking)
-    others = [
-        other
-        for r in ("displacement", "force", "velocity")
-        if r in guesses and (other := unit_of(table, guesses[r].name, r)) is not None
-    ]
+        return _with_unit_of_time(table, guess, guesses.get("displacement"))
+    columns = [(r, guesses[r]) for r in ("displacement", "force") if r in guesses]
+    others = [unit for r, other in columns if (unit := unit_of(table, other.name, r))]
     if role == "actuation" or not others:
         return guess
-    units = {"displacement": ("in", "mm"), "force": ("kip", "kN"), "velocity": ("in/s", "mm/s")}
-    unit, other = units[role]
+    unit, other = {"displacement": ("in", "mm"), "force": ("kip", "kN")}[role]
     if _METRIC.search(" ".join(others)):
         unit, other = other, unit
     doubt = f"no unit of {role} is given; {unit} matches the other columns, {other} does not"
@@ -322,28 +304,30 @@ def _equal_stamps(table: Table, name: str) -> str:
     )
 
 
-def _unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> dict[str, Any]:
-    """Unit of a time by its numbers, with a doubt; or what it lacks: a count, a date, s or ms."""
+def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> Guess:
+    """A time with the unit that its numbers look like; or what it lacks: a count, a date, s or ms.
+
+    A time is in s unless its cycles are long; then its steps decide between s and ms.
+    """
     values = numbers_of(table, guess.name, is_time=True)
     if values is None or values.size < 3 or values[-1] <= values[0]:
-        return {}
-    given, since = "no unit of time is given; ", float(values[0])
-    if since >= _EARLIEST and np.ptp(values) < 0.05 * since:
+        return guess
+    if values[0] >= _EARLIEST and np.ptp(values) < 0.05 * values[0]:
         for unit, (low, high) in _DATES.items():
-            if low < since < high:
-                return {
-                    "unit": unit,
-                    "doubts": (f"{given}it looks like a date, counted in {unit}",),
-                }
-        return {"lacking": "it begins at a number too large for a time: what does it count?"}
+            if low < values[0] < high:
+                doubt = f"no unit of time is given; it looks like a date, counted in {unit}"
+                return replace(guess, unit=unit, doubts=(doubt,))
+        text = "it begins at a number too large for a time: what does it count?"
+        return replace(guess, lacking=text)
     name, steps = own_name(guess.name), np.diff(values)
     words = re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower())
     is_whole = bool(np.all(values == np.round(values)))
     if is_whole and (any(map(_COUNTER.fullmatch, words)) or np.all(steps == 1.0)):
-        return {
-            "lacking": f"{name or 'this column'!r} counts samples and is no time: at which rate? "
+        text = (
+            f"{name or 'this column'!r} counts samples and is no time: at which rate? "
             'Write it in place of the column, time = { rate = "100 Hz" }'
-        }
+        )
+        return replace(guess, lacking=text)
     motion = None if displacement is None else numbers_of(table, displacement.name)
     cycle = 0.0  # time of a cycle, in the unit of the time
     if motion is not None and motion.size == values.size:
@@ -351,30 +335,13 @@ def _unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> dic
     step = float(np.median(steps))
     is_slow = step * SLOW_RATE >= 1.0
     if step < SLOWEST_STEP and FAST_CYCLE < cycle < SLOW_PERIOD and is_slow:
-        return {
-            "lacking": f"its steps may be s or ms: one gives a cycle of {cycle:.3g} s, the other "
-            f"of {cycle / 1000:.3g} s"
-        }
+        text = f"one gives a cycle of {cycle:.3g} s, the other of {cycle / 1000:.3g} s"
+        return replace(guess, lacking=f"its steps may be s or ms: {text}")
     if cycle / 1000 > SLOW_PERIOD and step >= 1000 * SLOWEST_STEP:
-        return {"lacking": "its steps are neither those of s nor of ms"}
+        return replace(guess, lacking="its steps are neither those of s nor of ms")
     unit = "ms" if cycle > FAST_CYCLE and is_slow else "s"
-    return {"unit": unit, "doubts": (*guess.doubts, f"{given}the steps look like {unit}")}
-
-
-def _is_slope(table: Table, guesses: Mapping[str, Guess]) -> bool:
-    """Whether the velocity has a unit and is the slope of the displacement."""
-    roles = ("time", "displacement", "velocity")
-    if guesses["velocity"].unit is None or not all(role in guesses for role in roles):
-        return False
-    names = [guesses[role].name for role in roles]
-    try:
-        columns = table.columns(names)
-    except MfdError:
-        return False
-    time, displacement, velocity = (columns[name] for name in names)
-    with np.errstate(all="ignore"):
-        slope = np.gradient(displacement, time)
-        return bool(np.corrcoef(slope, velocity)[0, 1] > 0.9)
+    doubt = f"no unit of time is given; the steps look like {unit}"
+    return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -433,6 +400,9 @@ _RATES = tuple(
 )
 
 
+NAMED = "in the file's name"
+
+
 @dataclass(frozen=True)
 class Level:
     """A constant actuation: its text, such as "500 psi", and its value in the internal unit."""
@@ -440,42 +410,40 @@ class Level:
     text: str
     value: float
     unit: ActuationUnit
-    doubt: str = ""
-    """What was assumed, or ""."""
+    place: str  # where it stands
+    doubt: str = ""  # what was assumed
 
 
-def _level(number: str, unit: str, doubt: str = "") -> Level:
+def _level(number: str, unit: str, place: str, doubt: str = "") -> Level:
     text = f"{number_in(number):g} {_SPELLED.get(unit.lower(), unit.lower())}"
-    return Level(text, *parse_actuation(text), doubt)
+    return Level(text, *parse_actuation(text), place, doubt)
 
 
 def levels_in(name: str) -> tuple[Level, ...]:
     """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is assumed to be psi."""
-    levels = [_level(m[1], m[2]) for m in _WITH_UNIT.finditer(name)]
-    if not levels:
-        levels = [
-            _level(n, "psi", "psi is assumed; it may be kPa") for n in _PRESSURE.findall(name)
-        ]
-        levels += [_level(n, "lbf", "lbf is assumed; it may be N") for n in _TENSION.findall(name)]
-    if not levels:
+    found = [(m[1], m[2], "") for m in _WITH_UNIT.finditer(name)]
+    if not found:
+        found = [(n, "psi", "psi is assumed; it may be kPa") for n in _PRESSURE.findall(name)]
+        found += [(n, "lbf", "lbf is assumed; it may be N") for n in _TENSION.findall(name)]
+    if not found:
         for match in _DRIVEN.finditer(name):  # a single letter may be a label as well
             is_label = len(match[2]) == 1 and match[1].isdigit()
             doubt = f"{match[0]} is taken for {_SPELLED[match[2].lower()]}" if is_label else ""
-            levels.append(_level(match[1], match[2], doubt))
+            found.append((match[1], match[2], doubt))
+    levels = (_level(number, unit, NAMED, doubt) for number, unit, doubt in found)
     return tuple(dict.fromkeys(levels))
 
 
-def level_in_header(lines: Sequence[str], names: Sequence[str]) -> Level | None:
+def level_in_header(lines: Sequence[str], names: Sequence[str]) -> tuple[Level, ...]:
     """Level in the lines above the numbers or in a column's name, as ``Pressure: 500 psi``.
 
     A pressure without that word, as ``Brake at 500 psi``, gets a doubt.
     """
     lines = [*names, *(line for line in lines if re.search(r"[A-Za-z]{3}", line))]
     for pattern, doubt in ((_CALLED, ""), (_PRESSURE_UNIT, "it is a pressure in the header lines")):
-        for line in lines:
-            if match := pattern.search(line):
-                return _level(match[1], match[2], doubt)
-    return None
+        for match in filter(None, map(pattern.search, lines)):
+            return (_level(match[1], match[2], "in the header", doubt),)
+    return ()
 
 
 def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
@@ -500,7 +468,7 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class TestFile:
-    """A file with time, displacement and force, and everything that may be its actuation."""
+    """A file with a motion and a response, and everything that may be its actuation."""
 
     __test__ = False
 
@@ -508,24 +476,23 @@ class TestFile:
     table: Table
     columns: dict[str, Guess]  # by role, without the actuation
     column: Guess | None  # that may hold the actuation
-    header: Level | None  # level in the header lines
-    named: tuple[Level, ...]  # levels in the file's name
-
-    @property
-    def levels(self) -> list[Level]:
-        """Every level in the header or the name, the certain ones first."""
-        stated = [level for level in (self.header, *self.named) if level is not None]
-        return sorted(stated, key=lambda level: bool(level.doubt))
+    levels: tuple[Level, ...]  # in the header lines or the file's name, the certain ones first
 
 
 def without_shared_levels(files: list[TestFile]) -> list[TestFile]:
     """Files without the levels that stand in every name, where a name has others as well."""
     if len(files) < 2:
         return files
-    shared = set.intersection(*({level.text for level in file.named} for file in files))
+    names = [{level.text for level in file.levels if level.place == NAMED} for file in files]
+    shared = set.intersection(*names)
+
     return [
-        replace(file, named=tuple(v for v in file.named if v.text not in shared) or file.named)
-        for file in files
+        file
+        if own == shared
+        else replace(
+            file, levels=tuple(v for v in file.levels if v.place != NAMED or v.text not in shared)
+        )
+        for file, own in zip(files, names, strict=True)
     ]
 
 
@@ -549,27 +516,28 @@ def actuation_of(
     A measured actuation counts before the header, the header before the name; None where none has
     it. Refused where it is a pressure and most files have tensions, or the reverse.
     """
-    stated = file.levels
-    levels = [level for level in stated if level.unit == unit]
-    measured, mean, doubts = _measured(file, unit)
-    if measured is not None:
-        others = [v.text for v in levels if abs(mean - v.value) > 0.1 * v.value]
-        if others:
-            shown = measured if isinstance(measured, str) else "a history"
-            doubts += (f"{_or(others)} in the name or header, {shown} in the column",)
-        return measured, f"of column {file.column.name if file.column else ''!r}", doubts
+    levels = [level for level in file.levels if level.unit == unit]
+    doubts: tuple[str, ...] = ()
+    if file.column is not None:
+        measured, mean, doubts = _measured(file.table, file.column, unit)
+        if measured is not None:
+            others = [v.text for v in levels if abs(mean - v.value) > 0.1 * v.value]
+            if others:
+                shown = measured if isinstance(measured, str) else "a history"
+                doubts += (f"{_or(others)} in the name or header, {shown} in the column",)
+            return measured, f"of column {file.column.name!r}", doubts
     if levels:
         level = levels[0]
-        others = [other.text for other in stated if other.text != level.text]
+        others = [other.text for other in file.levels if other.text != level.text]
         doubts += (level.doubt,) if level.doubt else ()
         doubts += (f"it could also be {_or(others)}",) if others else ()
         doubts += (IDLE,) if level.value == 0.0 else ()
-        place = "in the header" if level == file.header else "in the file's name"
-        return level.text, place, doubts
-    if stated:
+        return level.text, level.place, doubts
+    if file.levels:
+        stated = file.levels[0]
         raise RecordError(
-            f"its actuation of {stated[0].text} is {actuation_kind(stated[0].unit)}, and those of "
-            "most files are not"
+            f"its actuation of {stated.text} is {actuation_kind(stated.unit)}, and those of most "
+            "files are not"
         )
     used = {guess.name for guess in file.columns.values()}
     names = [n for n in file.table.names if n not in used and unit_of(file.table, n, "actuation")]
@@ -578,17 +546,16 @@ def actuation_of(
 
 
 def _measured(
-    file: TestFile, unit: ActuationUnit | None
+    table: Table, column: Guess, unit: ActuationUnit | None
 ) -> tuple[str | Guess | None, float, tuple[str, ...]]:
     """Level or history in the column of the actuation, its mean, and doubts; None without use."""
-    column = file.column
-    if column is None:
-        return None, 0.0, ()
     unusable = f"column {column.name!r} holds no actuation that can be used"
+    if column.lacking:
+        return None, 0.0, (f"{unusable}: {column.lacking}",)
     if column.unit is None:
-        no_unit = f"column {column.name!r} has no unit: name it, if it is the actuation"
-        return None, 0.0, (f"{unusable}: {column.lacking}" if column.lacking else no_unit,)
-    values = numbers_of(file.table, column.name)
+        doubt = f"column {column.name!r} has no unit: name it, if it is the actuation"
+        return None, 0.0, (doubt,)
+    values = numbers_of(table, column.name)
     scale, internal = actuation_factor(column.unit)
     if values is None or internal != unit or not np.mean(values) > 0:
         return None, 0.0, (unusable,)

@@ -12,38 +12,37 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.priors import WRITTEN
-from mfd_bayes.campaign.draft.guesses import (
+from mfd_bayes.campaign.draft_priors import knows, priors_of_model, priors_text
+from mfd_bayes.campaign.guesses import (
+    ESSENTIAL,
     Guess,
     TestFile,
     actuation_of,
     guess_columns,
     level_in_header,
     levels_in,
+    numbers_of,
     prevailing_unit,
-    rate_in_header,
-    timed_by_rate,
     without_shared_levels,
 )
-from mfd_bayes.campaign.draft.priors import Units, knows, priors_text
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.data_quality import contradictions, force_sign, length_in_name
 from mfd_bayes.records.loops import Scales, channels_swapped, scales_of
-from mfd_bayes.records.readers import SUFFIXES, Table, read_table
+from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import without_spikes
 from mfd_bayes.store.toml import commented, quoted
-from mfd_bayes.units import ActuationUnit, actuation_factor
+from mfd_bayes.units import ActuationUnit, actuation_factor, convert
 
-_ESSENTIAL = ("time", "displacement", "force")
-_INTERNAL = {"time": "s", "displacement": "in", "force": "kip", "velocity": "in/s"}
-_OWN = re.compile(
-    r"(?:parameters|derived|laws|law_scores|checks|scores|crossvalidation)\.(?:csv|json)"
-    r"|comparison\.csv|manifest\.json"
-)
-"""Names of the tables of a run."""
-
+_INTERNAL = {"time": "s", "displacement": "in", "force": "kip"}
+_BANDS = {"lower", "median", "upper"}  # first words of columns of a prediction
 _EARTHQUAKE = re.compile(
     r"quake|seism|(?<![a-z])(?:eq|gm|dbe|mce|sle)(?![a-z])|dbe|mce|kobe|centro|northridge"
     r"|imperial|kocaeli|chi-?chi|prieta|tabas|landers|duzce|ground.?motion|random|white.?noise",
@@ -63,8 +62,13 @@ class TestDraft:
     actuation: str | Guess | None  # a level, a column with a history, or None where it is unknown
     source: str  # where the actuation stands, or which columns might hold it
     doubts: tuple[str, ...]  # about the actuation and the file's name
-    earthquake: bool  # whether the file's name is that of one
-    scales: Scales | None  # None where a unit is unknown
+    scales: Scales | None  # of a damper's loops; None where a unit is unknown
+    sizes: tuple[float, float] | None  # of motion and response of a user's own model
+
+    @property
+    def earthquake(self) -> bool:
+        """Whether the file's name is that of one."""
+        return _EARTHQUAKE.search(Path(self.file).stem) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +79,9 @@ class Draft:
     tests: tuple[TestDraft, ...]
     left_out: tuple[tuple[str, str], ...]  # files that are not tests of the campaign, and why
     unit: ActuationUnit | None  # of the actuations, "ksi" of pressures; None if unknown
+    axes: Axes = DAMPER
+    model: str = "three_stage"
+    own: Model | None = None  # a model of the user's own
 
     @property
     def scales(self) -> dict[str, Scales]:
@@ -83,34 +90,43 @@ class Draft:
         return scales if len(scales) == len(self.tests) else {}
 
 
-def draft_campaign(folder: Path) -> Draft:
-    """Campaign of the test files in a folder; refused where there is none."""
+def draft_campaign(folder: Path, model: str = "") -> Draft:
+    """Campaign of the test files in a folder, perhaps of a user's own model, "file.py:Class"."""
     try:
         paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
     except OSError as error:
         raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
+    own = find_model(model, folder) if model else None
+    axes = replace(own.axes, actuated=bool(own.actuated)) if own else DAMPER
     files: list[TestFile] = []
+    tests: list[TestDraft] = []
     left_out: list[tuple[str, str]] = []
+
+    def leave_out(path: Path, error: MfdError) -> None:
+        texts = path.name, str(error).replace(str(path), path.name)
+        name, why = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
+        left_out.append((name, why))
+
     for path in sorted(paths, key=_natural):
         try:
-            files.append(_read_file(path, folder))
+            files.append(_read_file(path, folder, axes))
         except MfdError as error:
-            left_out.append(_reason(path, error))
+            leave_out(path, error)
     files = without_shared_levels(files)
     unit = prevailing_unit(files)
-    tests: list[TestDraft] = []
     for file in files:
         try:
-            tests.append(_draft_test(file, unit, [test.id for test in tests]))
+            tests.append(_draft_test(file, unit, axes, own, [test.id for test in tests]))
         except MfdError as error:
-            left_out.append(_reason(file.path, error))
+            leave_out(file.path, error)
     if not tests:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:5])
+        reasons = "; ".join(f"{name}: {why}" for name, why in left_out[:5])
+        roles = ("time",) * axes.timed + (axes.motion.name,)
         raise CampaignError(
-            f"{folder} holds no test, a file with time, displacement and force"
+            f"{folder} holds no test, a file with {', '.join(roles)} and {axes.response.name}"
             + (f": {reasons}" if reasons else f" and one of the suffixes {', '.join(SUFFIXES)}")
         )
-    return Draft(folder, tuple(tests), tuple(left_out), unit)
+    return Draft(folder, tuple(tests), tuple(left_out), unit, axes, model or Draft.model, own)
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
@@ -119,93 +135,67 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], path.name
 
 
-def _reason(path: Path, error: MfdError) -> tuple[str, str]:
-    """Name of a file and why it is left out, with escapes for what UTF-8 cannot encode."""
-    texts = path.name, str(error).replace(str(path), path.name)
-    name, reason = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
-    return name, reason
-
-
-def _is_utf8(name: str) -> bool:
-    return not any("\ud800" <= letter <= "\udfff" for letter in name)
-
-
-def read_foreign(path: Path, folder: Path) -> Table:
-    """Table of a file of this folder that this package did not write; raises for others."""
-    if not _is_utf8(path.name):
-        raise RecordError("its name is not UTF-8, as a campaign file must be: rename it")
+def _read_file(path: Path, folder: Path, axes: Axes) -> TestFile:
+    """Guessed columns and actuations of a file; raises where it cannot be a test."""
+    _check_utf8(path.name, "its name")
     if not path.resolve().is_relative_to(folder.resolve()):
         raise RecordError("it is a link to a file outside this folder")
     table = read_table(path)
-    if _is_own(path, table):
+    if {name.partition("_")[0] for name in table.names} >= _BANDS:
         raise RecordError("written by mfd-bayes")
-    return table
-
-
-def _read_file(path: Path, folder: Path) -> TestFile:
-    """Guessed columns and actuations of a file; raises where it cannot be a test."""
-    table = read_foreign(path, folder)
-    columns = guess_columns(table)
+    columns = guess_columns(table, axes)
+    for guess in columns.values():
+        _check_utf8(guess.name, f"the name of its column {guess.name!a}")
     column = columns.pop("actuation", None)
-    rate, doubt = rate_in_header(table.head)
-    if rate or not (table.notes or table.blocks):
-        columns = timed_by_rate(columns, rate, doubt)
-    missing = [role for role in _ESSENTIAL if role not in columns]
-    if missing:
+    needed = [role for role in ESSENTIAL if axes.timed or role != "time"]
+    if missing := [axes.name(role) for role in needed if role not in columns]:
         again = next(iter(table.blocks.values()), "")
         notes = [f"the heading is repeated from {again}: keep one block in a file"] if again else []
         raise RecordError(
             f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}"
             + "".join(f"; {note}" for note in (*notes, *table.notes))
         )
-    for guess in (*columns.values(), column):
-        if guess and not _is_utf8(guess.name):
-            raise RecordError(f"the name of its column {guess.name!a} is not UTF-8: rename it")
-    header, named = level_in_header(table.head, table.names), levels_in(path.stem)
-    other = column and column.unit and actuation_factor(column.unit)[1] not in ("ksi", "kip")
-    if other and (header or named):
+    levels = (*level_in_header(table.head, table.names), *levels_in(path.stem))
+    if column and column.unit and actuation_factor(column.unit)[1] not in ("ksi", "kip") and levels:
         column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
-    return TestFile(path, table, columns, column, header, named)
+    return TestFile(
+        path, table, columns, column, tuple(sorted(levels, key=lambda v: bool(v.doubt)))
+    )
 
 
-def _is_own(path: Path, table: Table) -> bool:
-    """Whether this package wrote a file: a table of a run, or a prediction."""
-    names = set(table.names)
-    units = [name.removeprefix("lower_") for name in names if name.startswith("lower_")]
-    bands = any({f"median_{unit}", f"upper_{unit}"} <= names for unit in units)
-    derived = path.stem.endswith("_derived") and "quantity" in table.names
-    return bands or derived or _OWN.fullmatch(path.name) is not None
+def _check_utf8(name: str, what: str) -> None:
+    if any("\ud800" <= letter <= "\udfff" for letter in name):
+        raise RecordError(f"{what} is not UTF-8, as a campaign file must be: rename it")
 
 
-def _draft_test(file: TestFile, unit: ActuationUnit | None, taken: Sequence[str]) -> TestDraft:
+def _draft_test(
+    file: TestFile, unit: ActuationUnit | None, axes: Axes, own: Model | None, taken: Sequence[str]
+) -> TestDraft:
     """Draft of a file; raises where the file cannot be read with the guessed columns."""
-    actuation, source, doubts = actuation_of(file, unit)
-    roles = dict(file.columns)
-    record = _read_record(file.path, roles, actuation)
-    sound = without_spikes(record.trace())
-    if any(force_sign(sound)) and not channels_swapped(sound):
-        doubt = (
-            "its loops run backward, with negative work, so the sign of the force is turned; if "
-            "that of the displacement is wrong, write sign = -1 there instead"
-        )
-        force = roles["force"]
-        roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
+    actuation, source, doubts = (None, "", ()) if not axes.actuated else actuation_of(file, unit)
+    roles, scales = dict(file.columns), None
+    if axes.of_damper and axes.timed:
         record = _read_record(file.path, roles, actuation)
-    known = {role for role, guess in roles.items() if guess.unit is not None}
-    doubts += tuple(str(fault.message) for fault in contradictions(record, roles=known))
-    if "displacement" not in known and (length := length_in_name(record)):
-        lacking = f'write unit = "{length[0]}": {length[1]}'
-        roles["displacement"] = replace(roles["displacement"], lacking=lacking)
-    complete = known.issuperset(_ESSENTIAL)
+        sound = without_spikes(record.trace())
+        if any(force_sign(sound)) and not channels_swapped(sound):
+            doubt = (
+                "its loops run backward, with negative work, so the sign of the force is turned; "
+                "if that of the displacement is wrong, write sign = -1 there instead"
+            )
+            force = roles["force"]
+            roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
+            record = _read_record(file.path, roles, actuation)
+            sound = without_spikes(record.trace())
+        known = {role for role, guess in roles.items() if guess.unit is not None}
+        doubts += tuple(str(fault.message) for fault in contradictions(record, roles=known))
+        if "displacement" not in known and (length := length_in_name(record)):
+            lacking = f'write unit = "{length[0]}": {length[1]}'
+            roles["displacement"] = replace(roles["displacement"], lacking=lacking)
+        if known.issuperset(ESSENTIAL):
+            scales = scales_of(sound)
     return TestDraft(
-        id=new_id(file.path.stem, taken),
-        file=file.path.name,
-        columns=roles,
-        actuation=actuation,
-        source=source,
-        doubts=doubts,
-        earthquake=_EARTHQUAKE.search(file.path.stem) is not None,
-        scales=scales_of(without_spikes(record.trace())) if complete else None,
+        *(new_id(file.path.stem, taken), file.path.name, roles, actuation, source, doubts, scales),
+        _sizes(file, axes) if own else None,
     )
 
 
@@ -216,6 +206,19 @@ def _read_record(path: Path, roles: dict[str, Guess], actuation: str | Guess | N
     if isinstance(actuation, Guess):
         sources["actuation"] = actuation.source
     return read_record(path, sources, units, actuation if isinstance(actuation, str) else None)
+
+
+def _sizes(file: TestFile, axes: Axes) -> tuple[float, float]:
+    """Half the range of the motion and of the response, in the model's units."""
+    sizes = []
+    for role, axis in (("displacement", axes.motion), ("force", axes.response)):
+        guess = file.columns[role]
+        values = numbers_of(file.table, guess.name)
+        if values is None:
+            raise RecordError(f"column {guess.name!r} holds no numbers")
+        by = convert(guess.unit, axis.unit) if guess.unit else 1.0
+        sizes.append(by * 0.5 * float(np.ptp(values[np.isfinite(values)])))
+    return sizes[0], sizes[1]
 
 
 def new_id(stem: str, taken: Sequence[str]) -> str:
@@ -229,7 +232,6 @@ def new_id(stem: str, taken: Sequence[str]) -> str:
     return new
 
 
-ROLES = ("time", "displacement", "force", "velocity")
 _UNITS = {
     "time": '"s" or "ms"',
     "displacement": '"mm", "m" or "in"',
@@ -265,48 +267,63 @@ def campaign_text(draft: Draft) -> str:
         "[campaign]",
         f"title = {quoted(title)}",
         f"priors = {quoted(priors)}  {commented(why)}",
-        f'model = "three_stage"  {commented(_MODELS)}',
+        f"model = {quoted(draft.model)}" + ("" if draft.own else f"  {commented(_MODELS)}"),
         "",
         "[columns]",
-        *(_column_line(role, guess) for role, guess in shared.items()),
+        *(_column_line(draft.axes.name(role), guess) for role, guess in shared.items()),
     ]
     for test in draft.tests:
-        lines += ["", *_test_lines(test, shared, draft)]
+        lines += ["", "[[test]]", f"id = {quoted(test.id)}", f"file = {quoted(test.file)}"]
+        lines += [commented(f"unsure: {doubt}") for doubt in test.doubts]
+        if isinstance(test.actuation, Guess):
+            column = _table_of(test.actuation)
+            lines.append(f"actuation = {column}  {commented('measured during the test')}")
+        elif test.actuation is not None:
+            lines.append(f"actuation = {quoted(test.actuation)}  {commented(test.source)}")
+        elif draft.axes.actuated:
+            lines.append(commented(f"FIXME: {_no_actuation(test, draft)}"))
+        for role, guess in _own_columns(test, shared):
+            line = _column_line(draft.axes.name(role), guess)
+            lines.append(line if line.startswith("#") else f"columns.{line}")
+        if test.earthquake:
+            why = "an earthquake by its name: to predict and score, not to fit"
+            lines.append(f'# role = "validate"  {commented(why)}')
     if draft.left_out:
         lines += ["", "# Left out:"]
         lines += [commented(f"{file}: {reason}") for file, reason in draft.left_out]
-    first = _FIRST if lacks_priors(draft) else ""
-    return _HEAD + first + _NEXT + "\n".join(lines) + "\n"
+    return _HEAD + (_FIRST if lacks_priors(draft) else "") + _NEXT + "\n".join(lines) + "\n"
 
 
 def _priors_of(draft: Draft) -> tuple[str, str]:
     """Shipped priors that know such a device, else those read off the records; and why these."""
+    if draft.own:
+        return WRITTEN, "wide, of the sizes of the records: replace each by what you know"
     name, why = _PRIORS.get(draft.unit, _OTHER)
-    if not draft.scales:
-        guesses = [guess for test in draft.tests for guess in test.columns.values()]
-        if all(guess.unit is not None for guess in guesses):
+    if draft.scales:
+        if knows(name, draft.scales):
             return name, why
-        how = "FIXME: once the units are complete, write it by: mfd-bayes init campaign.toml"
-        return WRITTEN, how
-    if knows(name, draft.scales):
+        return WRITTEN, "scales read off the records: no shipped file knows such a device"
+    if all(guess.unit is not None for test in draft.tests for guess in test.columns.values()):
         return name, why
-    return WRITTEN, "scales read off the records: no shipped file knows such a device"
+    return WRITTEN, "FIXME: once the units are complete, write it by: mfd-bayes init campaign.toml"
 
 
 def lacks_priors(draft: Draft) -> bool:
     """Whether priors are to be read off the records, and cannot yet for want of units."""
-    return not draft.scales and _priors_of(draft)[0] == WRITTEN
+    return _priors_of(draft)[0] == WRITTEN and not (draft.scales or draft.own)
 
 
 def own_priors(draft: Draft) -> str | None:
     """Text of the prior file of a draft that needs one of its own, and whose units are known."""
+    if draft.own:
+        return priors_of_model(draft.own, [test.sizes for test in draft.tests if test.sizes])
     if _priors_of(draft)[0] != WRITTEN or not draft.scales:
         return None
-    usual = []
-    for role in ("force", "displacement"):
-        units = Counter(test.columns[role].unit for test in draft.tests)
-        usual.append(str(units.most_common(1)[0][0]))
-    return priors_text(draft.scales, Units(*usual))
+    force, length = (
+        Counter(str(test.columns[role].unit) for test in draft.tests).most_common(1)[0][0]
+        for role in ("force", "displacement")
+    )
+    return priors_text(draft.scales, force, length)
 
 
 def doubts(draft: Draft) -> list[str]:
@@ -315,10 +332,10 @@ def doubts(draft: Draft) -> list[str]:
     pairs = [("columns", doubt) for guess in shared.values() for doubt in guess.doubts]
     if draft.unit is None and _priors_of(draft)[0] != WRITTEN:
         pairs.append(("priors", _PRIORS[None][1].removeprefix("unsure: ")))
+    quake = 'its name is that of an earthquake; role = "validate" is suggested'
     for test in draft.tests:
         own = [doubt for _, guess in _own_columns(test, shared) for doubt in guess.doubts]
-        quake = 'its name is that of an earthquake; role = "validate" is suggested'
-        own += [*test.doubts, *([quake] if test.earthquake else [])]
+        own += [*test.doubts, *[quake] * test.earthquake]
         pairs += [(test.id, doubt) for doubt in own]
     return _grouped(pairs)
 
@@ -329,7 +346,8 @@ def gaps(draft: Draft) -> list[str]:
     pairs = [("columns", _no_unit(role, g)) for role, g in shared.items() if g.unit is None]
     for test in draft.tests:
         own = [_no_unit(role, g) for role, g in _own_columns(test, shared) if g.unit is None]
-        own += [_no_actuation(test, draft)] if test.actuation is None else []
+        if test.actuation is None and draft.axes.actuated:
+            own.append(_no_actuation(test, draft))
         pairs += [(test.id, sentence) for sentence in own]
     return _grouped(pairs)
 
@@ -351,50 +369,29 @@ def _as_written(guess: Guess) -> tuple[object, ...]:
     return guess.name, guess.unit, guess.number, guess.sign, guess.rate
 
 
-def _shared_columns(tests: tuple[TestDraft, ...]) -> dict[str, Guess]:
+def _shared_columns(tests: Sequence[TestDraft]) -> dict[str, Guess]:
     """Most frequent column of each role that every test has, with the doubts of all tests."""
     shared: dict[str, Guess] = {}
-    for role in ROLES:
+    for role in ESSENTIAL:
         guesses = [test.columns[role] for test in tests if role in test.columns]
         if len(guesses) < len(tests):
             continue
         usual = Counter(map(_as_written, guesses)).most_common(1)[0][0]
         alike = [guess for guess in guesses if _as_written(guess) == usual]
-        doubts_ = dict.fromkeys(doubt for guess in alike for doubt in guess.doubts)
+        every = dict.fromkeys(doubt for guess in alike for doubt in guess.doubts)
         lacking = "; ".join(dict.fromkeys(guess.lacking for guess in alike if guess.lacking))
-        shared[role] = replace(alike[0], doubts=tuple(doubts_), lacking=lacking)
+        shared[role] = replace(alike[0], doubts=tuple(every), lacking=lacking)
     return shared
 
 
 def _own_columns(test: TestDraft, shared: dict[str, Guess]) -> Iterator[tuple[str, Guess]]:
     """Columns of a test that are not the shared ones."""
-    for role in ROLES:
-        guess, common = test.columns.get(role), shared.get(role)
-        if guess and not (common and _as_written(guess) == _as_written(common)):
+    for role, guess in test.columns.items():
+        if role not in shared or _as_written(guess) != _as_written(shared[role]):
             yield role, guess
 
 
-def _test_lines(test: TestDraft, shared: dict[str, Guess], draft: Draft) -> Iterator[str]:
-    yield "[[test]]"
-    yield f"id = {quoted(test.id)}"
-    yield f"file = {quoted(test.file)}"
-    for doubt in test.doubts:
-        yield commented(f"unsure: {doubt}")
-    if test.actuation is None:
-        yield commented(f"FIXME: {_no_actuation(test, draft)}")
-    elif isinstance(test.actuation, Guess):
-        column = table_of_column(test.actuation)
-        yield f"actuation = {column}  {commented('measured during the test')}"
-    else:
-        yield f"actuation = {quoted(test.actuation)}  {commented(test.source)}"
-    for role, guess in _own_columns(test, shared):
-        line = _column_line(role, guess)
-        yield line if line.startswith("#") else f"columns.{line}"
-    if test.earthquake:
-        yield '# role = "validate"  # an earthquake by its name: to predict and score, not to fit'
-
-
-def table_of_column(guess: Guess) -> str:
+def _table_of(guess: Guess) -> str:
     """TOML inline table of a column, given by its number where it has one, or of a rate."""
     if guess.rate:
         return f"{{ rate = {quoted(guess.rate)} }}"
@@ -404,19 +401,18 @@ def table_of_column(guess: Guess) -> str:
     return f"{{ {', '.join(parts)} }}"
 
 
-def _column_line(role: str, guess: Guess) -> str:
-    remarks = [f"FIXME: {_no_unit(role, guess)}"] if guess.unit is None else []
+def _column_line(name: str, guess: Guess) -> str:
+    remarks = [f"FIXME: {_no_unit(name, guess)}"] if guess.unit is None else []
     remarks += [f"unsure: {doubt}" for doubt in guess.doubts]
     behind = f"  {commented('; '.join(remarks))}" if remarks else ""
     if not guess.name and not guess.rate:
-        return f'# {role} = {{ rate = "100 Hz" }}{behind}'
-    return f"{role} = {table_of_column(guess)}{behind}"
+        return f'# {name} = {{ rate = "100 Hz" }}{behind}'
+    return f"{name} = {_table_of(guess)}{behind}"
 
 
 def _no_unit(role: str, guess: Guess) -> str:
-    if guess.lacking:
-        return f"the unit of {role} is unknown; {guess.lacking}"
-    return f"the unit of {role} is unknown; add unit = {_UNITS.get(role, '…')}"
+    what = guess.lacking or f"add unit = {_UNITS.get(role, '…')}"
+    return f"the unit of {role} is unknown; {what}"
 
 
 def _no_actuation(test: TestDraft, draft: Draft) -> str:
