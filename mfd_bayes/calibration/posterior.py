@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.calibration.noise import Noise, find_noise
 from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors, priors_of_fit
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.columns import columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.friction.quantity import columns_in_order, named_columns, named_vectors
 from mfd_bayes.records.inputs import whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.store.cards import card, counted
@@ -195,12 +195,9 @@ class Posterior:
     def _residual(
         self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
     ) -> Array:
-        if not len(values["offset"]):
-            return np.empty((0, self.trace.samples))
-        by_time = self.force(values, scales=scales).T  # as the models lay it out
-        np.subtract(np.asarray(self.trace.force)[:, None], by_time, out=by_time)
-        by_time -= values["offset"]
-        return by_time.T
+        left = np.asarray(self.trace.force) - self.force(values, scales=scales)
+        left -= values["offset"][:, None]
+        return left
 
     def force(
         self,

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import re
 import reprlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -35,16 +36,13 @@ RANGE = 1e15  # values beyond this, or as near to a bound, are out of support: n
 
 
 class Figure(NamedTuple):
-    """One number of a family: whether it has the quantity's unit, must be positive, is needed."""
+    """One number of a family: whether it has the quantity's unit, and must be positive."""
 
     dimensional: bool
-    positive: bool = False
-    needed: bool = True
+    positive: bool
 
 
-MIDDLE = Figure(dimensional=True)
-WIDTH = Figure(dimensional=True, positive=True)
-SHAPE = Figure(dimensional=False, positive=True)
+PLACE, WIDTH, SHAPE = Figure(True, False), Figure(True, True), Figure(False, True)
 WHOLE_LINE = (-np.inf, np.inf)
 
 
@@ -52,7 +50,7 @@ WHOLE_LINE = (-np.inf, np.inf)
 class Family:
     """A family of densities of a quantity x."""
 
-    figures: Mapping[str, Figure]  # what a prior file gives for it
+    figures: Mapping[str, Figure]  # what a prior file gives for it; "upper" may be left out
     log_density: Callable[[Array, Figures], Array]  # normalised, inside the support
     draw: Callable[[np.random.Generator, int, Figures], Array]  # independent draws, (n,)
     median: Callable[[Figures], float]
@@ -104,14 +102,14 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             lambda f: f["median"],
         ),
         "normal": Family(
-            {"mean": MIDDLE, "sd": WIDTH},
+            {"mean": PLACE, "sd": WIDTH},
             lambda x, f: _normal(x, f["mean"], f["sd"]),
             lambda rng, n, f: rng.normal(f["mean"], f["sd"], n),
             lambda f: f["mean"],
             WHOLE_LINE,
         ),
         "truncated_normal": Family(
-            {"mean": MIDDLE, "sd": WIDTH, "lower": MIDDLE, "upper": Figure(True, needed=False)},
+            {"mean": PLACE, "sd": WIDTH, "lower": PLACE, "upper": PLACE},
             _truncated,
             lambda rng, n, f: np.asarray(_truncated_quantile(1.0 - rng.random(n), f)),
             lambda f: float(_truncated_quantile(0.5, f)),
@@ -124,7 +122,7 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             lambda f: float(f["sd"] * special.ndtri(0.75)),
         ),
         "uniform": Family(
-            {"lower": MIDDLE, "upper": MIDDLE},
+            {"lower": PLACE, "upper": PLACE},
             lambda x, f: np.full_like(x, -np.log(f["upper"] - f["lower"])),
             lambda rng, n, f: rng.uniform(f["lower"], f["upper"], n),
             lambda f: 0.5 * (f["lower"] + f["upper"]),
@@ -144,7 +142,7 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             (0.0, 1.0),
         ),
         "fixed": Family(
-            {"value": MIDDLE},
+            {"value": PLACE},
             lambda x, _: np.zeros_like(x),
             lambda _, n, f: np.full(n, f["value"]),
             lambda f: f["value"],
@@ -170,12 +168,10 @@ class Prior:
 
     def __post_init__(self) -> None:
         family, figures = FAMILIES[self.family], self.figures
-        needed = {key for key, figure in family.figures.items() if figure.needed}
+        needed = set(family.figures) - ({"upper"} if self.family == "truncated_normal" else set())
         if not needed <= set(figures) <= set(family.figures):
-            raise PriorError(
-                f"{self.family} needs {' and '.join(sorted(needed))}, "
-                f"got {', '.join(sorted(figures))}"
-            )
+            got = f"{', '.join(sorted(figures)):.200}"
+            raise PriorError(f"{self.family} needs {' and '.join(sorted(needed))}, got {got}")
         for key, value in figures.items():
             if family.figures[key].positive and not value > 0:
                 raise PriorError(f"{key} must be positive, got {value:g}")
@@ -255,15 +251,10 @@ def known_quantities(model: Model | None = None) -> dict[str, Quantity]:
 
     Those of a given `model` stand in place of others of the same name.
     """
-    parts = [m.quantities for m in models.MODELS.values()]
+    parts = [packaged.quantities for packaged in models.MODELS.values()]
     parts += [OF_RECORDS, *(noise.quantities for noise in noises.NOISES.values())]
     parts += [model.quantities] if model else []
     return {quantity.name: quantity for part in parts for quantity in part}
-
-
-def sampled_quantities(model: Model | None = None) -> dict[str, Quantity]:
-    """Those that may have a prior, by name."""
-    return {name: q for name, q in known_quantities(model).items() if q.sampled}
 
 
 def units(model: Model | None = None) -> dict[str, str]:
@@ -275,24 +266,21 @@ def priors_of_fit(
     file: PriorFile, model: Model, noise: noises.Noise, *, sampled_start: bool
 ) -> dict[str, Prior]:
     """Priors of a fit's quantities; none may be missing or allow what no damper has."""
-    has_start = model.has_gap and sampled_start
-    record = [quantity for quantity in OF_RECORDS if quantity.name != "start" or has_start]
+    record = OF_RECORDS if model.has_gap and sampled_start else OF_RECORDS[1:]
     quantities = [q for q in (*model.quantities, *record, *noise.quantities) if q.sampled]
     if missing := [q.name for q in quantities if q.name not in file.parameters]:
         raise PriorError(f"prior file {file.path.name} has no prior for {', '.join(missing)}")
-    priors = {q.name: file.parameters[q.name] for q in quantities}
     for q in quantities:
-        prior = priors[q.name]
+        prior = file.parameters[q.name]
         value = prior.figures.get("value", np.nan)
         lowest, highest = (value, value) if prior.fixed else (prior.lower, prior.upper)
-        if q.least <= lowest <= highest <= q.most:
-            continue
-        beyond = f"values above {q.most:g}" if lowest >= q.least else f"values below {q.least:g}"
-        raise PriorError(
-            f"prior of {q.name} in {file.path.name}: {prior.family} allows "
-            f"{'negative values' if lowest < 0 <= q.least else beyond}, which {q.name} cannot have"
-        )
-    return priors
+        if not q.least <= lowest <= highest <= q.most:
+            bound = f"above {q.most:g}" if lowest >= q.least else f"below {q.least:g}"
+            raise PriorError(
+                f"prior of {q.name} in {file.path.name}: {prior.family} allows values {bound}, "
+                f"which {q.name} cannot have"
+            )
+    return {q.name: file.parameters[q.name] for q in quantities}
 
 
 # --- prior files ----------------------------------------------------------------------------------
@@ -300,19 +288,13 @@ def priors_of_fit(
 # beginning of the title of a prior file that was made of a campaign's own records
 SCALED = "scales read off the records"
 WRITTEN = "priors.toml"  # the prior file that `mfd-bayes init` writes beside a campaign
-# the device's own scales that a prior file may state, and what each measures
-SCALES = MappingProxyType({"force": "force", "length": "displacement", "speed": "velocity"})
-_LONGEST = 1000  # characters of an error message, however long the names in the file
-_MULTIPLES = {
-    "force": ("force", "", "kip"),
-    "length": ("length", "", "in"),
-    "speed": ("speed", "", "in/s"),
-    "force/length": ("force", "length", "kip/in"),
-    "force/speed": ("force", "speed", "kip*s/in"),
-    "length/speed": ("length", "speed", "s"),
-}
+# the device's own scales that a prior file may state: what each measures, and its internal unit
+SCALES = MappingProxyType(
+    {"force": ("force", "kip"), "length": ("displacement", "in"), "speed": ("velocity", "in/s")}
+)
+# a multiple of one of them, or of one over another
 _MULTIPLE = re.compile(
-    rf"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+({'|'.join(_MULTIPLES)})\s*"
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(force|length|speed)(?:/(length|speed))?\s*"
 )
 
 
@@ -356,32 +338,37 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     """
     package = Path(__file__).parents[1]
     home = next(p for p in (package / "priors", package.parent / "priors") if p.is_dir())
-    known = sorted(path.stem for path in home.glob("*.toml"))
-    if name in known:
+    shipped = sorted(path.stem for path in home.glob("*.toml"))
+    if name in shipped:
         return home / f"{name}.toml"
     path = (folder or Path()) / name
     try:
-        if path.is_file():
-            if folder is not None and not path.resolve().is_relative_to(folder.resolve()):
-                raise PriorError(
-                    f"prior file {name!r} lies outside the campaign's folder, {folder}"
-                )
-            return path
+        is_file = path.is_file()
+        outside = folder and is_file and not path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError) as error:
         raise PriorError(f"prior file {name!r} cannot be found: {error}") from error
+    if outside:
+        raise PriorError(f"prior file {name!r} lies outside the campaign's folder, {folder}")
+    if is_file:
+        return path
     hint = "; mfd-bayes init CAMPAIGN.TOML writes it once the units are there"
     raise PriorError(
-        f"no prior file {name!r}: expected one of {', '.join(known)}, or the path of a TOML file"
+        f"no prior file {name!r}: expected one of {', '.join(shipped)}, or the path of a TOML file"
         f"{hint if name == WRITTEN else ''}"
     )
 
 
+@contextmanager
+def _in(where: str) -> Iterator[None]:
+    """Say where in a prior file an error is."""
+    try:
+        yield
+    except (PriorError, UnitError) as error:
+        raise PriorError(f"{where}: {error}") from error
+
+
 def load_priors(
-    name: str,
-    folder: Path | None = None,
-    model: Model | None = None,
-    *,
-    of_others: bool = False,
+    name: str, folder: Path | None = None, model: Model | None = None, *, of_others: bool = False
 ) -> PriorFile:
     """Priors of a file, checked; a user's own model makes its parameters known.
 
@@ -395,12 +382,35 @@ def load_priors(
         raise PriorError(f"cannot read the prior file {path}: {error.strerror or error}") from error
     except TomlError as error:
         raise PriorError(f"prior file {path.name} {error}") from error
-    try:
-        return _read(path, content, model, of_others=of_others)
-    except PriorError as error:
-        if len(str(error)) <= _LONGEST:
-            raise
-        raise PriorError(f"{str(error)[:_LONGEST]}…") from None
+    with _in(f"[scales] of prior file {path.name}"):
+        scales = _scales(content["scales"]) if "scales" in content else None
+    if unknown := set(content) - {"title", "scales", "parameters", "scatter"}:
+        raise PriorError(
+            f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
+            "it may hold title, scales, parameters and scatter"
+        )
+    known = {n: _in_model(q, model) for n, q in known_quantities(model).items() if q.sampled}
+    needed = set(known)
+    if model is not None and of_others:
+        needed -= {q.name for packaged in models.MODELS.values() for q in packaged.quantities}
+        needed |= {q.name for q in model.quantities}
+    parameters, groups = {}, {}
+    for key, table in _tables(path, content, "parameters", scales).items():
+        try:
+            with _in(f"prior of {key[:60]} in {path.name}"):
+                parameters[key] = _prior(key, table, known)
+        except PriorError:
+            if not of_others or key in needed:
+                raise
+    for key, table in _tables(path, content, "scatter", scales).items():
+        members = table.get("parameters")
+        if of_others and isinstance(members, list):
+            members = [m for m in members if not isinstance(m, str) or m in needed]
+            if not members:
+                continue
+        with _in(f"scatter {key[:60]} in {path.name}"):
+            groups[key] = _scatter(table | {"parameters": members}, known)
+    return PriorFile(path, str(content.get("title", path.stem)), parameters, groups)
 
 
 def _in_model(quantity: Quantity, model: Model | None) -> Quantity:
@@ -413,46 +423,23 @@ def _in_model(quantity: Quantity, model: Model | None) -> Quantity:
     return quantity if unit == quantity.unit else replace(quantity, kind=unit)
 
 
-def _read(
-    path: Path, content: dict[str, Any], model: Model | None, *, of_others: bool
-) -> PriorFile:
-    scales = _scales(path.name, content["scales"]) if "scales" in content else None
-    if unknown := set(content) - {"title", "scales", "parameters", "scatter"}:
-        raise PriorError(
-            f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
-            "it may hold title, scales, parameters and scatter"
-        )
-    known = {name: _in_model(q, model) for name, q in sampled_quantities(model).items()}
-    needed: Collection[str] = known
-    if model is not None and of_others:
-        packaged = {q.name for m in models.MODELS.values() for q in m.quantities}
-        needed = {*(q.name for q in model.quantities), *known.keys() - packaged}
-    parameters = {}
-    for key, table in _tables(path, content, "parameters", scales).items():
-        try:
-            parameters[key] = _prior(path, key, table, known)
-        except PriorError:
-            if not of_others or key in needed:
-                raise
-    groups = {}
-    for key, table in _tables(path, content, "scatter", scales).items():
-        if of_others and isinstance(table.get("parameters"), list):
-            table["parameters"] = [
-                name for name in table["parameters"] if not isinstance(name, str) or name in needed
-            ]
-            if not table["parameters"]:
-                continue
-        groups[key] = _scatter(path, key, table, known)
-    return PriorFile(path, str(content.get("title", path.stem)), parameters, groups)
+def _scales(given: Any) -> dict[str, float]:
+    """The device's own force, length and speed, internal units."""
+    if not isinstance(given, dict) or set(given) != set(SCALES):
+        raise PriorError("it must hold force, length and speed")
+    scales = {key: _figure(key, given[key], measured) for key, (measured, _) in SCALES.items()}
+    if low := [key for key, scale in scales.items() if not scale > 0.0]:
+        raise PriorError(f"{low[0]} must be more than 0, got {given[low[0]]!r}")
+    return scales
 
 
 def _tables(
-    path: Path, content: dict[str, Any], key: str, scales: Mapping[str, float] | None
+    path: Path, content: dict[str, Any], section: str, scales: Mapping[str, float] | None
 ) -> dict[str, dict[str, Any]]:
     """Tables of a section; multiples of the device's scales become quantities."""
-    tables = content.get(key, {})
+    tables = content.get(section, {})
     if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
-        raise PriorError(f"[{key}] of prior file {path.name} must hold tables")
+        raise PriorError(f"[{section}] of prior file {path.name} must hold tables")
 
     def in_units(value: Any) -> Any:
         match = _MULTIPLE.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
@@ -464,97 +451,67 @@ def _tables(
                 "does not state them: copy it beside the campaign and complete [scales] in it, or "
                 "let mfd-bayes init campaign.toml write a priors.toml from your records"
             )
-        over, under, unit = _MULTIPLES[match[2]]
-        return f"{float(match[1]) * scales[over] / scales.get(under, 1.0)!r} {unit}"
+        number, over, under = match.groups()
+        size, unit = float(number) * scales[over], SCALES[over][1]
+        if under:
+            size, unit = size / scales[under], f"{unit}/({SCALES[under][1]})"
+        return f"{size!r} {unit}"
 
     return {name: {k: in_units(v) for k, v in table.items()} for name, table in tables.items()}
 
 
-def _scales(name: str, given: Any) -> dict[str, float]:
-    """The device's own force, length and speed, internal units."""
-    if not isinstance(given, dict) or set(given) != set(SCALES):
-        raise PriorError(f"[scales] of prior file {name} must hold force, length and speed")
-    scales = {}
-    for key, measured in SCALES.items():
-        where = f"{key} in [scales] of prior file {name}"
-        if not isinstance(given[key], str):
-            raise PriorError(f"{where}: expected a quantity such as '7 N', got {given[key]!r:.60}")
-        try:
-            scales[key] = parse_quantity(given[key], measured, of=where)
-        except UnitError as error:
-            raise PriorError(str(error)) from error
-        if not scales[key] > 0.0:
-            raise PriorError(f"{where}: expected more than 0, got {given[key]!r}")
-    return scales
-
-
-def _prior(path: Path, name: str, table: dict[str, Any], known: Mapping[str, Quantity]) -> Prior:
-    where = f"prior of {name[:60]} in {path.name}"
+def _prior(name: str, table: dict[str, Any], known: Mapping[str, Quantity]) -> Prior:
     if name not in known:
-        raise PriorError(f"{where}: unknown parameter; expected one of {', '.join(known)}")
-    family = FAMILIES.get(str(table.get("family")))
-    if family is None:
-        raise PriorError(
-            f"{where}: family must be one of {', '.join(FAMILIES)}, got {table.get('family')!r}"
-        )
-    figures = {}
+        raise PriorError(f"unknown parameter; expected one of {', '.join(known)}")
+    chosen = table.get("family")
+    if not isinstance(chosen, str) or chosen not in FAMILIES:
+        raise PriorError(f"family must be one of {', '.join(FAMILIES)}, got {chosen!r:.60}")
+    family, figures = FAMILIES[chosen], {}
     for key, value in table.items():
-        figure = family.figures.get(key)
-        if figure is not None:
+        if (figure := family.figures.get(key)) is not None:
             kind = known[name].kind if figure.dimensional else None
-            figures[key] = _figure(f"{where}, {key}", value, kind)
+            figures[key] = _figure(key, value, kind)
         elif key not in ("family", "reason"):
             figures[key] = np.nan  # the family refuses unknown keys
-    try:
-        return Prior(str(table["family"]), figures, str(table.get("reason", "")))
-    except PriorError as error:
-        raise PriorError(f"{where}: {error}") from error
+    return Prior(chosen, figures, str(table.get("reason", "")))
 
 
-def _scatter(
-    path: Path, name: str, table: dict[str, Any], known: Mapping[str, Quantity]
-) -> Scatter:
-    where = f"scatter {name[:60]} in {path.name}"
-    members, keys = table.get("parameters"), set(table) - {"parameters", "reason"}
+def _scatter(table: dict[str, Any], known: Mapping[str, Quantity]) -> Scatter:
+    members, keys = table["parameters"], table.keys() - {"parameters", "reason"}
     if keys not in ({"sd"}, {"above", "probability"}) or not isinstance(members, list):
         raise PriorError(
-            f"{where}: expected the keys parameters (a list), reason, and sd; or above and "
+            "expected the keys parameters (a list), reason, and sd; or above and "
             "probability in place of sd, for a scatter that is likely none"
         )
     if unknown := [m for m in members if not isinstance(m, str) or m not in known]:
-        raise PriorError(f"{where}: unknown parameter {unknown[0]!r}")
-    key = "sd" if "sd" in keys else "above"
+        raise PriorError(f"unknown parameter {unknown[0]!r:.60}")
+    sparse = "above" in keys
+    key = "above" if sparse else "sd"
     kinds = {known[member].kind for member in members}
     negative = bool(members) and all(known[member].least < 0.0 for member in members)
-    kind = kinds.pop() if negative and len(kinds) == 1 else None
-    size = _figure(f"{where}, {key}", table[key], kind)
+    size = _figure(key, table[key], kinds.pop() if negative and len(kinds) == 1 else None)
     if not size > 0:
-        raise PriorError(f"{where}: {key} must be positive, got {size:g}")
-    if key == "above":
-        share = _figure(f"{where}, probability", table["probability"], None)
+        raise PriorError(f"{key} must be positive, got {size:g}")
+    if sparse:
+        share = _figure("probability", table["probability"], None)
         if not 0.0 < share < 1.0:
-            raise PriorError(f"{where}: probability must lie between 0 and 1, got {share:g}")
+            raise PriorError(f"probability must lie between 0 and 1, got {share:g}")
         size /= -float(np.log(share))  # the mean of an exponential with this share above `above`
-    return Scatter(tuple(members), size, str(table.get("reason", "")), sparse=key == "above")
+    return Scatter(tuple(members), size, str(table.get("reason", "")), sparse)
 
 
-def _figure(where: str, value: Any, kind: str | None) -> float:
+def _figure(key: str, value: Any, kind: str | None) -> float:
     """A number of a prior file in internal units; `kind` is what a quantity with unit measures."""
     got = reprlib.repr(value)
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise PriorError(f"{where}: expected a number or a quantity such as '2 kip', got {got}")
     if isinstance(value, str):
-        try:
+        with _in(key):
             number = parse_quantity(value, kind or "dimensionless")
-        except UnitError as error:
-            raise PriorError(f"{where}: {error}") from error
-    elif kind in (None, "dimensionless", "1"):
-        try:
-            number = float(value)
-        except OverflowError:
-            number = np.inf
+    elif isinstance(value, bool) or not isinstance(value, int | float):
+        raise PriorError(f"{key} must be a number or a quantity such as '2 kip', got {got}")
+    elif kind not in (None, "dimensionless", "1"):
+        raise PriorError(f"{key} must be a quantity with its unit ({kind}), got {got}")
     else:
-        raise PriorError(f"{where}: expected a quantity with its unit ({kind}), got {got}")
+        number = float(value) if abs(value) < 1e300 else np.inf
     if not np.isfinite(number):
-        raise PriorError(f"{where}: must be finite, got {got}")
+        raise PriorError(f"{key} must be finite, got {got}")
     return number

@@ -214,3 +214,10 @@ def around_modes(modes: Sequence[Mode], power: float = 1.0) -> Mixture:
         np.asarray(np.linalg.cholesky(covariances)),
         np.full(len(kept), 6.0),
     )
+
+
+def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
+    """Mode whose Laplace approximation is densest at each of the draws (chain, draw, dim)."""
+    flat = q.reshape(-1, q.shape[-1])
+    heights = [around_modes([mode]).log_density(flat) for mode in modes]
+    return np.asarray(np.argmax(heights, axis=0).reshape(q.shape[:2]))

@@ -10,12 +10,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from mfd_bayes.calibration.diagnostics import Interval, interval_rows, intervals_of, measure_draws
+from mfd_bayes.calibration.diagnostics import (
+    Effort,
+    Interval,
+    interval_rows,
+    intervals_of,
+    measure_draws,
+)
 from mfd_bayes.calibration.evidence import Evidence, log_evidence
 from mfd_bayes.calibration.noise_sensitivity import OtherFit, fit_other, other_noises
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.priors import PriorFile, units
+from mfd_bayes.calibration.proposal import nearest_modes
 from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
@@ -48,7 +55,7 @@ class Task:
     model: Model | str
     noise: str
     start: str
-    effort: str
+    effort: str | Effort
     seed: tuple[int, ...]
     checks_noise: bool = False
 
@@ -72,40 +79,35 @@ class Task:
         return posterior
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Calibrate the test into a run folder."""
-        return calibrate_test(self, out, observe)
+        """Sample the test's posterior and store it in a run folder."""
+        from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
 
-
-def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-    """Sample one test's posterior and store it in a run folder."""
-    from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
-
-    began = time.perf_counter()
-    observe(Step(task.id, "finding modes"))
-    try:
-        posterior = task.posterior()
-        draws = sample(
-            posterior,
-            task.effort,
-            task.seed,
-            report=lambda progress: observe(Step(task.id, "sampling", progress)),
-        )
-        others: list[OtherFit] = []
-        if task.checks_noise:
-            observe(Step(task.id, "checking the noise"))
-            for noise in other_noises(task.noise):
-                make = replace(task, noise=noise).posterior
-                others.append(fit_other(noise, make, task.seed))
-        save_test(out / task.file, _stored_of(task, posterior, draws, others))
-    except StoreError:
-        raise
-    except MfdError as error:
-        observe(Step(task.id, State.FAILED, message=str(error)))
-        return Outcome(task.id, State.FAILED, time.perf_counter() - began, str(error))
-    seconds, steps = time.perf_counter() - began, draws.chains.steps
-    worst = draws.convergence.worst_r_hat, draws.convergence.worst_ess
-    observe(Step(task.id, State.DONE, Progress(steps, steps, *worst, seconds)))
-    return Outcome(task.id, State.DONE, seconds)
+        began = time.perf_counter()
+        observe(Step(self.id, "finding modes"))
+        try:
+            posterior = self.posterior()
+            draws = sample(
+                posterior,
+                self.effort,
+                self.seed,
+                report=lambda progress: observe(Step(self.id, "sampling", progress)),
+            )
+            others: list[OtherFit] = []
+            if self.checks_noise:
+                observe(Step(self.id, "checking the noise"))
+                for noise in other_noises(self.noise):
+                    make = replace(self, noise=noise).posterior
+                    others.append(fit_other(noise, make, self.seed))
+            save_test(out / self.file, _stored_of(self, posterior, draws, others))
+        except StoreError:
+            raise
+        except MfdError as error:
+            observe(Step(self.id, State.FAILED, message=str(error)))
+            return Outcome(self.id, State.FAILED, time.perf_counter() - began, str(error))
+        seconds, steps = time.perf_counter() - began, draws.chains.steps
+        worst = draws.convergence.worst_r_hat, draws.convergence.worst_ess
+        observe(Step(self.id, State.DONE, Progress(steps, steps, *worst, seconds)))
+        return Outcome(self.id, State.DONE, seconds)
 
 
 def _stored_of(
@@ -117,6 +119,11 @@ def _stored_of(
     flat = {name: value.reshape(-1) for name, value in values.items()}
     rng = np.random.default_rng(task.seed)
     replicas = replicate(posterior, flat, rng, REPLICAS * len(draws.q))
+    nearest = nearest_modes(draws.modes, draws.q)[..., None] == np.arange(len(draws.modes))
+    mode_values = [
+        {n: float(np.median(x[at])) if at.any() else np.nan for n, x in draws.values.items()}
+        for at in np.moveaxis(nearest, -1, 0)
+    ]
     chains, convergence = draws.chains, {}
     for name, value in values.items():
         if np.ptp(value) > 0:
@@ -136,8 +143,8 @@ def _stored_of(
         "autocorrelation": dict(zip(draws.names, chains.autocorrelation.tolist(), strict=True)),
         "modes": len(draws.modes),
         "log_evidences": [mode.log_evidence for mode in draws.modes],
-        "mode_shares": draws.mode_shares.tolist(),
-        "mode_values": draws.mode_values if len(draws.modes) > 1 else [],
+        "mode_shares": nearest.mean(axis=1).tolist(),
+        "mode_values": mode_values if len(mode_values) > 1 else [],
         "wall_time": draws.wall_time,
         "first": posterior.first,
         "convergence": convergence,

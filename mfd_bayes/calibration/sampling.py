@@ -96,60 +96,45 @@ def sample_density(
     `derived` gives other quantities that must converge too, (n, dim) -> (n, m).
     """
     began = time.perf_counter()
-    walk = _Walk(density, modes, effort, rng, derived)
+    walk = _Walk(density, modes, effort, rng)
     walk.warm_up()
     wait = min(FIRST, math.ceil(effort.length * LEAST))
     while True:
         walk.run(max(1, min(wait, effort.limit - walk.steps)))
-        chains = walk.chains()
-        long_enough = walk.fresh / max(effort.length * max(chains.slowest, LEAST), 1e-9)
-        done = long_enough
-        if long_enough >= 1.0:  # only now is the convergence worth measuring
+        chains = walk.chains(derived)
+        needed = max(effort.length * max(chains.slowest, LEAST), 1e-9)
+        done, r_hat, ess = walk.kept / needed, math.nan, math.nan
+        missing = f"{walk.kept} of {needed:.0f} kept steps"
+        if long_enough := done >= 1.0:  # only now is the convergence worth measuring
             done = chains.convergence.share(effort.r_hat, effort.ess)
-        left = walk.fresh * (1.0 / done - 1.0) if done > 0.0 else math.inf
+            r_hat, ess = chains.convergence.worst_r_hat, chains.convergence.worst_ess
+            lacking = [] if r_hat <= effort.r_hat else [f"R-hat {effort.r_hat:g}"]
+            lacking += [] if ess >= effort.ess else [f"ESS {effort.ess:g}"]
+            missing = " and ".join(lacking)
+        left = walk.kept * (1.0 / done - 1.0) if done > 0.0 else math.inf
         if report is not None:
-            report(_progress(chains, effort, long_enough, left, time.perf_counter() - began))
-        reached = long_enough >= 1.0 and chains.convergence.reached(effort.r_hat, effort.ess)
+            share = walk.steps / max(walk.steps, min(walk.steps + left, effort.limit))
+            seconds = time.perf_counter() - began
+            report(Progress(walk.steps, effort.limit, r_hat, ess, seconds, share, missing))
+        reached = long_enough and chains.convergence.reached(effort.r_hat, effort.ess)
         if reached or walk.steps >= effort.limit:
             return chains
-        size = chains.walkers * effort.ensembles * walk.fresh / max(chains.slowest, 1.0)
+        size = chains.walkers * effort.ensembles * walk.kept / max(chains.slowest, 1.0)
         slow = size < 0.5 * effort.ess or chains.slowest > SLOW
-        if slow and 2 * walk.steps <= effort.limit:
-            walk.learn_again()
-        left = left if walk.fresh else math.inf
-        longest = max(FIRST // 2, walk.fresh // 2)
-        wait = max(ROUND, walk.fresh // 4, math.ceil(min(1.1 * left, longest)))
-
-
-def _progress(
-    chains: Chains, effort: Effort, long_enough: float, left: float, seconds: float
-) -> Progress:
-    """Progress of a sampling; without R̂ and ESS while the run is too short."""
-    steps = chains.steps
-    share = steps / max(steps, min(steps + left, effort.limit))
-    if long_enough < 1.0:
-        kept = steps - chains.discarded
-        missing = f"{kept} of {math.ceil(kept / long_enough)} kept steps"
-        return Progress(steps, effort.limit, math.nan, math.nan, seconds, share, missing)
-    r_hat, ess = chains.convergence.worst_r_hat, chains.convergence.worst_ess
-    lacking = [] if r_hat <= effort.r_hat else [f"R-hat {effort.r_hat:g}"]
-    lacking += [] if ess >= effort.ess else [f"ESS {effort.ess:g}"]
-    return Progress(steps, effort.limit, r_hat, ess, seconds, share, " and ".join(lacking))
+        if slow and 2 * walk.steps <= effort.limit and walk.learn_again():
+            left = math.inf
+        longest = max(FIRST // 2, walk.kept // 2)
+        wait = max(ROUND, walk.kept // 4, math.ceil(min(1.1 * left, longest)))
 
 
 class _Walk:
     """The walkers of all ensembles, which move together, their proposal and stored steps."""
 
     def __init__(
-        self,
-        density: Density,
-        modes: Sequence[Mode],
-        effort: Effort,
-        rng: np.random.Generator,
-        derived: Callable[[Array], Array] | None,
+        self, density: Density, modes: Sequence[Mode], effort: Effort, rng: np.random.Generator
     ) -> None:
         dim = len(modes[0].q)
-        self._effort, self._rng, self._derived = effort, rng, derived
+        self._effort, self._rng = effort, rng
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
         self._power = HEAT[0]
 
@@ -177,8 +162,9 @@ class _Walk:
 
         A round costs its steps; a better acceptance rate shortens what is kept in proportion.
         """
+        most = self._effort.limit // 4
         for power in HEAT:
-            if self.steps >= self._effort.limit // 4:
+            if self.steps >= most:
                 break
             self._raise(power)
             self.run(ROUND)
@@ -186,14 +172,13 @@ class _Walk:
             if power == BROAD:
                 self._anchors = Proposal((0.3, 0.7), (self._anchors, self._independent.source))
         self._raise(1.0)
-        worth = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0)
-        best = 0.0
+        worth, best = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0), 0.0
         for _ in range(ROUNDS):
-            self._independent.forget()
+            self._independent.proposed = self._independent.accepted = 0
             self.run(ROUND)
-            accepted = self._independent.acceptance
+            accepted = self._independent.accepted / max(self._independent.proposed, 1)
             self._learn(0.5)
-            if accepted < worth * best or self.steps >= self._effort.limit // 4:
+            if accepted < worth * best or self.steps >= most:
                 break
             best = accepted
         self._freeze()
@@ -206,11 +191,13 @@ class _Walk:
         self._state, self._power = state, power
         self._freeze()
 
-    def learn_again(self) -> None:
-        """Learn the proposal from the kept steps, if there are enough, and start keeping anew."""
-        if len(self._coords) * self._stride >= 4 * self._learned:
+    def learn_again(self) -> bool:
+        """Learn the proposal from the kept steps and keep anew, if there are enough of them."""
+        enough = len(self._coords) * self._stride >= 4 * self._learned
+        if enough:
             self._learn(0.75)
             self._freeze()
+        return enough
 
     def _learn(self, share: float) -> None:
         """Learn the proposal from the last share of the stored steps."""
@@ -222,7 +209,7 @@ class _Walk:
 
     def _freeze(self) -> None:
         """Drop the stored steps: all kept draws must come from one proposal."""
-        self.fresh, self._stride = 0, 1
+        self.kept, self._stride = 0, 1
         self._coords: list[Array] = []
         self._log_prob: list[Array] = []
         self._moved = np.zeros(self._sampler.nwalkers)
@@ -234,8 +221,8 @@ class _Walk:
         ):
             self._moved += np.any(state.coords != self._state.coords, axis=1)
             self._state = emcee.State(state, copy=True)
-            self.fresh += 1
-            if self.fresh % self._stride == 0:
+            self.kept += 1
+            if self.kept % self._stride == 0:
                 self._coords.append(self._state.coords)
                 self._log_prob.append(self._state.log_prob)
             if len(self._coords) >= STORED:
@@ -243,7 +230,7 @@ class _Walk:
                 self._stride *= 2
         self.steps += steps
 
-    def chains(self) -> Chains:
+    def chains(self, derived: Callable[[Array], Array] | None) -> Chains:
         """Thinned draws since the proposal was frozen."""
         ensembles, walkers = self._effort.ensembles, self._walkers
         shape = (len(self._coords), ensembles, walkers)
@@ -252,8 +239,8 @@ class _Walk:
         thin = max(1, len(self._coords) * walkers // self._effort.kept)
         kept, kept_log_prob = full[:, thin - 1 :: thin], log_prob[:, thin - 1 :: thin]
         watched = [kept, kept_log_prob[..., None]]
-        if self._derived is not None:
-            others = self._derived(kept.reshape(-1, kept.shape[-1]))
+        if derived is not None:
+            others = derived(kept.reshape(-1, kept.shape[-1]))
             watched.append(others.reshape(*kept.shape[:-1], -1))
         return Chains(
             q=np.swapaxes(kept, 1, 2).reshape(ensembles, -1, full.shape[-1]),
@@ -261,8 +248,8 @@ class _Walk:
             walkers=walkers,
             steps=self.steps,
             thin=thin * self._stride,
-            discarded=self.steps - self.fresh,
-            acceptance=np.reshape(self._moved, (ensembles, walkers)).mean(axis=1) / self.fresh,
+            discarded=self.steps - self.kept,
+            acceptance=np.reshape(self._moved, (ensembles, walkers)).mean(axis=1) / self.kept,
             autocorrelation=self._stride * autocorrelation_time(full),
             watched=np.concatenate(watched, axis=-1),
         )
@@ -280,8 +267,7 @@ class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
     """
 
     def __init__(self, move: emcee.moves.RedBlueMove, ensembles: int) -> None:
-        self.move = move
-        self.ensembles = ensembles
+        self.move, self.ensembles = move, ensembles
 
     def propose(
         self, model: emcee.model.Model, state: emcee.State
@@ -320,16 +306,7 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
 
     def __init__(self, proposal: Mixture | Proposal) -> None:
         self.source = proposal
-        self.forget()
-
-    def forget(self) -> None:
-        """Reset the acceptance rate."""
-        self._proposed = self._accepted = 0
-
-    @property
-    def acceptance(self) -> float:
-        """Acceptance rate since the last `forget`."""
-        return self._accepted / max(self._proposed, 1)
+        self.proposed = self.accepted = 0
 
     def propose(
         self, model: emcee.model.Model, state: emcee.State
@@ -342,8 +319,8 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
         moved = np.log(model.random.rand(gain.size)) < gain
         state.coords[moved] = proposal[moved]
         state.log_prob[moved] = np.asarray(log_prob)[moved]
-        self._proposed += moved.size
-        self._accepted += int(moved.sum())
+        self.proposed += moved.size
+        self.accepted += int(moved.sum())
         return state, moved
 
 
@@ -413,23 +390,6 @@ class Draws:
     def convergence(self) -> Convergence:
         """R̂ and effective sample sizes of every coordinate and derived quantity."""
         return self.chains.convergence
-
-    @property
-    def mode_values(self) -> list[dict[str, float]]:
-        """Median of every quantity among the draws nearest to each mode; NaN without draws."""
-        nearest = nearest_modes(self.modes, self.q)
-        return [
-            {
-                name: float(np.median(values[nearest == k])) if np.any(nearest == k) else np.nan
-                for name, values in self.values.items()
-            }
-            for k in range(len(self.modes))
-        ]
-
-    @property
-    def mode_shares(self) -> Array:
-        """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
-        return mode_shares(self.modes, self.q)
 
     def log_evidence(self, posterior: Posterior, seed: int | Sequence[int] = 0) -> Evidence:
         """Log of likelihood times prior, integrated, by bridge sampling from these draws.
@@ -506,27 +466,9 @@ def sample(
 
 
 def generator_of(seed: int | Sequence[int]) -> np.random.Generator:
-    """Random numbers of a seed, or a FitError where it is none.
-
-    NumPy takes [1, 0] for [1]: here the number of zeros at the end of a sequence counts too.
-    """
-    if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str) or not np.ndim(seed):
-        return np.random.default_rng(whole_number("seed", seed, 0, FitError))
-    words = [whole_number("seed", word, 0, FitError) for word in seed]
+    """NumPy's random numbers of a seed, or a FitError where it is none."""
+    several = np.ndim(seed) and not isinstance(seed, str | bytes)
+    words = list(seed) if several else [seed]  # type: ignore[arg-type]
     if not words:
         raise FitError("seed must be a whole number, 0 or more, or some of them, got none")
-    zeros = len(words) - 1 - max((i for i, word in enumerate(words) if word), default=0)
-    return np.random.default_rng(np.random.SeedSequence(words, spawn_key=(zeros,) if zeros else ()))
-
-
-def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
-    """Mode whose Laplace approximation is densest at each of the draws (chain, draw, dim)."""
-    flat = q.reshape(-1, q.shape[-1])
-    heights = [around_modes([mode]).log_density(flat) for mode in modes]
-    return np.asarray(np.argmax(heights, axis=0).reshape(q.shape[:2]))
-
-
-def mode_shares(modes: Sequence[Mode], q: Array) -> Array:
-    """Share of each chain's draws that is nearest to each mode, (chain, mode)."""
-    nearest = nearest_modes(modes, q)[..., None] == np.arange(len(modes))
-    return np.asarray(nearest.mean(axis=1))
+    return np.random.default_rng([whole_number("seed", word, 0, FitError) for word in words])

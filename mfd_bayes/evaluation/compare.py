@@ -69,23 +69,18 @@ class Candidate:
 def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candidate, ...]:
     """Every model with every noise; without noises two or more models with the campaign's own."""
     files = [name for name in dict.fromkeys(names) if models.file_of(name)]
-    allowed = (*models.model_names(), *files)
     # a model in a file has the folder of its class
-    folders = {name: name.rpartition(":")[2] if name in files else name for name in allowed}
+    folders = {name: name for name in models.model_names()}
+    folders |= {name: name.rpartition(":")[2] for name in files}
     if twice := [f for f in folders.values() if [*folders.values()].count(f) > 1]:
         raise CampaignError(
             f"--models names two models {twice[0]!r}: each needs another class name"
         )
-    if noises and len(noises) < 2 and len(names) < 2 and noises[0] in NOISES:
-        raise CampaignError(
-            f"there is nothing to compare: --noises must name two or more of {', '.join(NOISES)}, "
-            f"got {noises[0]!r} alone, or --models two or more models"
-        )
-    chosen = _chosen("--noises", noises, tuple(NOISES), 1) if noises else (None,)
-    kinds = _chosen("--models", names, allowed, 0 if noises else 2) or (None,)
-    several = len(kinds) > 1
+    kinds = _chosen("--models", names, [*folders], 0 if noises else 2) or (None,)
+    fewest = 1 if len(names) > 1 else 2
+    chosen = _chosen("--noises", noises, [*NOISES], fewest) if noises else (None,)
     return tuple(
-        Candidate("_".join(filter(None, (folders[m] if m and several else "", n))), m, n)
+        Candidate("_".join(filter(None, (folders[m] if m and len(kinds) > 1 else "", n))), m, n)
         for m in kinds
         for n in chosen
     )
@@ -150,39 +145,28 @@ class Validation:
 
 def compare_runs(runs: Mapping[str, Run]) -> Comparison:
     """Comparison of runs of one campaign, by model, on the tests that all were calibrated to."""
-    names = {name for run in runs.values() for name in run.tests}
-    shared = [
-        n for n in next(iter(runs.values())).tests if all(n in r.tests for r in runs.values())
-    ]
+    tests = [run.tests.keys() for run in runs.values()]
+    shared = [name for name in tests[0] if all(name in names for names in tests)]
     if not shared:
         raise FitError("there is nothing to compare: no test could be calibrated under every model")
     scores = {
         model: {name: validate(run.tests[name], run.manifest.effort) for name in shared}
         for model, run in runs.items()
     }
-    return comparison_of(scores, sorted(names - set(shared)))
+    return comparison_of(scores, sorted(set().union(*tests).difference(shared)))
 
 
 def comparison_of(
     scores: Mapping[str, Mapping[str, Validation]], lost: Sequence[str] = ()
 ) -> Comparison:
     """Comparison of the figures of the same tests by model; `lost` tests are named."""
-    shared = list(next(iter(scores.values())))
-    total = {
-        model: Validation(
-            cycles=pd.concat([part.cycles for part in of_tests.values()], ignore_index=True),
-            squares=sum(part.squares for part in of_tests.values()),
-            spread=sum(part.spread for part in of_tests.values()),
-            short=tuple(name for part in of_tests.values() for name in part.short),
-            evidence=join_evidence([part.evidence for part in of_tests.values()]),
-        )
-        for model, of_tests in scores.items()
-    }
-    rows = [r for n in shared for r in _rows(n, {m: of[n] for m, of in scores.items()})]
+    tests = list(next(iter(scores.values())))
+    total = {model: _joined([*of_tests.values()]) for model, of_tests in scores.items()}
+    rows = [r for n in tests for r in _rows(n, {m: of[n] for m, of in scores.items()})]
     overall = _rows(ALL, total)
     best, second = overall[0].model, overall[1].model
     sentences = [
-        _favour(total, best, second, len(shared)),
+        _favour(total, best, second, len(tests)),
         "The comparison is about another cycle of the same tests, not about another test.",
         _trust(total, best, second),
         _evidence_sentence({model: score.evidence for model, score in total.items()}),
@@ -190,6 +174,17 @@ def comparison_of(
     if lost:
         sentences.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
     return Comparison((*rows, *overall), " ".join(sentences))
+
+
+def _joined(parts: Sequence[Validation]) -> Validation:
+    """Figures of a model over several tests."""
+    return Validation(
+        cycles=pd.concat([part.cycles for part in parts], ignore_index=True),
+        squares=sum(part.squares for part in parts),
+        spread=sum(part.spread for part in parts),
+        short=tuple(name for part in parts for name in part.short),
+        evidence=join_evidence([part.evidence for part in parts]),
+    )
 
 
 def validate(test: TestResult, effort: Effort) -> Validation:
@@ -294,16 +289,9 @@ def _trust(total: Mapping[str, Validation], best: str, second: str) -> str:
             "the score was computed in a second way too, from the evidence with and without the "
             "cycle, and the one with the smaller k counts. "
         )
-    if not caveats:
-        return f"{text}The diagnostics of this comparison are good."
-    text += f"Do not rely on this result as it is: {'; '.join(caveats)}"
-    good = total[best].trusted & total[second].trusted
-    if 1 < good.sum() < good.size:
-        more, error = difference(total[best].cycles[good], total[second].cycles[good])
-        errors = more / error if error > 0 else np.inf
-        text += f"; over the other {good.sum()} cycles elpd differs by {more:.4g}, "
-        text += f"{errors:.1f} standard errors"
-    return f"{text}."
+    if caveats:
+        return f"{text}Do not rely on this result as it is: {'; '.join(caveats)}."
+    return f"{text}The diagnostics of this comparison are good."
 
 
 def difference(cycles: pd.DataFrame, others: pd.DataFrame) -> tuple[float, float]:

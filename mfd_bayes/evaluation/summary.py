@@ -59,8 +59,8 @@ from mfd_bayes.runs.verdict import Use, Verdict
 
 Array = NDArray[np.float64]
 
-MAX_PLOTTED_DRAWS, FEWER, MANY = 2000, 1000, 100
-"""Most draws of a quantity in figures; the same in a run of more than so many tests."""
+MAX_PLOTTED_DRAWS = 2000
+"""Most draws of a quantity in figures."""
 
 HELD_OUT_DRAWS = 800
 
@@ -133,13 +133,13 @@ def build_summary(
     tests: list[TestView],
     table: Rows,
     laws: tuple[LawView, ...],
-    lost: Mapping[str, str] | None = None,
+    lost: Mapping[str, str],
 ) -> CampaignView:
     """The report of a run from the views of its tests and laws, and from its manifest.
 
     `table` are the constants of the laws, `lost` the tests that cannot be shown, and why.
     """
-    manifest, lost = run.manifest, lost or {}
+    manifest = run.manifest
     failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
     missing = [(name, CALIBRATION, "finished") for name in failures]
     missing += [(name, REPORT, "shown") for name in lost]
@@ -201,11 +201,11 @@ def fails(view: CampaignView) -> bool:
 
 def verdicts(view: CampaignView) -> dict[str, str]:
     """Verdict of the campaign with its sentence in the campaign's units, and of every test."""
-    uses: dict[str, str] = {}
+    order, uses = [*Use], dict[str, Use]()
     for check in view.checks:
-        worse = {Verdict.WARNING: Use.WITH_CARE, Verdict.FAIL: Use.NOT_USABLE}.get(check.status)
-        if worse != Use.WITH_CARE or uses.get(check.test) != Use.NOT_USABLE:
-            uses[check.test] = worse or uses.get(check.test, Use.USABLE)
+        use = {Verdict.WARNING: Use.WITH_CARE, Verdict.FAIL: Use.NOT_USABLE}.get(check.status)
+        worst = use or Use.USABLE, uses.get(check.test, Use.USABLE)
+        uses[check.test] = max(worst, key=order.index)
     uses |= {judged.subject: judged.use for judged in view.judgements}
     sentence = join(view.sentences, " ").to_text(view.system)
     whole = {"campaign": view.verdict, "sentence": sentence}
@@ -279,7 +279,6 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     derived = kept(derived, manifest.axes)
     by_name = {row["name"]: row for row in rows}
     informed = {name for name, row in by_name.items() if row["contraction"] >= checks.INFORMED}
-    most = FEWER if len(manifest.tests) > MANY else MAX_PLOTTED_DRAWS
     medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
     at = posterior.theta(medians), trace, medians.get("start")
     stage = posterior.model.stages(*at)
@@ -294,8 +293,11 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
         rows=rows,
         marginals=tuple(
             Marginal(
-                *(name, by_name[name]["unit"], _some(prior[name], most)),
-                *(_some(values[name], most), by_name[name]["contraction"]),
+                name,
+                by_name[name]["unit"],
+                _some(prior[name]),
+                _some(values[name]),
+                by_name[name]["contraction"],
             )
             for name in posterior.names
         ),
@@ -415,9 +417,9 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
     return tuple({**values[k], "share": float(shares[k])} for k in kept)
 
 
-def _some(draws: Array, most: int) -> Array:
-    """At most so many of the draws, evenly spaced; single precision saves memory."""
-    return np.asarray(draws[:: -(-len(draws) // most)], dtype=np.float32)
+def _some(draws: Array) -> Array:
+    """At most so many draws as figures show, evenly spaced; single precision saves memory."""
+    return np.asarray(draws[:: -(-len(draws) // MAX_PLOTTED_DRAWS)], dtype=np.float32)
 
 
 def noise_rows(

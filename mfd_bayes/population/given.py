@@ -1,10 +1,11 @@
 """Predictions of a test of which a first part is given, or arrives sample by sample.
 
 Draws of the population are weighted by the likelihood of the known force. Where the weights of a
-few draws take over, the draws are resampled and moved by some Metropolis steps, and the force goes
-on to be taken in (iterated batch importance sampling: Chopin, 2002). A test that runs, as in hybrid
-simulation, is stepped along with the model's own steps, so that an update costs the same however
-long the test has run.
+few draws would take over, the likelihood is taken in by growing powers of it, and after each the
+draws are resampled and moved (sequential Monte Carlo with adaptive tempering: Del Moral, Doucet and
+Jasra, 2006 and 2012). Islands of draws that are resampled apart show whether the moves mix. A test
+that runs, as in hybrid simulation, is stepped along with the model's own steps, so that an update
+costs the same however long the test has run.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, optimize, stats
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.priors import units
@@ -35,10 +36,13 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-PARTICLES = 1500  # draws of the population that take in a given part
+PARTICLES = 1600  # draws of the population that take in a given part
 LEAST_EFFECTIVE = 0.3  # share of effective draws below which they are resampled and moved
-MOVES = 5  # Metropolis steps after each resampling
+ISLANDS = 8  # groups of draws, of which each is resampled by itself
+MOVES, MOST = 5, 50  # Metropolis steps after each resampling; most after the last one
+ACCEPT = 0.25  # share of moves that is to be accepted
 FEWEST = 100  # effective draws below which a band is said not to be reliable
+LOWEST = -1e15  # log likelihood of what cannot be
 QUIET = 0.25  # share of the slip force below which a device is taken to be in its gap
 SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
 ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
@@ -56,7 +60,6 @@ class Conditioned:
     method: str  # "weights" alone, or "sampling": resampled and moved too
     effective: float  # effective number of draws behind the band
     stages: int = 0  # how often the draws were resampled and moved
-    accepted: float = 1.0  # share of the last moves that were accepted; 1 for weights alone
 
     def holds(self, time: Array) -> Mask:
         """Whether times (T,), s, are in the given part."""
@@ -73,7 +76,7 @@ class Conditioned:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Reason to trust the band less, if there is one."""
-        if self.effective >= FEWEST and self.pareto_k <= LARGEST_K and self.accepted >= 0.02:
+        if self.effective >= FEWEST and self.pareto_k <= LARGEST_K:
             return ()
         return (
             f"the band is not reliable: {self.effective:.0f} effective draws (Pareto k "
@@ -140,8 +143,8 @@ class PartialTest:
 
     def sums(
         self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
-    ) -> list[Sums]:
-        """What the measured force says at samples `rows` (m,), in blocks of one independent sample.
+    ) -> Sums:
+        """What the measured force says at samples `rows` (m,).
 
         `force` (n, m) is the model's there, kip, of particles with these quantities (n,). Of all
         counted samples (T,) the first one counts as an independent sample.
@@ -159,66 +162,128 @@ class PartialTest:
         residuals = np.where(np.isfinite(residuals), residuals, 1e6)
         count = np.where(counted, residual.counts(trace), 0.0)
         count[np.argmax(counted)] = 1.0
-        blocks = np.array_split(np.arange(rows.size), int(np.clip(count[rows].sum(), 1, 40)))
-        size = int(strokes[-1]) + 1
-        return [Sums.of(residuals[:, b], count[rows[b]], strokes[rows[b]], size) for b in blocks]
+        return Sums.of(residuals, count[rows], strokes[rows], int(strokes[-1]) + 1)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
-        """Log likelihood of the counted samples so far, at the end of each block, (n, blocks)."""
+        """Log likelihood of the counted samples, (n,)."""
         drawn, rows = self.drawn(p, part), np.flatnonzero(counted)
         values = self.predictor.values(drawn)
         share = self.predictor.population.residual.stroke_share
         force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
-        so_far = accumulate(self.sums(part, force, values, counted, rows), Sums.plus)
-        return np.stack([s.log_likelihood(values["noise_sd"], share) for s in so_far], axis=1)
+        sums = self.sums(part, force, values, counted, rows)
+        log = sums.log_likelihood(values["noise_sd"], share)
+        return np.maximum(np.nan_to_num(log, nan=LOWEST), LOWEST)
 
     def condition(
         self, part: Trace, counted: Mask, n: int, rng: np.random.Generator
     ) -> tuple[Particles, Array, Conditioned]:
-        """Particles given the counted samples of a part, with their log weights (n,)."""
-        population, level = self.predictor.population, self.setting.actuation
-        active = population.active(self.setting, self.grid)
-        p = self.draw(n, rng)
-        log, taken = self.log_likelihood(p, part, counted), np.zeros(n)
-        # the last block that the particles are drawn with
-        done, stages, accepted = -1, 0, np.ones(n, dtype=bool)
-        while done < log.shape[1] - 1:
-            weights = log[:, done + 1 :] - taken[:, None]
-            low = np.flatnonzero(effective_draws(weights) < LEAST_EFFECTIVE * n)
-            if not low.size:
+        """Particles given the counted samples of a part, n or some more, with log weights."""
+        p = self.draw(n + -n % ISLANDS, rng)
+        log, power, stages, beta = self.log_likelihood(p, part, counted), 0.0, 0, 1.0
+        while True:
+            step = next_power(log, power) - power
+            log_weights, k = smoothed(step * log)
+            power += step
+            effective = float(effective_draws(log_weights[:, None])[0])
+            if power == 1.0 and not stages:  # weights alone
                 break
-            last = max(int(low[0]) - 1, 0)
-            done += last + 1
-            p = p.of(systematic(weights[:, last], n, rng))
-            log = self.log_likelihood(p, part, counted)
-            for step in range(MOVES):  # a random walk, with other draws of the population in turn
-                index = population.draw_index(n, level, rng) if step % 2 else p.draw
-                scale = (0.5 if step % 2 else 2.38) / np.sqrt(active.size)
-                old, flat = p.numbers.flat, p.numbers.flat.copy()
-                spread = np.cov(old[:, active].T) + 1e-9 * np.eye(active.size)
-                walk = rng.standard_normal((n, active.size)) @ np.linalg.cholesky(spread).T
-                flat[:, active] += scale * walk
-                proposed = Particles(index, replace(p.numbers, flat=flat))
-                new = self.log_likelihood(proposed, part, counted)
-                prior = 0.5 * np.sum(old[:, active] ** 2 - flat[:, active] ** 2, axis=1)
-                accepted = np.log(rng.random(n)) < new[:, done] - log[:, done] + prior
-                rows = accepted[:, None]
-                numbers = replace(p.numbers, flat=np.where(rows, flat, old))
-                p = Particles(np.where(accepted, index, p.draw), numbers)
-                log = np.where(rows, new, log)
-            taken, stages = log[:, done].copy(), stages + 1
-        smooth, k = smoothed(log[:, -1] - taken)
+            gaussian = self._gaussian(p, step * log)
+            p, log = resampled(p, log, step * log, rng)
+            for moves in range(1, MOST + 1):
+                p, log, beta = self._move(p, log, part, counted, power, gaussian, beta, rng)
+                if moves % MOVES == 0:
+                    effective = self._effective(p, part)
+                    if power < 1.0 or effective >= 2 * FEWEST:
+                        break
+            stages += 1
+            if power == 1.0:
+                log_weights = np.zeros(len(log))
+                break
         conditioned = Conditioned(
             window=(float(part.time[counted][0]), float(part.time[counted][-1])),
             samples=int(counted.sum()),
             pareto_k=k,
             method="sampling" if stages else "weights",
-            effective=float(effective_draws(smooth[:, None])[0]),
+            effective=effective,
             stages=stages,
-            accepted=float(accepted.mean()),
         )
-        return p, smooth, conditioned
+        return p, log_weights, conditioned
+
+    def _gaussian(self, p: Particles, log_weights: Array) -> tuple[Index, Array, Array]:
+        """Columns of the numbers that matter, their weighted mean and root of covariance."""
+        active = self.predictor.population.active(self.setting, self.grid)
+        weights, own = np.exp(log_weights - log_weights.max()), p.numbers.flat[:, active]
+        spread = np.atleast_2d(np.cov(own.T, aweights=weights)) + 1e-9 * np.eye(active.size)
+        root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
+        return active, np.average(own, axis=0, weights=weights), root
+
+    def _move(
+        self,
+        p: Particles,
+        log: Array,
+        part: Trace,
+        counted: Mask,
+        power: float,
+        gaussian: tuple[Index, Array, Array],
+        beta: float,
+        rng: np.random.Generator,
+    ) -> tuple[Particles, Array, float]:
+        """Particles after a Metropolis step, their log likelihood, and the size of the next step.
+
+        A preconditioned Crank-Nicolson step, which leaves a Gaussian as it is; half of the
+        particles take another draw of the population.
+        """
+        active, mean, root = gaussian
+        n, old, flat = len(log), p.numbers.flat, p.numbers.flat.copy()
+        walk = rng.standard_normal((n, active.size)) @ root.T
+        flat[:, active] = mean + np.sqrt(1.0 - beta**2) * (old[:, active] - mean) + beta * walk
+        other = self.predictor.population.draw_index(n, self.setting.actuation, rng)
+        index = np.where(rng.random(n) < 0.5, other, p.draw)
+        proposed = Particles(index, replace(p.numbers, flat=flat))
+        new = self.log_likelihood(proposed, part, counted)
+
+        def over_gaussian(numbers: Array) -> Array:
+            u = linalg.solve_triangular(root, (numbers[:, active] - mean).T, lower=True)
+            prior = -0.5 * np.sum(numbers[:, active] ** 2, axis=1)
+            return np.asarray(prior + 0.5 * np.sum(u**2, axis=0))
+
+        ratio = power * (new - log) + over_gaussian(flat) - over_gaussian(old)
+        accepted = np.log(rng.random(n)) < ratio
+        numbers = replace(p.numbers, flat=np.where(accepted[:, None], flat, old))
+        beta = float(np.clip(beta * np.exp(accepted.mean() - ACCEPT), 0.05, 1.0))
+        kept = Particles(np.where(accepted, index, p.draw), numbers)
+        return kept, np.where(accepted, new, log), beta
+
+    def _effective(self, p: Particles, part: Trace) -> float:
+        """Effective number of draws of the worst quantity, by the means of islands' ranks."""
+        values = self.predictor.values(self.drawn(p, part))
+        ranks = stats.rankdata(np.column_stack([*values.values()]), axis=0)
+        islands = ranks.reshape(ISLANDS, -1, ranks.shape[1])
+        between = islands.mean(axis=1).var(axis=0, ddof=1)
+        within = islands.var(axis=1, ddof=1).mean(axis=0)
+        worst = np.max(between / np.maximum(within, 1e-9))
+        return float(min(len(ranks), ISLANDS / max(worst, 1e-9)))
+
+
+def next_power(log: Array, power: float) -> float:
+    """Largest power of the likelihood that leaves enough effective draws, at most 1."""
+
+    def share(after: float) -> float:
+        return float(effective_draws((after - power) * log[:, None])[0]) / len(log)
+
+    if share(1.0) >= LEAST_EFFECTIVE:
+        return 1.0
+    return float(optimize.brentq(lambda after: share(after) - LEAST_EFFECTIVE, power, 1.0))
+
+
+def resampled(
+    p: Particles, log: Array, log_weights: Array, rng: np.random.Generator
+) -> tuple[Particles, Array]:
+    """Particles and their log likelihoods, resampled within each island."""
+    parts = np.split(np.arange(len(log)), ISLANDS)
+    chosen = np.concatenate([at[systematic(log_weights[at], at.size, rng)] for at in parts])
+    return p.of(chosen), log[chosen]
 
 
 def smoothed(log_weights: Array) -> tuple[Array, float]:
@@ -487,8 +552,7 @@ class Forecaster:
         trace = _trace(self._rows)
         rows, counted = np.arange(begin, trace.samples), np.arange(trace.samples) >= AHEAD
         force, self._state = self._stepped(trace, rows, self._state)
-        for sums in self._test.sums(trace, force, self._values, counted, rows):
-            self._sums = self._sums.plus(sums)
+        self._sums = self._sums.plus(self._test.sums(trace, force, self._values, counted, rows))
 
     def _stepped(self, trace: Trace, rows: Index, state: Any) -> tuple[Array, Any]:
         """Forces at samples of a trace (n, m), kip, and the state after them."""
@@ -650,7 +714,7 @@ class Forecaster:
         window, samples = (self._first, self._last), self._rows.shape[1] - AHEAD
         given = Conditioned(window, samples, k, "weights", effective)
         if (past := self._conditioned) is not None:
-            given = replace(given, method="sampling", stages=past.stages, accepted=past.accepted)
+            given = replace(given, method="sampling", stages=past.stages)
         source = f"population laws with scatter, and {given.sentence}"
         shown = self._predictor.shown(values)
         band = Band.of(joined.time[last], force, forecast, source, shown)

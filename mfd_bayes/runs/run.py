@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -56,7 +57,6 @@ from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence, stored_pooled
 from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
-    TestUnderWay,
     departures,
     range_of,
     reach_of,
@@ -197,13 +197,6 @@ class Run:
     extras: Extras | None = field(default=None, repr=False)
     units: str = ""
 
-    def __post_init__(self) -> None:
-        for what, name in (("calibrated test", "tests"), ("held-out test", "held_out")):
-            items = getattr(self, name)
-            if not isinstance(items, ByName):
-                items = dict(items)
-                object.__setattr__(self, name, ByName(what, items, items.__getitem__))
-
     @cached_property
     def model(self) -> Model:
         """Force model of its tests."""
@@ -214,9 +207,13 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        with unchanged(self.folder, self.manifest):
+        with self.unchanged():
             path = check_stored(self.folder, POPULATION, self.manifest.files)
             return load_population(path, self.priors, self.model)
+
+    def unchanged(self) -> AbstractContextManager[None]:
+        """Context that raises StoreError where another process changes the run meanwhile."""
+        return unchanged(self.folder, self.manifest)
 
     def rewrite(self, **parts: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""
@@ -259,15 +256,15 @@ class Run:
     def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
         check_trace("trace", trace, FitError)
-        unit, entries = self.actuation_unit, self.manifest.tests
-        own = ByName("calibrated test", self.tests, lambda name: entries[name].conditions)
-        tested = range_of([own[test]], unit) if test else self.tested
+        unit = self.actuation_unit
+        tested = self.tested
+        if test:
+            tested = range_of([self.manifest.tests[test].conditions], unit)
         return departures(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none."""
-        sessions = self.manifest.settings.sessions
-        return ByName("test", sessions, sessions.__getitem__)[name]
+        return self.manifest.settings.sessions[name]
 
     @cached_property
     def devices(self) -> tuple[str, ...]:
@@ -545,14 +542,29 @@ class Run:
         setting = planned_setting(self.population.design.settings, actuation, session, planned)
         forecast = Forecast(kind, probability, draws, seed, session)
         forecaster = Forecaster(self.predictor, setting, forecast, refresh=refresh)
-        forecaster.complete = TestUnderWay(
-            setting,
-            self.tested,
-            self.system,
-            self.actuation_unit,
-            tuple(self._remarks(session)),
-            self.extras,
-        )
+        unit = self.actuation_unit
+        plan = {
+            "stroke": 2.0 * setting.covariates["amplitude"],
+            "speed": setting.covariates["velocity"],
+            "actuation": setting.actuation,
+        }
+        left = departures(self.tested, range_of([plan], unit))
+        said = {departure.reached.name for departure in left}
+        remarks = [departure.sentence(self.system, widened=True) for departure in left]
+        remarks += self._remarks(session)
+
+        def complete(band: Band, motion: Trace) -> Band:
+            """The band with its remarks; a motion that has begun is no smaller than planned."""
+            reached = [
+                span
+                for span in reach_of(motion, unit)
+                if span.name not in said
+                and (span.name not in ("stroke", "speed") or span.highest > plan[span.name])
+            ]
+            outside = [d.sentence(self.system) for d in departures(self.tested, reached)]
+            return replace(band, remarks=(*outside, *remarks, *band.remarks), extras=self.extras)
+
+        forecaster.complete = complete
         return forecaster
 
     def next_test(
@@ -768,19 +780,19 @@ class ModelAverage:
 
 def _check_same_records(first: Run, second: Run) -> None:
     """Refuse runs that were not calibrated with the same records."""
-    for run, other in ((first, second), (second, first)):
-        for name, test in run.tests.items():
-            if name not in other.tests:
-                raise FitError(
-                    f"test {name!r} is calibrated in {run.folder} but not in {other.folder}: "
-                    "an average of models needs runs of the same tests"
-                )
-            force, same = (np.asarray(t.trace.force) for t in (test, other.tests[name]))
-            if not np.array_equal(force, same):
-                raise FitError(
-                    f"the record of test {name!r} is another in {run.folder} than in "
-                    f"{other.folder}: an average of models needs runs of the same records"
-                )
+    where = f"{first.folder} and {second.folder}"
+    if odd := sorted({*first.tests} ^ {*second.tests}):
+        raise FitError(
+            f"test {odd[0]!r} is calibrated in only one of {where}: an average of models needs "
+            "runs of the same tests"
+        )
+    for name, test in first.tests.items():
+        force, other = (np.asarray(each.trace.force) for each in (test, second.tests[name]))
+        if not np.array_equal(force, other):
+            raise FitError(
+                f"the record of test {name!r} is not the same in {where}: an average of models "
+                "needs runs of the same records"
+            )
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -803,15 +815,8 @@ def _disagreement(bands: Sequence[Band]) -> list[str]:
 
 
 def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
-    """How all models together took the given part in: by the worst of them."""
+    """How the worst of the models took the given part in, with the effective draws of all."""
     if not parts:
         return None
-    return Conditioned(
-        parts[0].window,
-        max(part.samples for part in parts),
-        max(part.pareto_k for part in parts),
-        "sampling" if any(part.method == "sampling" for part in parts) else "weights",
-        sum(part.effective for part in parts),
-        max(part.stages for part in parts),
-        min(part.accepted for part in parts),
-    )
+    worst = max(parts, key=lambda part: part.pareto_k)
+    return replace(worst, effective=sum(part.effective for part in parts))

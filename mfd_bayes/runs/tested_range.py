@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from mfd_bayes.calibration.result import Extras
-from mfd_bayes.population.bands import Band
 from mfd_bayes.population.population import RATE, STROKE
-from mfd_bayes.population.settings import SAME_LEVEL, Setting
+from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import System
@@ -41,10 +39,9 @@ class Span:
 
     def words(self, system: System) -> str:
         """Both values with their unit, such as "500 to 1500 psi"."""
+        actuation = self.name == "actuation"
         ends = self.lowest, self.highest
-        if self.name == "actuation":
-            return system.words(ends, self.unit, actuation=True)
-        return system.words(ends, self.unit, 3)
+        return system.words(ends, self.unit, 4 if actuation else 3, actuation=actuation)
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,8 @@ class Departure:
         form = "the form of the laws" if name == "actuation" else "the form of the model"
         rests = f"relies only on {form}"
         if widened and name != "actuation":
-            what, slope = ("slip force", RATE) if name != "stroke" else _STROKE
+            of_stroke = name == "stroke"
+            what, slope = ("slip force and gap", STROKE) if of_stroke else ("slip force", RATE)
             rests = (
                 f"is wider, by what {what} may do ({100 * slope:.0f} % for each factor of 2.7), "
                 f"but relies on {form}"
@@ -86,9 +84,6 @@ class Departure:
             f"the tested range, {self.tested.words(system)} ({float(f'{times:.2g}'):g} times the "
             f"{'largest' if times > 1 else 'smallest'}): there the band {rests}"
         )
-
-
-_STROKE = "slip force and gap", STROKE
 
 
 def conditions_of(trace: Trace) -> dict[str, float]:
@@ -111,11 +106,6 @@ def conditions_of(trace: Trace) -> dict[str, float]:
     if np.isfinite(trace.reference_actuation):
         conditions["actuation"] = float(trace.reference_actuation)
     return conditions
-
-
-def conditions(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
-    """Conditions of a test as spans of one value, with the level of its actuation."""
-    return range_of([conditions_of(trace)], actuation_unit)
 
 
 def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple[Span, ...]:
@@ -162,39 +152,3 @@ def departures(tested: Iterable[Span], reached: Iterable[Span]) -> tuple[Departu
 def far_sentences(outside: Iterable[Departure], system: System) -> str:
     """The departures that are far, as one text; empty where there are none."""
     return "; ".join(departure.sentence(system) for departure in outside if departure.far)
-
-
-@dataclass(frozen=True, eq=False)
-class TestUnderWay:
-    """Completes the bands of a test that is followed; see `Forecaster.complete`."""
-
-    __test__ = False
-
-    planned: Setting
-    tested: tuple[Span, ...]
-    system: System
-    actuation_unit: str
-    remarks: tuple[str, ...]
-    extras: Extras | None
-
-    def __call__(self, band: Band, motion: Trace) -> Band:
-        """The band with its remarks; the motion is that of the whole test, to the band's end."""
-        unit, covariates = self.actuation_unit, self.planned.covariates
-        plan = {
-            "stroke": 2.0 * covariates["amplitude"],
-            "speed": covariates["velocity"],
-            "actuation": self.planned.actuation,
-        }
-        spans = []
-        for span in reach_of(motion, unit):  # of a stroke and a speed the larger counts
-            value = plan.get(span.name, span.highest)
-            high = max(span.highest, value)
-            low = min(span.lowest, value) if span.name == "actuation" else high
-            spans.append(replace(span, lowest=low, highest=high))
-        wider = {d.reached.name for d in departures(self.tested, range_of([plan], unit))}
-        outside = tuple(
-            departure.sentence(self.system, widened=departure.reached.name in wider)
-            for departure in departures(self.tested, spans)
-        )
-        remarks = (*outside, *self.remarks, *band.remarks)
-        return replace(band, remarks=remarks, extras=self.extras)

@@ -41,21 +41,11 @@ class System:
     level: tuple[str, str] = ("", "")
     axes: Axes = DAMPER
 
-    @property
-    def velocity(self) -> str:
-        """Unit of velocities."""
-        return self.unit("in/s")
-
     def label(self, name: str, internal: str = "") -> str:
         """Label of an axis, "displacement, in": a name and an internal unit."""
         name = self.axes.text(name)
         unit = self.unit(internal).replace("*", "·") if internal else "1"
         return name if unit == "1" else f"{name}, {unit}"
-
-    @property
-    def small(self) -> bool:
-        """Whether forces are in lbf or N."""
-        return self.force in (US_SMALL.force, SI_SMALL.force)
 
     def column(self, name: str, internal: str) -> str:
         """Head of a column of a table, "displacement_in": a name and an internal unit."""
@@ -126,20 +116,16 @@ SYSTEMS = (US, SI)
 
 def both_systems(own: System) -> tuple[System, System]:
     """Customary and metric system for the same device, one of which is `own`."""
-    systems = (US_SMALL, SI_SMALL) if own.small else SYSTEMS
-    customary, metric = (replace(system, level=own.level, axes=own.axes) for system in systems)
+    small = own.force in (US_SMALL.force, SI_SMALL.force)
+    us, si = (
+        replace(system, level=own.level, axes=own.axes)
+        for system in ((US_SMALL, SI_SMALL) if small else SYSTEMS)
+    )
     if not own.axes.of_damper:
-        of_axes = [(own.axes.motion, own.length), (own.axes.response, own.force)]
-        customary, metric = (
-            replace(system, title=" and ".join(u for u in units if u != "1"), length=x, force=y)
-            for system, units in zip(
-                (customary, metric),
-                zip(*(_in_both(axis, unit) for axis, unit in of_axes), strict=True),
-                strict=True,
-            )
-            for x, y in [units]
-        )
-    return (customary, own) if own.name == metric.name else (customary, metric)
+        lengths = _in_both(own.axes.motion, own.length)
+        forces = _in_both(own.axes.response, own.force)
+        us, si = (_in_units(us, lengths[0], forces[0]), _in_units(si, lengths[1], forces[1]))
+    return (us, own) if own.name == si.name else (own, si)
 
 
 def named_system(name: str, own: System) -> System:
@@ -172,7 +158,9 @@ def system_of(
     if axes != DAMPER:
         system = replace(system, axes=axes)
     if not axes.of_damper:
-        system, metric = _own_system(axes, of_motion, list(responses))
+        x, y = _most_common(of_motion, axes.motion), _most_common(list(responses), axes.response)
+        metric = not any(_CUSTOMARY.search(unit) for unit in (x, y))
+        system = _in_units(replace(SI if metric else US, axes=axes), x, y)
     units = set(actuations)
     if len(units) != 1:
         return system
@@ -186,16 +174,15 @@ def system_of(
     return system if internal in _SET else replace(system, level=(internal, unit))
 
 
-def _own_system(axes: Axes, motions: list[str], responses: list[str]) -> tuple[System, bool]:
-    """System in the units that most records have, and whether it is a metric one."""
-    x, y = (
-        Counter(unit for unit in units if unit).most_common(1)[0][0] if any(units) else axis.unit
-        for axis, units in ((axes.motion, motions), (axes.response, responses))
-    )
-    metric = not any(_CUSTOMARY.search(unit) for unit in (x, y))
-    base = SI if metric else US
-    title = " and ".join(unit for unit in (y, x) if unit != "1")
-    return replace(base, title=title, length=x, force=y, axes=axes), metric
+def _in_units(system: System, length: str, force: str) -> System:
+    """A system with the units of a user's own model."""
+    title = " and ".join(unit for unit in (force, length) if unit != "1")
+    return replace(system, title=title, length=length, force=force)
+
+
+def _most_common(units: list[str], axis: Axis) -> str:
+    """The unit that most records have; that of the model where they have none."""
+    return next((unit for unit, _ in Counter(filter(None, units)).most_common(1)), axis.unit)
 
 
 def _in_both(axis: Axis, own: str) -> tuple[str, str]:

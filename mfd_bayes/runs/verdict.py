@@ -10,24 +10,15 @@ from mfd_bayes.messages import Message
 
 
 class Verdict(StrEnum):
-    """Verdict of a check, as its files hold it, with what it means."""
+    """Verdict of a check, as its files hold it."""
 
-    message: str
-
-    PASS = "pass", "The value is within its limit."
-    NOTE = "note", "The reader must know of it, but it is no fault of the run."
-    WARNING = (
-        "warning",
-        "The model misses this by more than its tolerance; use what depends on it with care.",
-    )
-    FAIL = "fail", "The value is beyond its limit; do not use figures that depend on it."
-
-    def __new__(cls, value: str, message: str) -> Verdict:
-        """Member whose value is a text, with a message."""
-        member = str.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
+    PASS = "pass"
+    NOTE = "note"
+    """The reader must know of it, but it is no fault of the run."""
+    WARNING = "warning"
+    """The model misses this by more than its tolerance."""
+    FAIL = "fail"
+    """The value is beyond its limit: figures that depend on it must not be used."""
 
     @classmethod
     def of(cls, good: bool) -> Verdict:

@@ -213,7 +213,7 @@ def test_files_that_are_no_campaign_are_refused(folder):
         ("c.toml", "not valid TOML"),
         ("d.toml", r"cannot read .*d\.toml.*did you mean .*c\.toml"),
         (".", "is a folder: give the campaign file in it"),
-        ("no/c.toml", "there is no folder"),
+        ("no/c.toml", "cannot read"),
     ):
         with pytest.raises(CampaignError, match=words):
             load_campaign(folder / path)
@@ -258,7 +258,7 @@ def test_a_test_may_follow_another_in_any_place(folder):
     ("after", "expected"),
     [
         ({"one": "", "two": "on"}, "after of test 'two' in .* another test, got 'on'; did you mea"),
-        ({"one": "", "two": "two"}, "after of test 'two' in .* another test, got its own"),
+        ({"one": "", "two": "two"}, "after of test 'two' .* a circle: two after two"),
         ({"a": "", "b": "a", "c": "a"}, "after of test 'c' in .* got 'a', which test 'b' follows"),
         ({"a": "c", "b": "a", "c": "b"}, "'a' .* a circle: a after c after b after a"),
     ],

