@@ -245,23 +245,20 @@ def percent(probability: float) -> str:
 
 
 def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
-    """Value of ``"500 psi"`` in the internal unit of its dimension.
-    """
+    """Value of ``"500 psi"`` in the internal unit of its dimension."""
     value, unit = split_quantity(text, of=of, example=dimension_of(dimension).quantity)
     return value * factor(unit, dimension, of=of or f"{text!r}")
 
 
 def parse_mass(text: str, *, of: str = "") -> float:
-    """Mass, kip*s^2/in, of ``"3 kg"``; a force such as ``"6.6 lb"`` is its weight.
-    """
+    """Mass, kip*s^2/in, of ``"3 kg"``; a force such as ``"6.6 lb"`` is its weight."""
     if measure(split_quantity(text, of=of)[1]) == "force":
         return parse_quantity(text, "force", of=of) / GRAVITY
     return parse_quantity(text, "mass", of=of)
 
 
 def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
-    """Value and internal unit of an actuation: ``"500 psi"`` is ``(0.5, "ksi")``.
-    """
+    """Value and internal unit of an actuation: ``"500 psi"`` is ``(0.5, "ksi")``."""
     value, unit = split_quantity(text, of=of)
     if value < 0:
         raise UnitError(f"actuation must not be negative, got {text!r}")
@@ -276,8 +273,7 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
 
 
 def split_quantity(text: str, *, of: str = "", example: str = "500 psi") -> tuple[float, str]:
-    """Number and unit of ``"518.7 mm^2"``, whatever the unit measures; `example` is for messages.
-    """
+    """Number and unit of ``"518.7 mm^2"``, whatever it measures; `example` is for messages."""
     expected = f"{of + ': ' if of else ''}expected a number and a unit such as {example!r}"
     if not isinstance(text, str):
         raise UnitError(f"{expected}, got {text!r}")
