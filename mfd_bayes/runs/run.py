@@ -40,7 +40,7 @@ from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number, why_no_file
+from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -135,10 +135,8 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     if not done:
         raise StoreError(f"the run in {folder} has no calibrated test")
     for name in (*map(posterior_of, done), *map(record_of, held_out)):
-        path = folder / name
-        if not path.is_file():
-            reason = why_no_file(path) if path.exists() else "is missing from the run"
-            raise StoreError(f"{path} {reason}")
+        if not (folder / name).is_file():
+            raise StoreError(f"{folder / name} is missing from the run")
     tests = ByName(
         "calibrated test", done, partial(_read_test, folder, manifest, (priors, model), extras)
     )
