@@ -118,6 +118,8 @@ _ACTUATIONS = ("ksi", "kip", "A", "V", "W", "N*m", "turn", "%", "K", "T", *_COUN
 _POWER = re.compile(r"(?<=[A-Za-zµμ])([23])(?!\w)")
 _TERM = r"\(*[A-Za-zµμε°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
 _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
+_ABBREVIATED = re.compile(r"(?<=[A-Za-z])\.(?!\w)")  # in., lb./in.
+_INCHES = re.compile("\"|''|″|′′|”")
 _DASH = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")  # kip-in, kN-m
 _FLUIDS = (
     (re.compile(r"\bgals?(?=\s*/\s*(?:s|sec|min|h|hr|d)\b)", re.IGNORECASE), "gallon"),
@@ -363,7 +365,8 @@ def _parse(unit: str, named: str) -> Any:
     """Unit of a text, as pint has it."""
     unknown = f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
     unknown += force_meant(unit)
-    text = unit.strip().removesuffix(".") if isinstance(unit, str) else ""
+    text = _ABBREVIATED.sub("", unit.strip()) if isinstance(unit, str) else ""
+    text = _INCHES.sub("in", text)
     text = _DASH.sub("*", _POWER.sub(r"^\1", text))
     for spelled, plain in _FLUIDS:
         text = spelled.sub(plain, text)

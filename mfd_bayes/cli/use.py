@@ -158,7 +158,6 @@ def crossvalidate(
       mfd-bayes crossvalidate campaign.toml -o out --by level --resume
     """
     with mistakes(resumption()):
-        from mfd_bayes.evaluation import summary
         from mfd_bayes.pipeline import crossvalidate as pipeline
         from mfd_bayes.pipeline.report import left_out_shown
 
@@ -167,7 +166,7 @@ def crossvalidate(
             view = pipeline.crossvalidate(campaign, out, run_options, observe)
         console.print_left_out(*left_out_shown(view), quiet=quiet)
         console.print_end(view, out, quiet=quiet)
-    if not summary.is_whole(view):
+    if not view.whole:
         raise typer.Exit(1)
 
 

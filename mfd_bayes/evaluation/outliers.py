@@ -12,10 +12,8 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.runs.folder import pooled_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Finding
-from mfd_bayes.store.netcdf import load_arrays
 
 Array = NDArray[np.float64]
 
@@ -106,9 +104,7 @@ def _places(run: Run) -> tuple[Array, Array]:
     index = rng.choice(population.size, size=min(DRAWS, population.size))
     places, medians = [], []
     for name, setting in zip(run.tests, design.settings, strict=True):
-        values, _ = load_arrays(run.folder / pooled_of(name))
-        flat = {n: values[n].reshape(-1).astype(np.float64) for n in design.coordinates.names}
-        places.append(design.coordinates.of(flat).mean(axis=0)[:d])
+        places.append(design.coordinates.of(run.sequence.pooled(name)).mean(axis=0)[:d])
         medians.append(_coordinates(run, setting, index, rng).mean(axis=0))
     centre, spread = design.coordinates.centre[:d], design.spread
     return centre + spread * np.array(places), centre + spread * np.array(medians)

@@ -19,7 +19,6 @@ from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.reporting.acceptance import acceptance_page, acceptance_table, draw_batch
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
@@ -128,7 +127,7 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
     run.level_of(wish.actuation)
     records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
     device = wish.device[0] if len(wish.device) == 1 else wish.device or ""
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         devices = accept(
             *(run, records),
             device=device,

@@ -24,7 +24,6 @@ from mfd_bayes.records.sine import parse_sine
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
-from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
@@ -118,7 +117,7 @@ def predict(out: Path, question: Question) -> Answer:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
     drawn = measured if question.compare else trace
     design: Rows = ()
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         asked = measured if question.given else trace, question.kind, question.probability
         how: dict[str, Any] = {
             "whole": question.whole,

@@ -18,7 +18,7 @@ from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import alone_in, check_places
-from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, named_system
 from mfd_bayes.runs.verdict import Verdict
@@ -84,7 +84,7 @@ def check(out: Path, units: str = "") -> CampaignView:
     """
     run = open_run(out)
     metric = named_system(units, run.system).name == SI.name
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         view = assess(run)
     checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
     return replace(view, metric=metric, checks=tuple(checks))

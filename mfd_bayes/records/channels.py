@@ -240,21 +240,14 @@ def crossing_times(
 ROLES = ("time", "displacement", "force", "velocity", "actuation")
 """What a column can be; a record needs a time and a displacement."""
 
-_EXAMPLES = {"time": "time_s", "displacement": "displacement_mm"}
-_NO_TIME = '; where it has none, give its rate: rate = "100 Hz"'
 _SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
 _BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
-_REMARKS = frozenset(
-    {
-        *("raw", "measured", "meas", "corrected", "corr", "filtered", "filt", "smoothed"),
-        *("average", "avg", "mean", "abs", "max", "min", "rms", "total", "net", "main"),
-        *("left", "right", "top", "bottom", "bot", "upper", "lower", "north", "south"),
-        *("east", "west", "front", "rear", "back", "lvdt", "sensor", "cell", "loadcell"),
-        *("actuator", "machine", "ch", "channel", "x", "y", "z", "axial", "lateral"),
-        *("vertical", "horizontal", "relative", "absolute", "calibrated", "zeroed"),
-        *("command", "cmd", "feedback", "fbk", "analog", "digital", "signal", "data"),
-        *("scaled", "elapsed", "test", "local", "utc", "fwd", "bwd", "forward", "backward"),
-    }
+_REMARKS = re.compile(
+    "raw|meas(ured)?|corr(ected)?|filt(ered)?|smoothed|avg|average|mean|abs|max|min|rms|total|net|"
+    "main|left|right|top|bot(tom)?|upper|lower|north|south|east|west|front|rear|back|lvdt|sensor|"
+    "(load)?cell|actuator|machine|ch(annel)?|[xyz]|axial|lateral|vertical|horizontal|relative|"
+    "absolute|calibrated|zeroed|command|cmd|feedback|fbk|analog|digital|signal|data|scaled|elapsed|"
+    "test|local|utc|fwd|bwd|forward|backward"
 )
 """Words that people put in brackets behind a name, and that are no units."""
 
@@ -282,7 +275,7 @@ def stated_unit(name: str, row: str = "") -> str | None:
     name = normalize("NFKC", name)
     for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
         text = bare_unit(square or round_ or angle)
-        if not re.search(r"[^\W\d_]|[%°]", text) or text.lower() in _REMARKS:
+        if not re.search(r"[^\W\d_]|[%°\"″′”]", text) or _REMARKS.fullmatch(text.lower()):
             continue
         words = re.findall(r"[^\W\d_]+", text)
         is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
@@ -290,54 +283,6 @@ def stated_unit(name: str, row: str = "") -> str | None:
             return text
     last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
     return last[1] if last and last[1].lower() in UNREAD else None
-
-
-def roles_of(
-    table: Table,
-    columns: Mapping[str, str | int],
-    units: Mapping[str, str],
-    *,
-    actuation: str | None = None,
-    timed: bool = True,
-    axes: Axes = DAMPER,
-) -> dict[str, str]:
-    """Role to column name, as given or from headers such as ``time_s``, ``Displacement [mm]``.
-
-    A column is given by its name, or by its number from 1. One for the actuation is looked for
-    only where `actuation`, a constant, is not given; one for the time only where the file is
-    `timed`.
-    """
-    for role in (*columns, *units):
-        if role not in ROLES:
-            names = ", ".join(map(axes.name, ROLES))
-            raise RecordError(f"unknown role {role!r} of a column; expected {names}")
-    roles = {role: table.name_of(column) for role, column in columns.items()}
-    chosen = bool({"time", "displacement"} & columns.keys())  # then what is not named is not used
-    used: tuple[str, ...] = ("time", "displacement") if chosen else ROLES
-    unnamed = [r for r in used if r not in roles and (r != "actuation" or actuation is None)]
-    if not timed:
-        unnamed = [role for role in unnamed if role != "time"]
-    roles |= {
-        role: name for role in unnamed if (name := _guess(table, axes.name(role))) is not None
-    }
-    if actuation is not None and "actuation" in roles:
-        raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
-    needed = ("time", "displacement") if timed else ("displacement",)
-    missing = [role for role in needed if role not in roles]
-    if missing and not table.headed:
-        raise RecordError(
-            f"{table.path} has no names, only {', '.join(table.names[:20])}: say in a campaign "
-            'which is which, as time = { column = 1, unit = "ms" }; mfd-bayes init guesses it'
-        )
-    if missing:
-        name = axes.name(missing[0])
-        example = _EXAMPLES[missing[0]] if name in _EXAMPLES else f"{name}_{axes.motion.unit}"
-        raise RecordError(
-            f"no column for {name} in {table.path}, which has {', '.join(table.names[:20])}: "
-            f"rename it in the file, as {example}, or name it in [columns] of a "
-            "campaign, or in Python by columns" + (_NO_TIME if missing[0] == "time" else "")
-        )
-    return {role: roles[role] for role in ROLES if role in roles}
 
 
 def unit_of(
@@ -364,18 +309,6 @@ def unit_of(
             f"file's own units; give the unit of {word}"
         )
     return ours
-
-
-def _guess(table: Table, role: str) -> str | None:
-    """Name of the column that is called like the role, with or without a unit."""
-    pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
-    matches = [name for name in table.names if pattern.fullmatch(own_name(name))]
-    if len(matches) > 1:
-        raise RecordError(
-            f"{table.path} has several columns for {role}, {', '.join(matches)}; say which, as "
-            f"{role} = {{ column = {table.number_of(matches[0])} }}"
-        )
-    return matches[0] if matches else None
 
 
 SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
@@ -436,17 +369,19 @@ class Source:
 
         `of` is what has the unit, for messages.
         """
+        if self.measured_at and not self.arm:
+            raise UnitError(f"measured_at of {of} needs an arm, the radius of interest")
         if not self.arm:
             return self.sign * axes.factor(unit, role, of=of), unit
-        arm, length = split_quantity(self.arm, of=f"arm of {of}")
         radius = _radius(self.arm, f"arm of {of}")
         if self.measured_at:
             ratio = radius / _radius(self.measured_at, f"measured_at of {of}")
             scale = ratio if role == "displacement" else 1 / ratio
             return self.sign * factor(unit, role, of=of) * scale, unit
-        if role == "displacement" and measure(unit) == "ratio":
-            return self.sign * factor(unit, "dimensionless", of=of) * radius, length
+        arm, length = split_quantity(self.arm)
         if role == "displacement":
+            if measure(unit) == "ratio":
+                return self.sign * factor(unit, "dimensionless", of=of) * radius, length
             raise UnitError(
                 f"unit {unit!r} of {of} is no angle: with an arm it must be one such as 'deg' or "
                 "'rad', or a length with measured_at, the radius at which it was measured"
@@ -562,7 +497,11 @@ def sources_of(
     actuation: str | None,
     axes: Axes = DAMPER,
 ) -> dict[str, Source]:
-    """Role to its source, with the column's name and its unit."""
+    """Role to its source, as given or from headers such as ``time_s``, with its column and unit.
+
+    A column for the actuation is looked for only where `actuation`, a constant, is not given; one
+    for the time only where there is no rate.
+    """
     examples = {"columns": {"force": "load"}, "units": {"force": "kN"}}
     for name, mapping in (("columns", columns), ("units", units)):
         if mapping is not None and not isinstance(mapping, Mapping):
@@ -575,19 +514,57 @@ def sources_of(
     if not axes.timed:
         given["time"] = NUMBERED
         stated.pop("time", None)
-    for role, source in given.items():
-        if source.measured_at and not source.arm:
-            raise RecordError(
-                f"measured_at of the {role} of {table.path} needs an arm, the radius of interest"
-            )
-    by_column = {r: s.column for r, s in given.items() if s.column is not None}
+    if unknown := next((role for role in (*given, *stated) if role not in ROLES), ""):
+        names = ", ".join(map(axes.name, ROLES))
+        raise RecordError(f"unknown role {unknown!r} of a column; expected {names}")
+    roles = {r: table.name_of(s.column) for r, s in given.items() if s.column is not None}
+    chosen = bool({"time", "displacement"} & roles.keys())  # then what is not named is not used
     rated = "time" in given and bool(given["time"].rate)
-    roles = roles_of(table, by_column, stated, actuation=actuation, timed=not rated, axes=axes)
+    for role in ("time", "displacement") if chosen else ROLES:
+        skipped = {"time": rated, "actuation": actuation is not None}.get(role, False)
+        if role not in roles and not skipped:
+            for name in _columns_called(table, axes.name(role)):
+                roles[role] = name
+    if actuation is not None and "actuation" in roles:
+        raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
+    if missing := [
+        r for r in ("time", "displacement") if r not in roles and not (r == "time" and rated)
+    ]:
+        raise _no_column_for(missing[0], table, axes)
     sources = {"time": given["time"]} if rated else {}
-    for role, name in roles.items():
-        source = given.get(role, Source(name))
+    for role in (role for role in ROLES if role in roles):
+        name, source = roles[role], given.get(role, Source(roles[role]))
         sources[role] = replace(source, column=name, unit=unit_of(table, role, name, stated, axes))
     return sources
+
+
+def _columns_called(table: Table, role: str) -> list[str]:
+    """Name of the column that is called like the role, with or without a unit, if there is one."""
+    pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
+    matches = [name for name in table.names if pattern.fullmatch(own_name(name))]
+    if len(matches) > 1:
+        raise RecordError(
+            f"{table.path} has several columns for {role}, {', '.join(matches)}; say which, as "
+            f"{role} = {{ column = {table.number_of(matches[0])} }}"
+        )
+    return matches
+
+
+def _no_column_for(role: str, table: Table, axes: Axes) -> RecordError:
+    """Error for a role that no column of a table has."""
+    name, shown = axes.name(role), ", ".join(table.names[:20])
+    if not table.headed:
+        return RecordError(
+            f"{table.path} has no names, only {shown}: say in a campaign "
+            'which is which, as time = { column = 1, unit = "ms" }; mfd-bayes init guesses it'
+        )
+    examples = {"time": "time_s", "displacement": "displacement_mm"}
+    example = examples.get(name, f"{name}_{axes.motion.unit}")
+    rate = '; where it has none, give its rate: rate = "100 Hz"' if role == "time" else ""
+    return RecordError(
+        f"no column for {name} in {table.path}, which has {shown}: rename it in the file, as "
+        f"{example}, or name it in [columns] of a campaign, or in Python by columns{rate}"
+    )
 
 
 def signals_of(
@@ -601,22 +578,23 @@ def signals_of(
     for role, source in sources.items():
         name, unit = str(source.column), str(source.unit)
         of = f"column {name!r} of {table.path}"
-        if role == "time":
-            signals[role] = _times(table, source, raw)
-            name, unit = (f"sample number at {source.rate}", "s") if source.rate else (name, unit)
-            if not axes.timed:
-                continue
-        else:
-            if role == "actuation":
+        with np.errstate(over="ignore"):  # check_size refuses infinity
+            if role == "time":
+                signals[role] = _times(table, source, raw)
+            elif role == "actuation":
                 scale, internal = actuation_factor(unit, of=of)
+                signals[role] = raw[name] * scale
             else:
                 scale, unit = source.scale(role, unit, of, axes)
-            with np.errstate(over="ignore"):  # check_size refuses infinity
                 signals[role] = raw[name] * scale
         check_size(of, role, signals[role])
+        if source.rate:
+            name, unit = f"sample number at {source.rate}", "s"
         if other := next((r for r, (taken, _) in columns.items() if taken == name), ""):
             raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
         columns[role] = name, unit
+    if not axes.timed:
+        del columns["time"]
     for role, source in sources.items():
         if not source.plain and source.column is not None:
             signals[role] = _take_off(table, role, source, signals, raw, axes)
@@ -650,14 +628,11 @@ def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
     """The table, or the rows about a window, s, where cells outside it hold no numbers."""
     raw = table.values(used_columns(table, sources), sources["time"].dates)
-    good = np.all([np.isfinite(column) for column in raw.values()], axis=0)
-    if good.all():
-        return table
+    bad = np.flatnonzero(np.any([np.isnan(column) for column in raw.values()], axis=0))
     time = _times(table, sources["time"], raw)
     inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
-    if not inside.size or not good[inside[0] : inside[-1] + 1].all():
+    if not bad.size or not inside.size or np.any((bad >= inside[0]) & (bad <= inside[-1])):
         return table  # whose columns are refused, with the place of the cell
-    bad = np.flatnonzero(~good)
     first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
     last = int(np.min(bad[bad > inside[-1]], initial=time.size))
     return table.part(

@@ -39,15 +39,14 @@ QUANTITIES = {
 # over the actuation.
 SCATTER, EXPONENT, BEND = np.array([[0.08, 0.25, 0.15], [0.0, 0.0, 0.5], [0.3, 0.5, 0.7]])
 FEWEST, FAR = 2, 3.3  # fewest tests of a law, and sds at which a test is odd
+CLOSE, OUTSIDE = 2.0, 4.0  # sds at which a test loses weight in a law, and counts for none
 UNITS = {
     "displacement": ("in", "mm", "cm", "m"),
     "force": ("kip", "lbf", "kN", "N", "MN", "kgf"),
 }
 """Units that a column may be in instead of the one that it was read in."""
 FREE, ANYTHING = 4.0, 14.0  # penalties of a cause with a free factor, and of another device
-SAME_LEVEL = 0.05  # actuations that differ by less than this share are one level
-UNLIKE, SPEED = 1.6, 3.0
-"""Slip forces at like actuation, and at speeds within `SPEED`, differ by less than `UNLIKE`."""
+UNLIKE = 1.6  # slip forces at like actuation differ by less than this factor
 FAR_LEVEL = 4.0  # an actuation so many times the nearest one changes the slip force by `UNLIKE`
 
 
@@ -248,12 +247,14 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose gap, build-up or slip force is not that of the others."""
     steady = [t for t in tests if t.features is not None and t.work > 0.0]
     values = np.array([[getattr(t.features, name) for name in QUANTITIES] for t in steady])
-    odd = find_odd(values.reshape(-1, 3), np.array([t.level for t in steady]))
-    rest = [t for i, t in enumerate(steady) if i not in odd]
-    for j, (away, sds, exponents) in odd.items():
+    away, sds, exponents = deviations(values.reshape(-1, 3), np.array([t.level for t in steady]))
+    far = np.nanmax(np.abs(away) / sds, axis=1, initial=0.0)
+    odd = [int(j) for j in np.argsort(-far, kind="stable") if far[j] > FAR]
+    rest = [t for j, t in enumerate(steady) if j not in odd]
+    for j in odd:
         test = steady[j]
-        name, why = _cause(test, away, sds, exponents, rest)
-        k = int(np.nanargmax(np.abs(away) / sds))
+        name, why = _cause(test, away[j], sds[j], exponents[j], rest)
+        k = int(np.nanargmax(np.abs(away[j]) / sds[j]))
         words, unit = list(QUANTITIES.values())[k]
         yield (
             test.id,
@@ -262,78 +263,64 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 f"its loop has a {words} of {{value}}, where the other tests suggest {{expected}}: "
                 "{why}",
                 value=(float(values[j, k]), unit),
-                expected=(float(values[j, k] / np.exp(away[k])), unit),
+                expected=(float(values[j, k] / np.exp(away[j, k])), unit),
                 why=why,
             ),
         )
-    yield from _unlike(rest)
+    yield from _far_levels(rest)
 
 
-def find_odd(values: Array, levels: Array) -> dict[int, tuple[Array, Array, Array]]:
-    """Odd tests by number, the oddest first, with deviations, their sds and exponents, (3,) each.
+def deviations(values: Array, levels: Array) -> tuple[Array, Array, Array]:
+    """Deviations of J tests from the laws of the others, their sds and exponents, (J, 3) each.
 
     `values` (J, 3) are the `QUANTITIES`, NaN where one is not known, `levels` (J,) the actuations.
-    A deviation is the logarithm over what the law of the tests that are not odd lets expect. A test
-    at 0 is not compared; where the level is not known, slip forces are not.
+    A deviation is a logarithm, NaN where there is no law: a line over the logarithm of the level
+    with a prior on its slope. Tests far from a robust line through all are left out of the laws.
+    A test at 0 is not compared; where the level is not known, slip forces are not.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         logs = np.log(np.where((values > 0.0) & (levels != 0.0)[:, None], values, np.nan))
         place = np.log(np.where(levels > 0.0, levels, np.nan))
     logs[np.isnan(levels), 2] = np.nan
-    every = set(range(len(levels)))
-
-    def misfit(tests: set[int]) -> float:
-        """Sum of squares of what is left of the laws of tests, in units of the scatter."""
-        away = [_deviation(logs, place, i, tests, fixed=True)[0] for i in tests]
-        return float(np.nansum((np.array(away) / SCATTER) ** 2))
-
-    core = set(every)
-    for _ in range(len(levels) // 3):  # without the worst, others that are odd show
-        if len(core) > FEWEST:
-            core.remove(min(core, key=lambda j: misfit(core - {j})))
-
-    def far(j: int, tests: set[int]) -> float:
-        away, sds, _ = _deviation(logs, place, j, tests - {j})
-        return float(np.nanmax(np.abs(away) / sds, initial=0.0))
-
-    odd = {j for j in every - core if max(far(j, core), far(j, every)) > FAR}
-    odd = {j for j in odd if far(j, every - odd) > FAR}
-    found = {j: _deviation(logs, place, j, every - odd) for j in odd}
-
-    def alike(i: int, j: int) -> bool:
-        apart = np.abs(found[i][0] - found[j][0]) / SCATTER
-        near = i != j and abs(place[i] - place[j]) < SAME_LEVEL
-        return bool(near and np.nanmax(apart, initial=0.0) < FAR)
-
-    distance = {j: far(j, every - odd) for j in odd}
-    # A level whose tests deviate alike is odd, not the test.
-    odd = {j for j in odd if distance[j] > 2.0 * FAR or not any(alike(i, j) for i in found)}
-    return {j: found[j] for j in sorted(odd, key=lambda j: -distance[j])}
+    place = np.where(np.isnan(place), np.nanmean(place) if np.any(levels > 0.0) else 0.0, place)
+    rest = np.column_stack([_rest(place, logs[:, k], k) for k in range(3)])
+    sound = ~np.any(np.abs(rest) > OUTSIDE * SCATTER, axis=1)
+    away, sds = np.full(values.shape, np.nan), np.full(values.shape, np.inf)
+    exponents = np.tile(EXPONENT, (len(values), 1))
+    for j, k in np.argwhere(np.isfinite(logs)):
+        law = sound & np.isfinite(logs[:, k])
+        law[j] = False
+        if np.count_nonzero(law) >= FEWEST:
+            x, y = place[law], logs[law, k]
+            slope, information = _slope(x, y, np.ones(y.size), k)
+            left = y - y.mean() - slope * (x - x.mean())
+            spread = (left @ left + 2.0 * SCATTER[k] ** 2) / (y.size + 1.0)
+            spread = max(spread, SCATTER[k] ** 2)
+            at = place[j] - x.mean()
+            away[j, k], exponents[j, k] = logs[j, k] - y.mean() - slope * at, slope
+            sds[j, k] = np.sqrt(spread * (1.0 + 1.0 / y.size) + at**2 / information)
+    return away, sds, exponents
 
 
-def _deviation(
-    logs: Array, place: Array, j: int, others: set[int], *, fixed: bool = False
-) -> tuple[Array, Array, Array]:
-    """Deviation of a test from the laws of others, lines with a prior on the slope; NaN if none.
+def _rest(x: Array, y: Array, k: int) -> Array:
+    """What a robust line leaves of a quantity k, (J,); the weights are Welsch's."""
+    known = np.isfinite(y)
+    rest = y - EXPONENT[k] * x
+    rest = rest - np.nanmedian(rest) if known.any() else rest
+    for _ in range(30 if np.count_nonzero(known) > FEWEST else 0):
+        weights = np.exp(-0.5 * (rest[known] / (CLOSE * SCATTER[k])) ** 2)
+        slope, _ = _slope(x[known], y[known], weights, k)
+        rest = y - slope * x
+        rest = rest - np.average(rest[known], weights=weights)
+    return np.asarray(rest)
 
-    With its sds and the exponents; with `fixed`, j may be among the others.
-    """
-    values, sds, exponents = np.full(3, np.nan), np.full(3, np.inf), EXPONENT.copy()
-    for k in range(3):
-        used = [i for i in sorted(others) if np.isfinite(logs[i, k])]
-        used = [i for i in used if np.isfinite(place[i])] or used
-        if not np.isfinite(logs[j, k]) or len(used) < FEWEST:
-            continue
-        x, y, at = np.nan_to_num(place[used]), logs[used, k], float(np.nan_to_num(place[j]))
-        away, noise = x - x.mean(), SCATTER[k] ** 2
-        weight = away @ away / noise + 1.0 / BEND[k] ** 2
-        slope = (away @ (y - y.mean()) / noise + EXPONENT[k] / BEND[k] ** 2) / weight
-        rest = y - y.mean() - slope * away
-        spread = max((rest @ rest + 2.0 * noise) / (y.size + 1.0), noise)
-        values[k] = logs[j, k] - y.mean() - slope * (at - x.mean())
-        sds[k] = (1.0 + 1.0 / (y.size - 1)) * np.sqrt(spread + (at - x.mean()) ** 2 / weight)
-        exponents[k] = slope
-    return values, sds, exponents
+
+def _slope(x: Array, y: Array, weights: Array, k: int) -> tuple[float, float]:
+    """Exponent of a quantity k over the actuation, with its prior, and its information."""
+    x, y = x - np.average(x, weights=weights), y - np.average(y, weights=weights)
+    scaled = weights * x / SCATTER[k] ** 2
+    information = float(scaled @ x + BEND[k] ** -2)
+    return float(scaled @ y + EXPONENT[k] / BEND[k] ** 2) / information, information
 
 
 def _cause(
@@ -397,77 +384,24 @@ def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
     )
 
 
-def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
-    """Tests whose slip force does not fit that of their neighbours in actuation."""
+def _far_levels(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose actuation is far from all others', where no law holds, and their force is not."""
     loaded = [t for t in tests if t.level > 0.0 and t.plateau > 0.0]
-    away = {test.id: _from_neighbours(test, loaded) for test in loaded}
-    for test in loaded:
+    for test in loaded if len(loaded) > 2 else ():
         others = [t for t in loaded if t is not test]
         levels = np.log([test.level / t.level for t in others])
         forces = np.log([test.plateau / t.plateau for t in others])
-        if len(others) > 1 and np.min(np.abs(forces)) < np.log(UNLIKE):
-            near, like = int(np.argmin(np.abs(levels))), int(np.argmin(np.abs(forces)))
-            if abs(levels[near]) > max(np.log(FAR_LEVEL), np.ptp(levels)):
-                much = f"{np.exp(abs(levels[near])):.3g} times"
-                fault = Fault.of(
-                    "actuation",
-                    f"its actuation is {much} {'that' if levels[near] > 0 else 'less than that'} "
-                    "of the nearest test, {near}, but its slip force, {slip}, is about the same: "
-                    "{why}",
-                    near=others[near].id,
-                    slip=(test.plateau, "kip"),
-                    why=_of_actuation(test, float(levels[like]), others),
-                )
-                yield test.id, fault
-                continue
-        ratio, names = away[test.id]
-        if abs(ratio) < np.log(UNLIKE):
-            continue
-        why = (
-            "its load cell or its actuation is probably wrong, or the file is that of another test"
-        )
-        same = [t for t in others if _same_level(t, test)]
-        if len(same) == 1 and abs(away[same[0].id][0]) >= np.log(UNLIKE):  # which of the two is it?
-            rest = [t for t in others if t is not same[0]]
-            own, its = (abs(_from_neighbours(t, rest, beyond=True)[0]) for t in (test, same[0]))
-            if own < its:
-                continue
-            if own == its:
-                why = f"one of the two is wrong; {why}"
-        fault = Fault.of(
-            "force",
-            f"its slip force, {{slip}}, is {np.exp(ratio):.2g} times the one of about {{expected}} "
-            "of its neighbours in actuation ({names}): {why}",
-            slip=(test.plateau, "kip"),
-            expected=(test.plateau / float(np.exp(ratio)), "kip"),
-            names=", ".join(names),
-            why=why,
-        )
-        yield test.id, fault
-
-
-def _same_level(test: Tested, other: Tested) -> bool:
-    return abs(float(np.log(test.level / other.level))) < SAME_LEVEL
-
-
-def _from_neighbours(
-    test: Tested, tests: Sequence[Tested], *, beyond: bool = False
-) -> tuple[float, list[str]]:
-    """Logarithm of the slip force over that of tests at like actuation and speed, and their names.
-
-    Without a test at the same actuation, it is interpolated between the levels below and above;
-    0 where it cannot be. With `beyond`, outside the levels it follows the root of the actuation.
-    """
-    like = [t for t in tests if t is not test and abs(np.log(t.speed / test.speed)) < np.log(SPEED)]
-    if near := [t for t in like if _same_level(t, test)]:
-        ratios = [np.log(test.plateau / t.plateau) for t in near]
-        return float(np.median(ratios)), [t.id for t in near]
-    levels = sorted({t.level for t in like})
-    at = int(np.searchsorted(levels, test.level))
-    bounds = levels[max(at - 1, 0) : at + 1]
-    if len(bounds) < 2 and not (beyond and bounds):
-        return 0.0, []
-    forces = [np.median([np.log(t.plateau) for t in like if t.level == b]) for b in bounds]
-    expected = float(np.interp(np.log(test.level), np.log(bounds), forces))
-    expected += 0.5 * float(np.log(test.level / np.clip(test.level, bounds[0], bounds[-1])))
-    return float(np.log(test.plateau)) - expected, [t.id for t in like if t.level in bounds]
+        near, like = int(np.argmin(np.abs(levels))), int(np.argmin(np.abs(forces)))
+        far = abs(levels[near]) > max(np.log(FAR_LEVEL), np.ptp(levels))
+        if far and abs(forces[like]) < np.log(UNLIKE):
+            much = f"{np.exp(abs(levels[near])):.3g} times"
+            fault = Fault.of(
+                "actuation",
+                f"its actuation is {much} {'that' if levels[near] > 0 else 'less than that'} "
+                "of the nearest test, {near}, but its slip force, {slip}, is about the same: "
+                "{why}",
+                near=others[near].id,
+                slip=(test.plateau, "kip"),
+                why=_of_actuation(test, float(levels[like]), others),
+            )
+            yield test.id, fault

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,11 @@ from mfd_bayes.units import (
 )
 
 Samples = NDArray[np.intp]
+Value = tuple[float, str]  # with its internal unit
 
 FASTEST = 400.0  # in/s, a speed that no damper reaches
 CROSSING = 10  # fewest samples, and steps of the sensor, across the gap
 DROPPED = 1.5  # median steps; after a longer one samples are missing
-REPEATED = 0.01  # share of samples equal to the one before, above which it is not by chance
-AT_REST = 10  # in a longer run of equal samples the actuator is at rest
 SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
 CLIPPED = 5  # fewest equal samples at the extreme of the force that show a load cell's limit
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075  # s, samples, cycles: a lag is above all three
@@ -48,16 +47,14 @@ CORRELATION, SCALE = 0.9, 1.25  # least, and most, of the integral of a velocity
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
 NOISE = 0.05  # most noise of a displacement, as a share of the travel of the build-up
 DRIFT, STEADY_DRIFT, P_VALUE, STEADY = 0.25, 0.07, 0.01, 5
-"""A trend of the force is a drift from the first share of its half range on; from the second share
-of the slip force on where it has so small a probability by chance in so many full loops."""
+"""Of few full loops, a trend of the force is a drift from the first share of its half range on; of
+so many, from the second share of the slip force on, if it has so small a probability by chance."""
 JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
 ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
 HELD, LONGER = 5, 4.0  # equal samples of a frozen channel: the fewest, and times longer than usual
-TRAVEL, SWING, FEW = 0.05, 0.6, 0.05
-"""A frozen force holds while the motion goes on by this share of the stroke, a frozen displacement
-while the force goes through this share of its range (or it jumps when it comes back). Where the
-noise of a force stops, fewer samples than the last share equal the one before elsewhere."""
-
+SWING, FAR, NEAR = 0.6, 1.5, 0.05
+"""A displacement is frozen while the force goes through the first share of its range, a force
+while the motion goes on by the second share of the stroke; or by the third and it then jumps."""
 
 _NONE: Samples = np.empty(0, dtype=np.intp)
 
@@ -81,7 +78,7 @@ class Fault:
         template: str,
         samples: Samples | None = None,
         /,
-        **values: str | tuple[float, str],
+        **values: str | Value,
     ) -> Fault:
         """Fault whose message has these texts, and quantities as (value, internal unit)."""
         quantities = {
@@ -93,12 +90,12 @@ class Fault:
 
 def time_unit(trace: Trace) -> Iterator[Fault]:
     """A speed that no test of a damper has."""
-    speed = float(np.max(np.abs(np.diff(trace.displacement) / np.diff(trace.time))))
-    if np.quantile(np.abs(trace.velocity), 0.9) > FASTEST:
+    speed = np.abs(trace.velocity)
+    if np.quantile(speed, 0.9) > FASTEST:
         yield Fault.of(
             "time unit",
             "a speed of {speed} is implausible: check the units of time and displacement",
-            speed=(speed, "in/s"),
+            speed=(float(speed.max()), "in/s"),
         )
 
 
@@ -150,24 +147,6 @@ def dropped(trace: Trace) -> Iterator[Fault]:
         )
 
 
-def repeated(trace: Trace) -> Iterator[Fault]:
-    """Samples equal to the one before while the actuator moves."""
-    starts, lengths = _equal(trace.displacement, np.asarray(trace.force))
-    steps = np.pad(np.abs(np.diff(trace.displacement)), 1)
-    smallest = float(np.min(steps[steps > 0.0], initial=np.inf))
-    moving = np.minimum(steps[starts], steps[starts + lengths + 1]) > 2.0 * smallest
-    kept = moving & (lengths <= AT_REST)
-    at = _spread(starts[kept] + 1, lengths[kept] - 1)
-    if at.size > REPEATED * trace.samples:
-        yield Fault.of(
-            "repeated samples",
-            f"{at.size} samples ({at.size / trace.samples:.1%}) repeat the one before while the "
-            f"displacement moves, the first at {trace.time[at[0]]:.4g} s: the logger was slower "
-            "than its clock",
-            at,
-        )
-
-
 def force_sign(trace: Trace) -> Iterator[Fault]:
     """Loops in which the force does negative work."""
     energy = find_loops(trace).energy
@@ -212,10 +191,11 @@ def velocity(trace: Trace) -> Iterator[Fault]:
 
 def clipping(trace: Trace) -> Iterator[Fault]:
     """Force constant at its extreme, for longer than anywhere else, while the actuator moves."""
-    force = np.asarray(trace.force)
-    starts, lengths = _equal(force)
-    speed = np.abs(trace.velocity[starts])
-    moving = speed > 0.05 * np.max(np.abs(trace.velocity))
+    if trace.force is None:
+        return
+    force, speed = trace.force, np.abs(trace.velocity)
+    starts, lengths = _constant(force)
+    moving = speed[starts] > 0.05 * speed.max()
     high, low = force[starts] == force.max(), force[starts] == force.min()
     fine = np.unique(force).size > LEVELS  # else the steps of the sensor make it flat
     for name, at in (("largest", high), ("smallest", low)):
@@ -234,8 +214,7 @@ def clipping(trace: Trace) -> Iterator[Fault]:
 
 def lag(trace: Trace) -> Iterator[Fault]:
     """A force that comes too late or too early."""
-    estimate = estimate_lag(trace)
-    if estimate is None:
+    if (estimate := estimate_lag(trace)) is None:
         return
     delay, turns = estimate
     step = float(np.median(np.diff(trace.time)))
@@ -304,43 +283,6 @@ def _jumps(trace: Trace, values: Array) -> Samples:
     return np.flatnonzero(large & sudden) + 1
 
 
-def frozen(trace: Trace) -> tuple[Samples, Samples]:
-    """Samples in which the displacement, and the force, is frozen.
-
-    The displacement holds while the force goes through most of its range, or jumps when it comes
-    back. A force may slip at one value: it is frozen where it jumps when it comes back, holds over
-    more than a stroke, or its noise stops.
-    """
-    x, force, turns = trace.displacement, np.asarray(trace.force), trace.cycle_turns
-    path = np.pad(np.cumsum(np.abs(np.diff(x))), (1, 0))
-    stroke = float(np.ptp(x))
-    samples = []
-    for values in (x, force):
-        starts, lengths = _equal(values)
-        ends = starts + lengths
-        travel = path[ends] - path[starts]
-        sizes = lengths if values is x else travel
-        # The longest run of four strokes of five is not exceeded by what is usual.
-        longest = np.zeros(turns.size + 1)
-        np.maximum.at(longest, np.searchsorted(turns, starts, side="right"), sizes)
-        usual = float(np.quantile(longest, 0.8, method="lower"))
-        back = np.isin(ends + 1, _jumps(trace, values))
-        long = (lengths >= HELD) & (sizes > LONGER * usual)
-        if values is x:
-            swing = SWING * float(np.subtract(*np.quantile(force, [0.99, 0.01])))
-            for k in np.flatnonzero(long & ~back):
-                long[k] = np.ptp(force[starts[k] : ends[k] + 1]) > swing > 0.0
-        else:
-            limits = np.isin(force[starts], [force.max(), force.min()])
-            candidates = (lengths >= HELD) & (travel > TRAVEL * stroke)
-            noisy = lengths[~candidates].sum() < FEW * trace.samples
-            inside = (starts > 0) & (ends + 1 < trace.samples)
-            far = (travel > 1.5 * stroke) | (~limits & (noisy | back))
-            long &= candidates & far & (inside | (travel > 0.5 * stroke))
-        samples.append(_spread(starts[long], lengths[long]))
-    return samples[0], samples[1]
-
-
 def held(trace: Trace, name: str, at: Samples) -> Iterator[Fault]:
     """One channel that does not change, at these samples, while the other goes on."""
     if at.size:
@@ -354,15 +296,47 @@ def held(trace: Trace, name: str, at: Samples) -> Iterator[Fault]:
         )
 
 
-def _equal(*signals: Array) -> tuple[Samples, Samples]:
-    """First sample of each run in which all signals keep their values, and how many follow it."""
-    same = np.all([np.diff(values) == 0.0 for values in signals], axis=0)
-    starts, lengths = runs(np.append(same, False))
-    return starts + 1, lengths
+def frozen(trace: Trace) -> tuple[Samples, Samples]:
+    """Samples in which the displacement, and the force, is frozen.
+
+    A channel is frozen where it keeps a value for much longer than usual, and the other one goes
+    far, or it jumps when it comes back. A force may slip at one value, and stay at a limit.
+    """
+    if trace.force is None:
+        return _NONE, _NONE
+    x, force = trace.displacement, trace.force
+    path, stroke = np.pad(np.cumsum(np.abs(np.diff(x))), (1, 0)), float(np.ptp(x))
+    swing = SWING * float(np.subtract(*np.quantile(force, [0.99, 0.01])))
+    samples = []
+    for values in (x, force):
+        starts, lengths = _constant(values)
+        ends = starts + lengths
+        travel = path[ends] - path[starts]
+        back = np.isin(ends + 1, _jumps(trace, values))
+        if values is x:
+            sizes = lengths.astype(float)
+            pairs = zip(starts, ends, strict=True)
+            goes_on = np.array([np.ptp(force[a : b + 1]) > swing > 0.0 for a, b in pairs], bool)
+        else:
+            sizes, goes_on = travel, travel > FAR * stroke
+            back &= (travel > NEAR * stroke) & (np.abs(values[starts]) < np.abs(values).max())
+        # The longest run of four strokes of five is not exceeded by what is usual.
+        longest = np.zeros(trace.cycle_turns.size + 1)
+        np.maximum.at(longest, np.searchsorted(trace.cycle_turns, starts, side="right"), sizes)
+        usual = float(np.quantile(longest, 0.8, method="lower"))
+        long = (lengths >= HELD) & (sizes > LONGER * usual) & (back | goes_on)
+        samples.append(_spread(starts[long], lengths[long]))
+    return samples[0], samples[1]
+
+
+def _constant(values: Array) -> tuple[Samples, Samples]:
+    """First sample of each run of equal values, and how many follow it."""
+    before, lengths = runs(np.diff(values) == 0.0)
+    return before + 1, lengths
 
 
 def _spread(starts: Samples, lengths: Samples) -> Samples:
-    """All samples of runs, with the one before each."""
+    """All samples of runs."""
     pieces = [np.arange(a, a + n + 1) for a, n in zip(starts, lengths, strict=True)]
     return np.concatenate([_NONE, *pieces]).astype(np.intp)
 
@@ -431,29 +405,29 @@ def noise(trace: Trace) -> Iterator[Fault]:
 
 
 def drift(trace: Trace) -> Iterator[Fault]:
-    """A trend of the mean force of the loops at full stroke over the record.
+    """A trend of the mean force of the loops at full stroke, over the record.
 
-    Of few such loops, from the first to the last; or as far as the force at the quiet ends of the
-    record has changed alike, because ramps differ in their mean force without any drift.
+    Of few such loops, as far as the force at the quiet ends of the record has changed alike,
+    because ramps differ in their mean force without any drift.
     """
     from scipy.stats import linregress  # which takes long to import
 
-    loops, force = find_loops(trace), np.asarray(trace.force)
-    strong, offset = loops.strong, np.asarray(loops.offset)
+    loops = find_loops(trace)
+    strong = loops.strong
     count = np.count_nonzero(strong)
-    if count < FEWEST:
+    if trace.force is None or count < FEWEST:
         return
     middle = 0.5 * (trace.time[loops.bounds[1:]] + trace.time[loops.bounds[:-1]])
-    line = linregress(middle[strong], offset[strong])
-    trend = float(line.slope) * float(trace.time[-1] - trace.time[0])
-    few = max(trace.samples // 50, 1)
-    ends = float(force[-few:].mean() - force[:few].mean())
-    quiet = min(trend, ends, key=abs) if trend * ends > 0.0 else 0.0
-    change = max(loops.offset_drift or 0.0, quiet, key=abs)
-    size, least = 0.5 * float(np.subtract(*np.quantile(force, [0.99, 0.01]))), DRIFT
-    many = count >= max(STEADY, 0.5 * strong.size) and not trace.varying
-    if many and line.pvalue < P_VALUE and not abs(change) > DRIFT * size:
-        change, size, least = trend, loop_estimate(trace).plateau, STEADY_DRIFT
+    line = linregress(middle[strong], np.asarray(loops.offset)[strong])
+    change = float(line.slope) * float(trace.time[-1] - trace.time[0])
+    if count >= max(STEADY, 0.5 * strong.size) and not trace.varying:
+        change = change if line.pvalue < P_VALUE else 0.0
+        size, least = loop_estimate(trace).plateau, STEADY_DRIFT
+    else:
+        size, least = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01]))), DRIFT
+        few = max(trace.samples // 50, 1)
+        ends = float(trace.force[-few:].mean() - trace.force[:few].mean())
+        change = min(change, ends, key=abs) if change * ends > 0.0 else 0.0
     if abs(change) > least * size > 0.0:
         yield Fault.of(
             "drift",
@@ -475,7 +449,7 @@ def _plus(value: float) -> str:
 
 _CONSEQUENCES = {
     "channels": {"clipping", "lag", "noise", "drift", "held"},
-    "held": {"clipping", "lag", "drift", "repeated samples"},
+    "held": {"clipping", "lag", "drift"},
     "resolution": {"noise", "lag"},  # the sample of a reversal must be known
     "noise": {"lag"},
 }
@@ -487,29 +461,23 @@ def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
 
     `gap` is the median width of the device's gap, in; without it, rate and stroke are not checked.
     """
-    clean = without_spikes(trace)
-    loaded = clean.force is not None and np.ptp(clean.force) > 0.0
-    faults: list[Fault] = []
-    if clean.force is not None and not loaded:
-        value = (float(clean.force[0]), "kip")
+    clean, faults = without_spikes(trace), list[Fault]()
+    if clean.force is not None and not np.ptp(clean.force) > 0.0:
         text = (
             "the force is {force} throughout: was the load cell connected, and is it the right "
             "column?"
         )
-        faults.append(Fault.of("no force", text, force=value))
-    motion, force = frozen(clean) if loaded else (_NONE, _NONE)
+        faults.append(Fault.of("no force", text, force=(float(clean.force[0]), "kip")))
+        clean = replace(clean, force=None)
+    motion, force = frozen(clean)
     faults += [*force_sign(clean), *velocity(clean), *time_unit(clean), *short_record(clean)]
-    if loaded:
-        faults += [*clipping(clean), *lag(clean)]
-    faults += [*jumps(clean, motion), *held(clean, "displacement", motion)]
-    faults += [*held(clean, "force", force), *zero_moves(clean), *spikes(trace), *dropped(clean)]
-    if loaded:
-        faults += repeated(clean)
+    faults += [*clipping(clean), *lag(clean), *jumps(clean, motion)]
+    faults += [*held(clean, "displacement", motion), *held(clean, "force", force)]
+    faults += [*zero_moves(clean), *spikes(trace), *dropped(clean)]
     faults += [*resolution(clean, gap), *noise(clean)]
     if gap is not None:
         faults += of_gap(clean, gap)
-    if loaded:
-        faults += drift(clean)
+    faults += drift(clean)
     hidden = {name for fault in faults for name in _CONSEQUENCES.get(fault.name, ())}
     return tuple(fault for fault in faults if fault.name not in hidden)
 
@@ -531,12 +499,12 @@ def estimate_lag(trace: Trace) -> tuple[float, Samples] | None:
     """
     from scipy.signal import detrend
 
-    t, x, force = trace.time, trace.displacement, np.asarray(trace.force)
+    t, x, force = trace.time, trace.displacement, trace.force
     ends = np.concatenate([[0], trace.cycle_turns, [x.size - 1]])
     long = np.abs(np.diff(x[ends])) >= STROKES * np.ptp(x)
     turns = trace.cycle_turns[long[:-1] & long[1:]]  # between long strokes
     turns = turns[:: max(1, -(-turns.size // REVERSALS))]
-    if turns.size < 2:
+    if turns.size < 2 or force is None:
         return None
     near = NEAR_TURN * float(np.ptp(x))
     lengths = near * np.geomspace(0.02, 1.5, 10)[:, None, None]
@@ -668,17 +636,24 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
     Of an actuation, only figures of the same kind, pressure or tension, are compared.
     """
     name, loops = record.path.stem, find_loops(trace)
-    checks: list[tuple[dict[str, float], list[float], str, dict[str, str | tuple[float, str]]]] = []
+
+    def compare(
+        figures: dict[str, float], measured: list[float], text: str, **values: str | Value
+    ) -> Iterator[Fault]:
+        if figures and not any(_near(size, f) for f in figures.values() for size in measured):
+            said = f"the name of {{file}} says {{words}}, but {text}"
+            words = " and ".join(figures)
+            yield Fault.of("file name", said, file=record.path.name, words=words, **values)
+
     if loops.period.size and "displacement" in roles:
         size = float(np.median(loops.amplitude[loops.strong]))
         text = "the record has an amplitude of {amplitude} (a stroke of {stroke})"
-        shown: dict[str, str | tuple[float, str]]
         shown = {"amplitude": (size, "in"), "stroke": (2 * size, "in")}
-        checks.append((_lengths(name), _sizes(name, size), text, shown))
+        yield from compare(_lengths(name), _sizes(name, size), text, **shown)
     if loops.period.size and "time" in roles:
         rate = float(1.0 / np.median(loops.period[loops.strong]))
         rates = {m[0]: number_in(m[1]) for m in _FREQUENCY.finditer(name)}
-        checks.append((rates, [rate, record.rate], f"the record's motion has {rate:.3g} Hz", {}))
+        yield from compare(rates, [rate, record.rate], f"the record's motion has {rate:.3g} Hz")
     if record.actuation is not None:
         declared, level = {}, float(np.mean(record.actuation))
         for match in _ACTUATION.finditer(name):
@@ -691,19 +666,8 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
         if "actuation" in record.columns:
             unit = record.columns["actuation"][1]
             where, words = "its column", f"{level / actuation_factor(unit)[0]:.4g} {unit}"
-        checks.append(
-            (declared, [level], f"{where} has an actuation of {{level}}", {"level": words})
-        )
-    for figures, measured, text, values in checks:
-        agree = any(_near(size, figure) for figure in figures.values() for size in measured)
-        if figures and not agree:
-            yield Fault.of(
-                "file name",
-                f"the name of {{file}} says {{words}}, but {text}",
-                file=record.path.name,
-                words=" and ".join(figures),
-                **values,
-            )
+        text = f"{where} has an actuation of {{level}}"
+        yield from compare(declared, [level], text, level=words)
 
 
 def _lengths(name: str) -> dict[str, float]:

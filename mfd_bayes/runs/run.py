@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -39,7 +40,7 @@ from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number, why_no_file
+from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -134,10 +135,8 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     if not done:
         raise StoreError(f"the run in {folder} has no calibrated test")
     for name in (*map(posterior_of, done), *map(record_of, held_out)):
-        path = folder / name
-        if not path.is_file():
-            reason = why_no_file(path) if path.exists() else "is missing from the run"
-            raise StoreError(f"{path} {reason}")
+        if not (folder / name).is_file():
+            raise StoreError(f"{folder / name} is missing from the run")
     tests = ByName(
         "calibrated test", done, partial(_read_test, folder, manifest, (priors, model), extras)
     )
@@ -196,13 +195,6 @@ class Run:
     extras: Extras | None = field(default=None, repr=False)
     units: str = ""
 
-    def __post_init__(self) -> None:
-        for what, name in (("calibrated test", "tests"), ("held-out test", "held_out")):
-            items = getattr(self, name)
-            if not isinstance(items, ByName):
-                items = dict(items)
-                object.__setattr__(self, name, ByName(what, items, items.__getitem__))
-
     @cached_property
     def model(self) -> Model:
         """Force model of its tests."""
@@ -213,9 +205,13 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        with unchanged(self.folder, self.manifest):
+        with self.unchanged():
             path = check_stored(self.folder, POPULATION, self.manifest.files)
             return load_population(path, self.priors, self.model)
+
+    def unchanged(self) -> AbstractContextManager[None]:
+        """Context that raises StoreError where another process changes the run meanwhile."""
+        return unchanged(self.folder, self.manifest)
 
     def rewrite(self, **parts: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""

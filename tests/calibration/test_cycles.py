@@ -45,13 +45,10 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
     np.testing.assert_allclose(values["c_eq"], np.tile(equivalent[:, None], 3), rtol=1e-3)
     for name in ("peak_fwd", "peak_bwd"):
         np.testing.assert_array_equal(values[name], np.tile(friction[:, None], 3))
-
-
-@pytest.mark.parametrize("motion", [harmonic, decaying])
-def test_a_dashpot_is_equivalent_to_itself_in_any_motion(motion):
-    trace, c = motion(), np.array([0.2, 0.7, 1.5])
-    found = cycle_values(trace, c[:, None] * trace.velocity)["c_eq"]
-    np.testing.assert_allclose(found, np.tile(c[:, None], found.shape[1]), rtol=1e-3)
+    for motion in (trace, decaying()):  # a dashpot is equivalent to itself
+        np.testing.assert_allclose(
+            cycle_values(motion, 0.7 * motion.velocity[None])["c_eq"], 0.7, rtol=1e-3
+        )
 
 
 def test_the_motion_before_the_first_turn_and_after_the_last_full_cycle_is_left_out():
@@ -85,16 +82,11 @@ def test_cycles_of_changing_amplitude_are_told_apart():
 
 
 def test_gap_and_self_energizing_factors_follow_from_the_parameters():
-    values = {
-        "d2": np.array([0.1, 0.2]),
-        "d3": np.array([0.05, 0.1]),
-        "Fc_fwd": np.array([1.0, 2.0]),
-        "Fc_bwd": np.array([3.0, 4.0]),
-    }
-    derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=2.0)
-    np.testing.assert_allclose(derived["gap_width"], [0.15, 0.3])
-    np.testing.assert_allclose(derived["C_fwd"], [1.0, 2.0])
-    np.testing.assert_allclose(derived["C_bwd"], [3.0, 4.0])
+    columns = {"d2": [0.1, 0.2], "d3": [0.05, 0.1], "Fc_fwd": [2.0, 4.0], "Fc_bwd": [6.0, 8.0]}
+    values = {name: np.array(column) for name, column in columns.items()}
+    derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=4.0)
+    for name, expected in (("gap_width", [0.15, 0.3]), ("C_fwd", [1, 2]), ("C_bwd", [3, 4])):
+        np.testing.assert_allclose(derived[name], expected)
     assert set(derive_from_parameters(ThreeStage(), values)) == {"gap_width"}
     without = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
     assert set(without) == {"gap_width"}

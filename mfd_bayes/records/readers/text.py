@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections import Counter
 from collections.abc import Sequence
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +60,7 @@ def read_text(path: Path) -> Table:
     if layout.names is None and (above := _heading_in_comments(lines[:top], separator, width)):
         top, heading = above[0], above[1:]
     body = [lines[i] for i in kept[layout.data :]]
-    columns = _columns(body, separator, width)
+    columns = _columns(body, separator, width) if body else None
     if columns is None:  # line by line, for what stands between the numbers
         for at in kept[layout.data :]:
             if _OPEN.search(lines[at]):
@@ -162,33 +160,17 @@ def _split(line: str, separator: str) -> list[str]:
 
 def _columns(body: list[str], separator: str, width: int) -> list[Array] | None:
     """Columns of rows that hold finite numbers alone, one for each name; None of other rows."""
-    import pandas as pd
-
     text = "\n".join(body).replace("\N{MINUS SIGN}", "-")
-    options: dict[str, Any] = {"sep": r"\s+" if separator == BLANKS else separator}
-    if pd.__version__.startswith("2."):  # its own parser reads 1e4294967297 as 10
-        options["float_precision"] = "round_trip"
-    for decimal in "." if separator == "," else ".,":
-        if decimal == "," and not SURELY_DECIMAL.search(text):
-            return None  # which refuses a comma that may be of thousands
-        try:
-            frame = pd.read_csv(
-                StringIO(text),
-                header=None,
-                dtype=np.float64,
-                decimal=decimal,
-                skipinitialspace=True,
-                index_col=False,
-                **options,
-            )
-        except (ValueError, OverflowError):  # pandas' own are a ValueError too
-            continue
-        columns = [frame[k].to_numpy() for k in frame]
-        if len(columns) == width + 1 and np.all(np.isnan(columns[-1])):
-            columns.pop()  # a separator ends each line
-        if len(columns) == width and all(np.all(np.isfinite(column)) for column in columns):
-            return columns
-    return None
+    if separator != "," and "." not in text and SURELY_DECIMAL.search(text):
+        text = text.replace(",", ".")
+    delimiter = None if separator == BLANKS else separator
+    try:
+        values = np.loadtxt(text.split("\n"), delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    if values.shape != (len(body), width) or not np.isfinite(values).all():
+        return None
+    return list(values.T)
 
 
 def _heading_in_comments(
@@ -275,14 +257,11 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
     # Columns as pandas writes them have the same row labels; another object is no column.
     labelled = [column for column in columns.values() if isinstance(column, dict)]
-    rows = Counter(map(frozenset, labelled)).most_common(1)[0][0] if labelled else frozenset()
-    keys = next((list(column) for column in labelled if column.keys() == rows), [])
-    if rows == {str(i) for i in range(len(rows))}:
-        keys = [str(i) for i in range(len(rows))]
+    rows = max((list(column) for column in labelled), key=lambda each: len(each), default=[])
     columns = {
-        name: [column[key] for key in keys] if isinstance(column, dict) else column
+        name: [column[row] for row in rows] if isinstance(column, dict) else column
         for name, column in columns.items()
-        if not isinstance(column, dict) or column.keys() == rows
+        if not isinstance(column, dict) or column.keys() == set(rows)
     }
     units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
     units |= {name: "s" for name, cells in columns.items() if cells and is_stamp(cells[0])}
