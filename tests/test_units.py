@@ -7,6 +7,7 @@ from mfd_bayes.errors import UnitError
 from mfd_bayes.records.channels import parse_window
 from mfd_bayes.units import (
     DIMENSIONS,
+    convert,
     factor,
     measure,
     parse_actuation,
@@ -101,7 +102,6 @@ def test_malformed_offset_and_logarithmic_units_are_unit_errors():
         "(",
         ")",
         "#",
-        '"',
         "s**",
         "in**s",
         "1/0",
@@ -154,3 +154,9 @@ def test_a_quantity_without_end_is_refused_at_once():
         with pytest.raises(UnitError, match="expected a number and a unit") as caught:
             parse_quantity(text, "force")
         assert len(str(caught.value)) < 300
+
+
+def test_inches_as_people_write_them_are_read():
+    for text in ("in.", '"', "″", "In", "inches"):
+        assert convert(text, "mm") == pytest.approx(25.4)
+    assert convert("lb./in.", "kip/in") == pytest.approx(1e-3)

@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.noise_sensitivity import Bounds, moves, quantiles_of
-from mfd_bayes.calibration.result import load_result
+from mfd_bayes.calibration.result import Bounds, load_result, moves, quantiles_of
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 
 TENSIONS = ("25", "35", "70", "80")

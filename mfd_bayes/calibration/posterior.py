@@ -108,16 +108,10 @@ class Posterior:
         kind = find_noise(noise)
         own = priors_of_fit(file, chosen, kind, sampled_start=start == "sample")
         names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
-        first = first_slip(trace, file, chosen) if start == "mask" else 0
-        pivots = () if chosen.own else _pivots(trace, names, own)
+        vars(self).update(trace=trace, model=chosen, noise=kind, priors=own, names=names)
         vars(self).update(
-            trace=trace,
-            model=chosen,
-            noise=kind,
-            priors=own,
-            names=names,
-            pivots=pivots,
-            first=first,
+            pivots=() if chosen.own else _pivots(trace, names, own),
+            first=first_slip(trace, file, chosen) if start == "mask" else 0,
         )
         if chosen.own:  # a user's model that cannot be used is refused before it is sampled
             typical = {name: np.array([prior.typical]) for name, prior in own.items()}
@@ -206,21 +200,20 @@ class Posterior:
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        motion, theta, start = self._motion(values, trace)
-        return self.model.force_unbounded(theta, motion, start, scales=scales)
+        return self.model.force_unbounded(*self._motion(values, trace), scales=scales)
 
     def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""
         if not self.noise.needs_travel:
             return None
-        motion, theta, start = self._motion(values, trace)
-        return self.model.travel(theta, motion, start)
+        return self.model.travel(*self._motion(values, trace))
 
     def _motion(
         self, values: Mapping[str, Array], trace: Trace | None
-    ) -> tuple[Trace, Array, Array]:
+    ) -> tuple[Array, Trace, Array]:
+        """Parameters, motion and place in the gap, as the model takes them."""
         motion = self.trace if trace is None else check_trace("trace", trace, FitError)
-        return motion, self.theta(values), named_columns(values, ("start",))["start"]
+        return self.theta(values), motion, named_columns(values, ("start",))["start"]
 
     def values(self, q: ArrayLike) -> dict[str, Array]:
         """Values of all quantities of q by name, (n,) each, internal units.

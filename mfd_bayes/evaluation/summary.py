@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import identify
-from mfd_bayes.calibration.noise_sensitivity import moves, quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.priors import units
-from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.checks import convergence_checks, exponent_checks
