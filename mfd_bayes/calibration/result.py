@@ -169,7 +169,7 @@ def fit_other(task: Task) -> OtherFit:
 def quantiles_of(posterior: Posterior, values: Mapping[str, Array]) -> dict[str, Bounds]:
     """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap."""
     model = posterior.model
-    formal = {*posterior.noise.parameters, "start"} | (set() if model.own else FORMAL)
+    formal = {*posterior.noise.parameters, "start", *(FORMAL & model.standard_names)}
     columns = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
     if (gap := model.gap(values)) is not None:
         columns["gap"] = gap
