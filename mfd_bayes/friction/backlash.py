@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import psi
 
 from mfd_bayes.friction.lugre import PIECE, of_direction, solve
 from mfd_bayes.friction.model import Columns, Model, State, through_vertices
@@ -48,7 +47,6 @@ STIFF = 8.0  # a longer step ends in slip, or slides none
 
 # Inverse of the spring
 INVERSIONS = 60  # most steps
-FEW = 4  # most steps of a first guess
 LEAST = -690.0  # exponent of e below which a number loses digits
 
 # Newton's method
@@ -105,18 +103,23 @@ class Spring:
             slope = self.k_fwd * forward_slope + self.k_bwd * backward_slope + self.k_0
         return force, slope
 
-    def deflection(self, force: Array, close: float = 1e-13) -> Array:
-        """Deflection at which the force is G, (..., n): the inverse of G.
+    def deflection(self, force: Array, close: float | Array = 1e-13) -> Array:
+        """Deflection at which the force is G, (..., n), in: the inverse of G.
 
-        Bisection between bounds, with Newton's step wherever it stays inside them, until a step
-        is below `close` times ℓ + |z|.
+        It begins at the inverse of one side alone, where k_0 takes its share of the force as with
+        a sharp corner. Newton's step is taken wherever it stays inside the bounds, else they are
+        bisected, until a step is below `close` times ℓ + |z|.
         """
+        sign, half, size = np.sign(force), 0.5 * self.gap, np.abs(force)
+        stiff = np.where(force > 0, self.k_fwd, self.k_bwd)
         softest = np.minimum(self.k_fwd, self.k_bwd)
         uneven = np.log1p(np.maximum(self.k_fwd, self.k_bwd) / softest)
-        high = 0.5 * self.gap + self.ell * (2.0 + uneven) + np.abs(force) / softest
+        high = half + self.ell * (2.0 + uneven) + size / softest
         low = -high
-        stiff = np.where(force > 0, self.k_fwd, self.k_bwd)
-        z = np.sign(force) * np.minimum(0.5 * self.gap + np.abs(force) / stiff, high)
+        sharp = (half + size / stiff) / (1.0 + self.k_0 / stiff)
+        own = np.maximum((size - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
+        ahead = half + self.ell * (own + np.log(-np.expm1(-own)))
+        z: Array = sign * np.minimum(ahead, high)
         for _ in range(INVERSIONS):
             now, slope = self.evaluate(z)
             error = now - force
@@ -127,25 +130,6 @@ class Spring:
             new = z - step
             z = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
         return z
-
-    def about(self, force: Array, sign: Array, close: Array) -> Array:
-        """Deflection s z at which the force s G is `force` > 0, (..., n), in, within about `close`.
-
-        The inverse of one side alone, where k_0 takes its share of the force as with a sharp
-        corner, and then Newton's method.
-        """
-        forward, half = sign > 0, 0.5 * self.gap
-        stiff = np.where(forward, self.k_fwd, self.k_bwd)
-        sharp = (half + force / stiff) / (1.0 + self.k_0 / stiff)
-        own = np.maximum((force - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
-        ahead: Array = half + self.ell * (own + np.log(-np.expm1(-own)))
-        for _ in range(FEW):
-            now, slope = self.evaluate(sign * ahead)
-            off = (sign * now - force) / np.maximum(slope, 1e-300)
-            ahead -= off
-            if np.all(np.abs(off) <= close):
-                break
-        return ahead
 
 
 def _softplus(a: Array) -> tuple[Array, Array]:
@@ -199,17 +183,6 @@ class Damper:
         return np.asarray(self.onset.max(axis=0))
 
     @cached_property
-    def late(self) -> Array:
-        """Factor by which Gⁿ keeps the spring from reaching slip once it is near, (n,).
-
-        A spring without a gap reaches w = G/g after ξ = ∫ dw/(1 − wⁿ) (g/k), so that at the end
-        n (1 − w) = late exp(n − n ξ k/g) with late = exp(−γ − ψ(1/n) − n), Euler's γ and the
-        digamma function ψ: from 1/e at n = 1 to 1.
-        """
-        n = self.columns["n"]
-        return np.asarray(np.exp(-np.euler_gamma - psi(1.0 / n) - n))
-
-    @cached_property
     def steps(self) -> tuple[Array, Array]:
         """Longest step near a turn, and way after a turn beyond which it surely slips, (n,), in.
 
@@ -242,7 +215,8 @@ class Damper:
             share = np.where(backward, back, ahead)
             force *= share
             length = np.minimum(share, 1.0) * length
-        return np.log(force), self.spring.about(force, sign, 0.2 * length), length
+        bound = sign * self.spring.deflection(sign * force, close=0.3)
+        return np.log(force), bound, length
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
@@ -507,31 +481,12 @@ def guess(damper: Damper, steps: Steps, turns: Index, first: Array) -> Array:
         # a stretch that begins near slip has less of the corner ahead of it
         near = np.maximum((bound[begin] - held) * rate, 1e-300)
         offset[k] = held * rate - np.log(-np.expm1(-near))
-        last = sign[end] * (bound[end] - _corner(room[end] - offset[k], damper.late) / rate)
+        last = sign[end] * (bound[end] - np.logaddexp(0.0, room[end] - offset[k]) / rate)
     room -= offset[stretch]
-    bent = _corner(room, damper.late)
-    bent /= rate
+    bent = _softplus(room)[0] / rate
     np.subtract(bound, bent, out=bent)
     bent *= sign
     return bent
-
-
-def _corner(room: Array, late: Array) -> Array:
-    """Way by which friction holds back less than its bound, at a room for it.
-
-    Both over the length in which slip sets in: ln(1 + e^room), less where slip sets in early.
-    """
-    e = np.abs(room)
-    np.negative(e, out=e)
-    np.exp(e, out=e)
-    share = e + late
-    share *= e
-    e += 1.0
-    share /= e
-    share += 1.0
-    np.log(share, out=share)
-    share += np.maximum(room, 0.0, out=e)
-    return share
 
 
 @dataclass(frozen=True)

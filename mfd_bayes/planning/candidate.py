@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.cycles import count_cycles
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.inputs import real_number
@@ -288,7 +287,7 @@ def harmonic_of(trace: Trace, shown: Shown = Shown()) -> Candidate:
         setting.actuation,
         _round(frequency, NEAR),
         _round(amplitude, NEAR, shown.length),
-        float(np.clip(count_cycles(trace), 1, 100)),
+        float(np.clip(loops.period.size, 1, 100)),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -38,7 +38,7 @@ from mfd_bayes.planning.study import Advice, Effort, Situation, advise
 from mfd_bayes.population.bands import FEWEST, Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
+from mfd_bayes.population.settings import CONDITIONS, THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
@@ -185,6 +185,8 @@ class Run:
         Tests with role "validate"; likewise.
     units : {"", "us", "si"}
         What its sentences are in; "" for the units of the records.
+    conditions : mapping of str to float
+        Of tests that are predicted, where a call says no others, as in `predict`.
     """
 
     folder: Path
@@ -194,6 +196,7 @@ class Run:
     held_out: Mapping[str, Trace]
     extras: Extras | None = field(default=None, repr=False)
     units: str = ""
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
@@ -387,7 +390,7 @@ class Run:
         forecast = Forecast(
             *(kind, probability, draws, seed, session, whole, bool(explain)),
             device=device,
-            conditions=conditions or {},
+            conditions={**self.conditions, **(conditions or {})},
         )
         if after:
             forecast = self.sequence.begun(forecast, trace, after)
@@ -401,14 +404,19 @@ class Run:
             departure.sentence(self.system, widened=not test)
             for departure in self.departures(trace, test)
         ]
-        remarks += self._remarks(session, device)
+        remarks += self._remarks(session, device, CONDITIONS if test else forecast.conditions)
         remarks += [NO_GAP] if after and forecast.before is None else []
         remarks += [*forecast.remarks, *band.remarks]
         return replace(band, remarks=tuple(remarks), extras=self.extras)
 
-    def _remarks(self, session: str, device: str = "") -> list[str]:
-        """Remarks of every band: an unusable run, a session or a device that no test has."""
+    def _remarks(self, session: str, device: str, conditions: Collection[str]) -> list[str]:
+        """Remarks of every band: an unusable run, what no test has, and what is not said."""
         remarks = []
+        followed = {c for those in self.population.design.dependence.values() for c in those}
+        for name in CONDITIONS:
+            if name in followed and name not in conditions:
+                usual = "the mean" if name == "temperature" else "the latest"
+                remarks.append(f"the {name} is not said: it is taken as {usual} of the tests")
         if self.use == Use.NOT_USABLE:
             remarks.append(f"the run is not usable as it is: {self.verdict}")
         sessions = dict.fromkeys(self.manifest.settings.sessions.values())
@@ -510,6 +518,8 @@ class Run:
         draws: int = 1000,
         seed: int = 0,
         session: str = "",
+        device: str = "",
+        conditions: Mapping[str, float] | None = None,
         refresh: bool = True,
     ) -> Forecaster:
         """Forecaster of a test that is about to run: its bands learn from the force as it comes.
@@ -527,7 +537,8 @@ class Run:
         draws : int
             Draws that are stepped along; the time of an update is in proportion.
         seed : int
-        session : str
+        session, device, conditions
+            As in `predict`.
         refresh : bool
             Whether a band may take some seconds to sample the draws anew.
 
@@ -537,7 +548,10 @@ class Run:
             When an option is of another type or unknown, or the model has no steps.
         """
         planned = {"amplitude": amplitude, "velocity": velocity}
+        conditions = {**self.conditions, **(conditions or {})}
         setting = planned_setting(self.population.design.settings, actuation, session, planned)
+        covariates = {**setting.covariates, **conditions}
+        setting = replace(setting, device=device, covariates=covariates)
         forecast = Forecast(kind, probability, draws, seed, session)
         forecaster = Forecaster(self.predictor, setting, forecast, refresh=refresh)
         unit = self.actuation_unit
@@ -549,7 +563,7 @@ class Run:
         left = departures(self.tested, range_of([plan], unit))
         said = {departure.reached.name for departure in left}
         remarks = [departure.sentence(self.system, widened=True) for departure in left]
-        remarks += self._remarks(session)
+        remarks += self._remarks(session, device, conditions)
 
         def complete(band: Band, motion: Trace) -> Band:
             """The band with its remarks; a motion that has begun is no smaller than planned."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import EFFORTS, Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities, load_priors
 from mfd_bayes.calibration.sampling import Draws, sample
@@ -58,18 +58,6 @@ class Ranked:
     steps: int = 0
     seconds: float = 0.0
     error: str = ""  # why there are no draws
-
-
-def full_study(seed: int, model: str = "three_stage") -> Study:
-    """All parameters of a model, on two and a half cycles and four small ones inside the gap."""
-    time = np.arange(320) / 32.0
-    fade = 1.0 / (1.0 + np.exp((time - 6.6) / 0.15))
-    large = 0.5 * np.sin(2 * np.pi * 0.4 * time)
-    small = 0.05 * np.sin(2 * np.pi * 1.2 * time)
-    motion = Trace.from_arrays(time, large * fade + small * (1.0 - fade))
-    # the effective sample size is three times the draws that are taken
-    effort = replace(EFFORTS["standard"], ess=200, limit=12000)
-    return Study(narrow_priors(), motion, effort, draws=63, seed=seed, model=model)
 
 
 def narrow_priors(sampled: Iterable[str] = QUANTITIES, **medians: float) -> PriorFile:
