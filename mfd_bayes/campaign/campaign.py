@@ -415,7 +415,8 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return read_toml(path)
     except OSError as error:
         files = [] if path.exists() else [file.name for file in path.parent.glob("*.toml")]
-        hint = f"; {_nearest(path.name, files)}" if files else ""
+        near = difflib.get_close_matches(path.name, files, n=1)
+        hint = f"; did you mean {path.parent / near[0]}?" if near else ""
         raise CampaignError(f"cannot read {path}: {error.strerror or error}{hint}") from error
     except TomlError as error:
         raise CampaignError(f"{path} {error}") from error
