@@ -416,8 +416,11 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         files = [] if path.exists() else [file.name for file in path.parent.glob("*.toml")]
         near = difflib.get_close_matches(path.name, files, n=1)
-        hint = f"; did you mean {path.parent / near[0]}?" if near else ""
-        raise CampaignError(f"cannot read {path}: {error.strerror or error}{hint}") from error
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        why = error.strerror or str(error)
+        if not path.parent.is_dir():
+            why = f"there is no folder {path.parent}"
+        raise CampaignError(f"cannot read {path}: {why}{hint}") from error
     except TomlError as error:
         raise CampaignError(f"{path} {error}") from error
 
