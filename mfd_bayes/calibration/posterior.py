@@ -110,7 +110,7 @@ class Posterior:
         names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
         vars(self).update(trace=trace, model=chosen, noise=kind, priors=own, names=names)
         vars(self).update(
-            pivots=() if chosen.own else _pivots(trace, names, own),
+            pivots=_pivots(trace, names, own) if chosen.standard_names else (),
             first=first_slip(trace, file, chosen) if start == "mask" else 0,
         )
         if chosen.own:  # a user's model that cannot be used is refused before it is sampled
@@ -136,7 +136,8 @@ class Posterior:
     def _defaults(self) -> dict[str, float]:
         """Values of what is not part of q; γ1 and start of every model, but γ1 of a user's own."""
         fixed = {name: p.figures["value"] for name, p in self.priors.items() if p.fixed}
-        return ({} if self.model.own else {"gamma1": 1.0}) | {"start": 0.5} | fixed
+        formal = {"gamma1": 1.0} if self.model.standard_names else {}
+        return formal | {"start": 0.5} | fixed
 
     def log_prob(self, q: ArrayLike) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,)."""
@@ -292,7 +293,7 @@ def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -
 
 def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
     """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
-    gap = None if model.own and not model.has_gap else file.gap
+    gap = file.gap if model.standard_names or model.has_gap else None
     if gap is None and not model.has_gap:
         return 0
     if gap is None:

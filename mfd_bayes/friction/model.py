@@ -20,6 +20,7 @@ from mfd_bayes.errors import FitError, MfdError, UnitError
 from mfd_bayes.friction.quantity import (
     LAW_NAMES,
     LIMITS,
+    QUANTITIES,
     Array,
     Parameter,
     Quantity,
@@ -149,6 +150,14 @@ class Model:
     def actuated(self) -> tuple[str, ...]:
         """Parameters that `scales` may hold: those that follow the actuation."""
         return (*self.laws, *self.tied_laws)
+
+    @cached_property
+    def standard_names(self) -> frozenset[str]:
+        """Quantities that are those of the package's models: what a user's own calls so may differ.
+
+        That `sigma0` is a stiffness or `d2` a part of the gap is known of these names alone.
+        """
+        return frozenset(q.name for q in self.quantities if QUANTITIES.get(q.name) is q)
 
     @property
     def axes(self) -> Axes:

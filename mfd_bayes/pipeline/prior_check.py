@@ -121,13 +121,11 @@ def most_wrong(priors: PriorFile, model: Model, traces: Sequence[Trace]) -> Misf
     None where the records show no scales, or no prior can be compared with one.
     """
     scales = [own for trace in traces if (own := scales_of(trace)) is not None]
-    # a user's own model may mean something else by a name
-    names = set() if model.own else {quantity.name for quantity in model.quantities}
-    misfits = (misfit for own in scales for misfit in _misfits(priors, own, names))
+    misfits = (misfit for own in scales for misfit in _misfits(priors, own, model.standard_names))
     return max(misfits, key=lambda misfit: misfit.away, default=None)
 
 
-def _misfits(priors: PriorFile, scales: Scales, names: set[str]) -> Iterator[Misfit]:
+def _misfits(priors: PriorFile, scales: Scales, names: frozenset[str]) -> Iterator[Misfit]:
     """Each prior that a record shows something of, beside it."""
     slip = ("kip", scales.force, "the plateau of the loop")
     rise = ("kip/in", scales.build_up, "the slope at which the force comes back")

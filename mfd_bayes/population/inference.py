@@ -164,7 +164,7 @@ def _inferred(
     )
     share, exponent = (part.reshape(chosen.shape) for part in drawn)
     posterior = likelihoods[0].posterior
-    slips = [n for n in design.laws if posterior.model.own or n != "sigma0"]
+    slips = [n for n in design.laws if n not in {"sigma0"} & posterior.model.standard_names]
     alternatives, alternative_weight = _alternatives(mixed, slips, weights, gaussians, rng)
     prior_of = dict(posterior.priors)
     if posterior.model.has_gap and "start" in priors.parameters:
