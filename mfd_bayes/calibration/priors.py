@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,14 +35,8 @@ RANGE = 1e15  # values beyond this, or as near to a bound, are out of support: n
 # --- families -------------------------------------------------------------------------------------
 
 
-class Figure(NamedTuple):
-    """One number of a family: whether it has the quantity's unit, and must be positive."""
-
-    dimensional: bool
-    positive: bool
-
-
-PLACE, WIDTH, SHAPE = Figure(True, False), Figure(True, True), Figure(False, True)
+# a family's numbers: places and widths have the quantity's unit, widths and shapes are positive
+PLACE, WIDTH, SHAPE = "place", "width", "shape"
 WHOLE_LINE = (-np.inf, np.inf)
 
 
@@ -50,7 +44,7 @@ WHOLE_LINE = (-np.inf, np.inf)
 class Family:
     """A family of densities of a quantity x."""
 
-    figures: Mapping[str, Figure]  # what a prior file gives for it; "upper" may be left out
+    figures: Mapping[str, str]  # what a prior file gives for it; "upper" may be left out
     log_density: Callable[[Array, Figures], Array]  # normalised, inside the support
     draw: Callable[[np.random.Generator, int, Figures], Array]  # independent draws, (n,)
     median: Callable[[Figures], float]
@@ -173,7 +167,7 @@ class Prior:
             got = f"{', '.join(sorted(figures)):.200}"
             raise PriorError(f"{self.family} needs {' and '.join(sorted(needed))}, got {got}")
         for key, value in figures.items():
-            if family.figures[key].positive and not value > 0:
+            if family.figures[key] != PLACE and not value > 0:
                 raise PriorError(f"{key} must be positive, got {value:g}")
         if "upper" in figures and not figures["upper"] > figures.get("lower", -np.inf):
             raise PriorError("upper must be above lower")
@@ -468,8 +462,8 @@ def _prior(name: str, table: dict[str, Any], known: Mapping[str, Quantity]) -> P
         raise PriorError(f"family must be one of {', '.join(FAMILIES)}, got {chosen!r:.60}")
     family, figures = FAMILIES[chosen], {}
     for key, value in table.items():
-        if (figure := family.figures.get(key)) is not None:
-            kind = known[name].kind if figure.dimensional else None
+        if key in family.figures:
+            kind = None if family.figures[key] == SHAPE else known[name].kind
             figures[key] = _figure(key, value, kind)
         elif key not in ("family", "reason"):
             figures[key] = np.nan  # the family refuses unknown keys

@@ -48,9 +48,8 @@ QUANTILES = (0.025, 0.5, 0.975)
 FORMAL = frozenset({"gamma1", "gamma2", "start"})  # quantities that say nothing about the damper
 # enough for a median and an interval, not for their digits
 ROUGH = Effort(
-    name="other noise", ess=50, limit=800, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=16
+    name="other noise", ess=50, limit=800, r_hat=1.15, length=2.0, ensembles=2, kept=1200, starts=16
 )
-APART = 1.2  # R-hat of these walkers above which they do not tell where the posterior is
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +155,7 @@ def fit_other(task: Task) -> OtherFit:
         posterior = task.posterior()
         modes = find_modes(posterior, rng, starts=ROUGH.starts)
         chains = sample_density(posterior.log_prob, modes, ROUGH, rng)
-        if not chains.convergence.reached(APART, ROUGH.ess):
+        if not chains.convergence.reached(ROUGH.r_hat, ROUGH.ess):
             raise FitError("the walkers did not settle")
         values = posterior.values(chains.q.reshape(-1, posterior.dim))
         quantities = quantiles_of(posterior, values)

@@ -25,7 +25,7 @@ from mfd_bayes.calibration.diagnostics import (
     measure,
 )
 from mfd_bayes.calibration.evidence import Evidence, log_evidence
-from mfd_bayes.calibration.modes import Density, Mode, find_modes
+from mfd_bayes.calibration.modes import Density, Mode, Rows, find_modes
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import Mixture, Proposal, around_modes, learn
 from mfd_bayes.errors import FitError
@@ -258,12 +258,23 @@ class _Walk:
 # --- moves of the walkers -------------------------------------------------------------------------
 
 
-class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
-    """An emcee move applied within each of several independent ensembles.
+def accept(
+    model: emcee.model.Model, state: emcee.State, index: Rows, proposal: Array, factor: Array
+) -> Rows:
+    """Walkers of those at `index` that move to their proposals, by Metropolis and Hastings."""
+    log_prob = np.asarray(model.compute_log_prob_fn(proposal)[0])
+    gain = log_prob - state.log_prob[index] + factor
+    taken = np.log(model.random.rand(index.size)) < gain
+    moved: Rows = index[taken]
+    state.coords[moved], state.log_prob[moved] = proposal[taken], log_prob[taken]
+    return moved
 
-    The walkers of a sampler form `ensembles` blocks. Each block is split at random in two
-    halves, and each half is proposed from the other half of its own block alone, as emcee's
-    red–blue moves do. Only the density is evaluated for all blocks in one batch.
+
+class WithinEnsembles(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
+    """A red–blue move of emcee, applied within each of several independent ensembles.
+
+    Each half of an ensemble moves by the other half of the same ensemble alone; the density is
+    evaluated for all ensembles in one batch.
     """
 
     def __init__(self, move: emcee.moves.RedBlueMove, ensembles: int) -> None:
@@ -285,15 +296,8 @@ class Apart(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
                 self.move.get_proposal(state.coords[m], [state.coords[s]], model.random)
                 for m, s in zip(moving, still, strict=True)
             ]
-            proposal = np.concatenate([proposed for proposed, _ in pairs])
-            log_prob, _ = model.compute_log_prob_fn(proposal)
-            index = moving.reshape(-1)
-            gain = np.concatenate([factor for _, factor in pairs]) + log_prob
-            taken = np.log(model.random.rand(index.size)) < gain - state.log_prob[index]
-            moved = index[taken]
-            state.coords[moved] = proposal[taken]
-            state.log_prob[moved] = np.asarray(log_prob)[taken]
-            accepted[moved] = True
+            proposal, factor = (np.concatenate(part) for part in zip(*pairs, strict=True))
+            accepted[accept(model, state, moving.reshape(-1), proposal, factor)] = True
         return state, accepted
 
 
@@ -312,16 +316,13 @@ class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
         self, model: emcee.model.Model, state: emcee.State
     ) -> tuple[emcee.State, NDArray[np.bool_]]:
         """New state, and which walkers moved, (walkers,)."""
-        proposal = self.source.draw(model.random, len(state.coords))
-        log_prob, _ = model.compute_log_prob_fn(proposal)
-        gain = np.asarray(log_prob) - state.log_prob
-        gain += self.source.log_density(state.coords) - self.source.log_density(proposal)
-        moved = np.log(model.random.rand(gain.size)) < gain
-        state.coords[moved] = proposal[moved]
-        state.log_prob[moved] = np.asarray(log_prob)[moved]
-        self.proposed += moved.size
-        self.accepted += int(moved.sum())
-        return state, moved
+        total = len(state.coords)
+        proposal, accepted = self.source.draw(model.random, total), np.zeros(total, dtype=bool)
+        factor = self.source.log_density(state.coords) - self.source.log_density(proposal)
+        accepted[accept(model, state, np.arange(total), proposal, factor)] = True
+        self.proposed += total
+        self.accepted += int(accepted.sum())
+        return state, accepted
 
 
 def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves.Move, float]]:
@@ -332,8 +333,8 @@ def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves
     """
     usual = 2.38 / np.sqrt(2 * dim)
     return [
-        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=usual), ensembles), 0.8 * weight),
-        (Apart(emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), ensembles), 0.2 * weight),
+        (WithinEnsembles(emcee.moves.DEMove(sigma=1e-3, gamma0=usual), ensembles), 0.8 * weight),
+        (WithinEnsembles(emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), ensembles), 0.2 * weight),
     ]
 
 

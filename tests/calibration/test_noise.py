@@ -91,43 +91,31 @@ def test_the_longest_memory_that_a_prior_allows_warns_of_nothing_and_is_no_nan()
         assert np.all(density < -1e3)
 
 
-@pytest.mark.parametrize("name", ["ou", "iid", "student_t"])
-def test_draws_have_the_stated_spread_and_memory(name):
+@TIMES
+@pytest.mark.parametrize("name", ["iid", "ou", "staged"])
+def test_draws_have_the_covariance_of_their_density(name, time):
+    time, n = time[:12], 40_000
+    travel = np.linspace(0.0, 0.9, 12)
+    values = {key: np.full(n, column[1]) for key, column in VALUES.items()}
+    draws = NOISES[name].draw(np.random.default_rng(3), time, values, np.tile(travel, (n, 1)))
+    expected = covariance(name, 1, time, travel)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    off = np.abs(np.cov(draws, rowvar=False) - expected) / scale
+    assert np.max(off) < 0.03
+    wider = np.abs(np.cov(1.03 * draws, rowvar=False) - expected) / scale  # the control
+    assert np.max(wider) > 0.03
+
+
+def test_draws_of_student_t_noise_have_its_innovations():
     time = np.arange(4000) / 64.0
     columns = {"noise_sd": 0.2, "noise_time": 0.05, "noise_dof": 6.0}
     values = {key: np.full(25, value) for key, value in columns.items()}
-    noise = NOISES[name].draw(np.random.default_rng(2), time, values)
-    phi = 0.0 if name == "iid" else np.exp(-1 / 64 / 0.05)
-    heavy = name == "student_t"  # kurtosis 3, and a variance 1.5 times that of its scale
-    sd = 0.2 * np.sqrt(1.5 if heavy else 1.0)
-
-    def scores(sd, phi):
-        """Variance and lag-one correlation against AR(1)'s, in standard errors."""
-        n = noise.size
-        spread = sd**2 * np.sqrt((2 * (1 + phi**2) / (1 - phi**2) + 3.0 * heavy) / n)
-        lag_one = np.mean(noise[:, 1:] * noise[:, :-1]) / np.mean(noise**2)
-        return (np.mean(noise**2) - sd**2) / spread, (lag_one - phi) / np.sqrt((1 - phi**2) / n)
-
-    assert np.max(np.abs(scores(sd, phi))) < 4
-    # the control: a scale or a correlation that is a few percent off is detected
-    assert abs(scores(1.05 * sd, phi)[0]) > 4
-    assert abs(scores(sd, phi + 0.03)[1]) > 4
+    noise = NOISES["student_t"].draw(np.random.default_rng(2), time, values)
+    phi = np.exp(-1 / 64 / 0.05)
     white = (noise[:, 1:] - phi * noise[:, :-1])[:, ::5].ravel() / (0.2 * np.sqrt(1 - phi**2))
-    laws = stats.t(6.0), stats.norm(0, sd / 0.2)
-    own, other = laws if heavy else laws[::-1]
-    assert stats.kstest(white, own.cdf).pvalue > 0.001
-    assert stats.kstest(white, other.cdf).pvalue < 0.001
-
-
-@TIMES
-def test_draws_of_staged_noise_have_the_covariance_of_its_density(time):
-    time, n = time[:12], 40_000
-    travel = np.linspace(0.0, 0.9, 12)
-    values = {name: np.full(n, column[0]) for name, column in VALUES.items()}
-    draws = NOISES["staged"].draw(np.random.default_rng(3), time, values, np.tile(travel, (n, 1)))
-    expected = covariance("staged", 0, time, travel)
-    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(np.cov(draws, rowvar=False) / scale, expected / scale, atol=0.025)
+    assert stats.kstest(white, stats.t(6.0).cdf).pvalue > 0.001
+    assert stats.kstest(white, stats.norm(0, np.sqrt(1.5)).cdf).pvalue < 0.001
+    assert stats.kstest(white * 1.1, stats.t(6.0).cdf).pvalue < 0.001
 
 
 def test_a_noise_that_is_none_is_refused():

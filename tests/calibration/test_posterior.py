@@ -146,21 +146,6 @@ def test_a_mask_drops_the_samples_before_the_first_slip():
     np.testing.assert_allclose(forces[0][:, after], forces[1][:, after], atol=1e-5)
 
 
-def test_the_truth_is_likelier_than_prior_draws_and_staged_noise_fits_a_record_that_rings():
-    posterior, rng = build(noise="staged"), np.random.default_rng(6)
-    truth = posterior.draw_prior(rng, 1)
-    truth |= {name: np.array([value]) for name, value in (("noise_sd", 0.02), ("noise_time", 0.05))}
-    truth |= {"noise_build": np.array([0.3]), "noise_build_time": np.array([0.02])}
-    noise = posterior.noise.draw(rng, TIME, truth, posterior.travel(truth))[0]
-    trace = with_force(posterior.force(truth)[0] + noise + truth["offset"])
-    posterior, plain = build(noise="staged", trace=trace), build(trace=trace)
-    best = posterior.log_prob(posterior.coordinates(truth))[0]
-    assert np.all(posterior.log_prob(points(posterior, 200)) < best)
-    rival = plain.coordinates(truth | {"noise_sd": np.array([noise.std()])})
-    truth_likelihood = posterior.log_likelihood(posterior.coordinates(truth))[0]
-    assert truth_likelihood > plain.log_likelihood(rival)[0] + 30.0
-
-
 def test_points_and_values_are_taken_by_their_names():
     posterior = build()
     q = points(posterior, 3)

@@ -11,26 +11,7 @@ from mfd_bayes.records.sine import Harmonic
 from mfd_bayes.records.trace import Trace
 
 GAP = 0.16
-VALUES = {
-    "sigma0": 80.0,
-    "sigma1": 0.02,
-    "sigma2": 0.015,
-    "Fs_fwd": 1.5,
-    "Fc_fwd": 1.3,
-    "Fs_bwd": 1.9,
-    "Fc_bwd": 1.65,
-    "k2": 0.6,
-    "k3": 20.0,
-    "d2": 0.09,
-    "d3": 0.07,
-    "gamma1": 1.0,
-    "gamma2": 0.02,
-    "v_s": 0.4,
-}
-
-
-def theta():
-    return np.array([[VALUES[name] for name in ThreeStage().parameters]])
+THETA = np.array([[80, 0.02, 0.015, 1.5, 1.3, 1.9, 1.65, 0.6, 20, 0.09, 0.07, 1, 0.02, 0.4]])
 
 
 @pytest.mark.parametrize("waveform", ["sine", "triangle"])
@@ -50,17 +31,17 @@ def test_a_loop_is_a_full_stroke_and_then_a_full_loop(waveform):
 
 def test_where_the_test_began_does_not_matter():
     loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
-    one, other = (ThreeStage().force(theta(), loop.trace, [w]) for w in (0.05, 0.95))
+    one, other = (ThreeStage().force(THETA, loop.trace, [w]) for w in (0.05, 0.95))
     np.testing.assert_allclose(one[:, loop.first :], other[:, loop.first :], atol=1e-6)
     assert np.abs(one - other).max() > 0.1  # but it did before the loop
 
 
 def test_summaries_are_what_is_read_off_a_record():
     fine = Harmonic(1.0, 0.5, 4).trace(1.0)
-    force = ThreeStage().force(theta(), fine)[0]
+    force = ThreeStage().force(THETA, fine)[0]
     read = loop_estimate(Trace.from_arrays(fine.time, fine.displacement, 1.0, force))
     loop = Loop.of(Candidate(1.0, 0.5, 1.0), GAP)
-    found = loop.summaries(ThreeStage().force(theta(), loop.trace), GAP)
+    found = loop.summaries(ThreeStage().force(THETA, loop.trace), GAP)
     assert found["slip_fast_fwd"][0] == pytest.approx(read.plateau_fwd, rel=0.03)
     assert found["slip_fast_bwd"][0] == pytest.approx(read.plateau_bwd, rel=0.03)
     assert found["energy"][0] == pytest.approx(read.energy, rel=0.01)
