@@ -426,7 +426,7 @@ def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path, time, test, said):
 
 
 def test_only_the_tests_that_run_backward_are_turned_and_it_is_said(tmp_path):
-    overflow = np.where(TIME == TIME[41], -1e6, FORCE)  # turns no sign
+    overflow = np.where(TIME[41] == TIME, -1e6, FORCE)  # turns no sign
     for name, load in (("a_5bar", FORCE), ("b_5bar", overflow), ("c_9bar", -FORCE)):
         write(tmp_path / f"{name}.csv", HEAD.strip(), TIME, TRAVEL, load)
     said, campaign, seen = drafted(tmp_path)
