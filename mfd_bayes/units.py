@@ -118,6 +118,8 @@ _ACTUATIONS = ("ksi", "kip", "A", "V", "W", "N*m", "turn", "%", "K", "T", *_COUN
 _POWER = re.compile(r"(?<=[A-Za-zµμ])([23])(?!\w)")
 _TERM = r"\(*[A-Za-zµμε°%_]+\)*(?:(?:\^|\*\*)-?\d|[²³])?\)*"
 _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
+_ABBREVIATED = re.compile(r"(?<=[A-Za-z])\.(?!\w)")  # in., lb./in.
+_INCHES = re.compile("\"|''|″|′′|”")
 _DASH = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")  # kip-in, kN-m
 _FLUIDS = (
     (re.compile(r"\bgals?(?=\s*/\s*(?:s|sec|min|h|hr|d)\b)", re.IGNORECASE), "gallon"),
@@ -132,28 +134,17 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\
 
 
 def factor(unit: str, dimension: str, *, of: str = "") -> float:
-    """Factor from a unit to the internal unit of its dimension.
+    """Factor from a unit, as people write it, to the internal unit of its dimension.
 
-    Parameters
-    ----------
-    unit : str
-        As people write it: ``"mm"``, ``"kN"``, ``"lb"`` (always a force), ``"kip*s/in"``.
-    dimension : str
-        A key of `DIMENSIONS`, or a unit of one's own, to which it is converted.
-    of : str
-        What has the unit, for the message: ``"column 'force_N'"``.
-
-    Raises
-    ------
-    UnitError
-        When the unit is unknown, has an offset, or is of another dimension.
+    `dimension` is a key of `DIMENSIONS`, or a unit of one's own; `of` says in the message what has
+    the unit: "column 'force_N'".
     """
     if dimension not in DIMENSIONS:
         return convert(unit, dimension)
     target = DIMENSIONS[dimension]
     if unit == target.unit:
         return 1.0
-    named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
+    named = _named(unit, of)
     parsed = _parse(unit, named)
     measure = _measure(parsed)
     if measure != target.measure:
@@ -167,39 +158,24 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
             f"{named} has an angle ({angle[0]}) in it, and is no {target.measure}; {dimension} "
             f"needs one such as {target.examples}"
         )
-    # The values at 0 and 2 show an offset or a logarithmic unit.
-    zero, one, two = (_convert(value, parsed, target.unit, named) for value in (0.0, 1.0, 2.0))
-    if zero != 0 or not math.isfinite(one) or one <= 0 or not math.isclose(two, 2 * one):
-        raise UnitError(f"{named} is not a plain multiple of {target.unit!r}")
-    return one
+    return _scale(parsed, target.unit, named)
 
 
 def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
-    """Factor and internal unit of an actuation: ksi, kip, or another such as A, V, turn.
-
-    Raises
-    ------
-    UnitError
-        When the unit is unknown, or none of an actuation, as a length or a time.
-    """
+    """Factor and internal unit of an actuation: ksi, kip, or another such as A, V, turn."""
     if isinstance(unit, str) and unit in _PLAIN:
         return _PLAIN[unit]
-    named = f"unit {unit!r} of {of}" if of else f"unit {unit!r}"
+    named = _named(unit, of)
     parsed = _parse(unit, named)
-    measure = _measure(parsed)
-    if measure in ("pressure", "force"):
-        return factor(unit, measure, of=of), "ksi" if measure == "pressure" else "kip"
     is_angle = bool(_ANGLES.search(str(parsed)))
     for internal in _ACTUATIONS:
-        own = _registry().parse_units(internal)
+        other = _registry().parse_units(internal)
         plain = internal in ("turn", "%") and (internal == "turn") != is_angle
-        if parsed.dimensionality == own.dimensionality and not plain and str(parsed) != _NONE:
-            scale = _convert(1.0, parsed, internal, named)
-            if math.isclose(_convert(2.0, parsed, internal, named), 2.0 * scale):
-                return scale, internal
+        if parsed.dimensionality == other.dimensionality and not plain and str(parsed) != _NONE:
+            return _scale(parsed, internal, named), internal
     raise UnitError(
-        f"{named} measures {measure}; actuation needs a pressure such as 'psi', a force such as "
-        f"'lbf', or a unit such as 'A', 'V', 'N*m', 'turn' or '%'{force_meant(unit)}"
+        f"{named} measures {_measure(parsed)}; actuation needs a pressure such as 'psi', a force "
+        f"such as 'lbf', or a unit such as 'A', 'V', 'N*m', 'turn' or '%'{force_meant(unit)}"
     )
 
 
@@ -210,18 +186,12 @@ def actuation_kind(internal: ActuationUnit) -> str:
 
 
 def convert(unit: str, target: str) -> float:
-    """Factor from one unit to another of the same measure: ``("kip/in", "kN/mm")``.
-
-    Raises
-    ------
-    UnitError
-        When one is unknown, or their dimensions differ.
-    """
-    named = f"unit {unit!r}"
-    parsed, wanted = _parse(unit, named), _parse(target, f"unit {target!r}")
-    if parsed.dimensionality != wanted.dimensionality:
+    """Factor from one unit to another of the same measure: ``("kip/in", "kN/mm")``."""
+    named = _named(unit)
+    parsed, other = _parse(unit, named), _parse(target, _named(target))
+    if parsed.dimensionality != other.dimensionality:
         raise UnitError(f"{named} cannot be given in {target!r}")
-    return _convert(1.0, parsed, str(wanted), named)
+    return _scale(parsed, str(other), named)
 
 
 def force_meant(unit: str) -> str:
@@ -251,7 +221,7 @@ def measures(unit: str, like: str) -> bool:
 
 def has_angle(unit: str) -> bool:
     """Whether a unit is one of an angle, or has one in it: those measure a ratio too."""
-    return bool(_ANGLES.search(str(_parse(unit, f"unit {unit!r}"))))
+    return bool(_ANGLES.search(str(_parse(unit, _named(unit)))))
 
 
 def same_unit(one: str, other: str) -> bool:
@@ -277,38 +247,20 @@ def percent(probability: float) -> str:
 
 
 def parse_quantity(text: str, dimension: str, *, of: str = "") -> float:
-    """Value of ``"500 psi"`` in the internal unit of its dimension.
-
-    Raises
-    ------
-    UnitError
-        When it is not a number and a unit of that dimension.
-    """
+    """Value of ``"500 psi"`` in the internal unit of its dimension."""
     value, unit = split_quantity(text, of=of, example=dimension_of(dimension).quantity)
     return value * factor(unit, dimension, of=of or f"{text!r}")
 
 
 def parse_mass(text: str, *, of: str = "") -> float:
-    """Mass, kip*s^2/in, of ``"3 kg"``; a force such as ``"6.6 lb"`` is its weight.
-
-    Raises
-    ------
-    UnitError
-        When it is neither.
-    """
+    """Mass, kip*s^2/in, of ``"3 kg"``; a force such as ``"6.6 lb"`` is its weight."""
     if measure(split_quantity(text, of=of)[1]) == "force":
         return parse_quantity(text, "force", of=of) / GRAVITY
     return parse_quantity(text, "mass", of=of)
 
 
 def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
-    """Value and internal unit of an actuation: ``"500 psi"`` is ``(0.5, "ksi")``.
-
-    Raises
-    ------
-    UnitError
-        When it is not a number and a unit of an actuation, or is negative.
-    """
+    """Value and internal unit of an actuation: ``"500 psi"`` is ``(0.5, "ksi")``."""
     value, unit = split_quantity(text, of=of)
     if value < 0:
         raise UnitError(f"actuation must not be negative, got {text!r}")
@@ -323,13 +275,7 @@ def parse_actuation(text: str, *, of: str = "") -> tuple[float, ActuationUnit]:
 
 
 def split_quantity(text: str, *, of: str = "", example: str = "500 psi") -> tuple[float, str]:
-    """Number and unit of ``"518.7 mm^2"``, whatever the unit measures; `example` is for messages.
-
-    Raises
-    ------
-    UnitError
-        When it is not a number and a unit.
-    """
+    """Number and unit of ``"518.7 mm^2"``, whatever it measures; `example` is for messages."""
     expected = f"{of + ': ' if of else ''}expected a number and a unit such as {example!r}"
     if not isinstance(text, str):
         raise UnitError(f"{expected}, got {text!r}")
@@ -363,7 +309,8 @@ def _parse(unit: str, named: str) -> Any:
     """Unit of a text, as pint has it."""
     unknown = f"{named} is unknown; expected one such as 'in', 'mm', 'kip', 'kN', 'psi'"
     unknown += force_meant(unit)
-    text = unit.strip().removesuffix(".") if isinstance(unit, str) else ""
+    text = _ABBREVIATED.sub("", unit.strip()) if isinstance(unit, str) else ""
+    text = _INCHES.sub("in", text)
     text = _DASH.sub("*", _POWER.sub(r"^\1", text))
     for spelled, plain in _FLUIDS:
         text = spelled.sub(plain, text)
@@ -395,8 +342,18 @@ def _measure(parsed: Any) -> str:
     return str(parsed.dimensionality).replace("[", "").replace("]", "")
 
 
-def _convert(value: float, parsed: Any, target: str, named: str) -> float:
+def _scale(parsed: Any, target: str, named: str) -> float:
+    """Factor from pint's unit to another; the values at 0 and 2 show an offset or a logarithm."""
     try:
-        return float(_registry().convert(value, parsed, _registry().parse_units(target)))
+        to = _registry().parse_units(target)
+        zero, one, two = (float(_registry().convert(x, parsed, to)) for x in (0.0, 1.0, 2.0))
     except Exception as error:  # offset and logarithmic units fail in several ways
         raise UnitError(f"{named} is not a plain multiple of {target!r}") from error
+    if zero != 0.0 or not (math.isfinite(one) and one > 0.0 and math.isclose(two, 2.0 * one)):
+        raise UnitError(f"{named} is not a plain multiple of {target!r}")
+    return one
+
+
+def _named(unit: str, of: str = "") -> str:
+    """A unit, and what has it, for messages."""
+    return f"unit {unit!r} of {of}" if of else f"unit {unit!r}"

@@ -111,8 +111,9 @@ def _write_population(path, priors, names, under, rng):
     begin = design.free.size + len(design.effects)
     h = rng.normal(-2.0, 0.2, size=(12, begin + len(design.shapes)))
     choice = np.tile([LAW_NAMES.index(law) for law in design.laws.values()], (12, 1))
+    share, exponent = design.law_shapes(h[:, begin:], choice)
     draws = {"h": h[:, :begin], "z": 0.1 * rng.normal(size=(12, design.quantity.size))}
-    draws |= dict(zip(("share", "exponent"), design.law_shapes(h[:, begin:], choice), strict=True))
+    draws |= {"share": share, "exponent": exponent}
     zeros = np.zeros(2 * KNOTS)
     learned = 0.01 * rng.normal(size=zeros.size), 1e-4 * np.eye(zeros.size), zeros
     population = Population(
@@ -173,16 +174,11 @@ def _fold():
 def content(path):
     """What of a file is to be the same in every run: all but times, and the command's words."""
     if path.suffix == ".nc":
-        found = {}
         with h5py.File(path) as file:
-            file.visititems(
-                lambda name, item: (
-                    found.update({name: np.asarray(item[()]).tobytes()})
-                    if isinstance(item, h5py.Dataset)
-                    else None
-                )
-            )
-        return found
+            names: list[str] = []
+            file.visit(names.append)
+            datasets = {n: file[n] for n in names if isinstance(file[n], h5py.Dataset)}
+            return {name: np.asarray(item[()]).tobytes() for name, item in datasets.items()}
     if path.name == "manifest.json":
         manifest = json.loads(path.read_text())
         for key in ("command", "started", "finished", "seconds"):

@@ -7,6 +7,7 @@ from mfd_bayes.errors import UnitError
 from mfd_bayes.records.channels import parse_window
 from mfd_bayes.units import (
     DIMENSIONS,
+    convert,
     factor,
     measure,
     parse_actuation,
@@ -72,16 +73,12 @@ def test_a_prefix_is_not_taken_for_another():
 
 
 def test_what_a_unit_measures_is_named_and_none_where_it_is_unknown():
-    assert measure("Kips") == "force"
-    assert measure("in/s") == "velocity"
+    assert (measure("Kips"), measure("in/s")) == ("force", "velocity")
     for unknown in ("segments", "", "delta_decibel"):  # pint knows the last by half
         assert measure(unknown) is None
-
-
-def test_units_are_the_same_or_not():
+        assert not same_unit("kN", unknown)
     assert same_unit("kN/mm", "MN/m")
-    for other in ("lbf", "mm", "segments", ""):
-        assert not same_unit("kN", other)
+    assert not same_unit("kN", "lbf")
 
 
 def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():
@@ -94,41 +91,22 @@ def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():
 
 
 def test_malformed_offset_and_logarithmic_units_are_unit_errors():
-    for unit in (
-        "",
-        " ",
-        "furlongz",
-        "(",
-        ")",
-        "#",
-        '"',
-        "s**",
-        "in**s",
-        "1/0",
-        "2 psi",
-        "9**9**9",
-        "m" * 99,
-        "degC",
-        "degF",
-        "mol",
-        "__import__",
-        "dB",
-    ):
+    words = "furlongz ( ) # s** in**s 1/0 9**9**9 degC degF mol __import__ dB"
+    for unit in ("", " ", "2 psi", "m" * 99, *words.split(" ")):
         for kind in DIMENSIONS:
             with pytest.raises(UnitError):
                 factor(unit, kind)
+    for unit, other in (("degC", "K"), ("dB", "1")):
+        with pytest.raises(UnitError, match="plain multiple"):
+            convert(unit, other)
 
 
 def test_quantities_come_out_in_internal_units():
     assert parse_quantity("500 psi", "pressure") == pytest.approx(0.5)
     assert parse_quantity("-25.4mm", "displacement") == pytest.approx(-1)
     assert parse_quantity("64 Hz", "rate") == 64
-
-
-def test_an_actuation_is_a_pressure_or_a_force():
-    assert parse_actuation("500 psi") == (pytest.approx(0.5), "ksi")
-    assert parse_actuation("30 lbf") == (pytest.approx(0.030), "kip")
-    assert parse_actuation("30 lb") == (pytest.approx(0.030), "kip")
+    for text, expected in (("500 psi", (0.5, "ksi")), ("30 lbf", (0.03, "kip")), ("2 A", (2, "A"))):
+        assert parse_actuation(text) == (pytest.approx(expected[0]), expected[1])
 
 
 def test_bad_actuations_are_unit_errors():
@@ -154,3 +132,9 @@ def test_a_quantity_without_end_is_refused_at_once():
         with pytest.raises(UnitError, match="expected a number and a unit") as caught:
             parse_quantity(text, "force")
         assert len(str(caught.value)) < 300
+
+
+def test_inches_as_people_write_them_are_read():
+    for text in ("in.", '"', "″", "In", "inches"):
+        assert convert(text, "mm") == pytest.approx(25.4)
+    assert convert("lb./in.", "kip/in") == pytest.approx(1e-3)

@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.noise_sensitivity import Bounds, moves, quantiles_of
-from mfd_bayes.calibration.result import calibrate_test, load_result
+from mfd_bayes.calibration.result import Bounds, load_result, moves, quantiles_of
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 
 TENSIONS = ("25", "35", "70", "80")
@@ -59,7 +58,7 @@ def calibrated(
             if not (folder / file).is_file():
                 print(task.id, noise, file=sys.stderr, flush=True)
                 began = time.process_time()
-                calibrate_test(replace(task, file=file), folder, lambda _: None)
+                replace(task, file=file).run(folder, lambda _: None)
                 (folder / f"{file}.seconds").write_text(f"{time.process_time() - began:.2f}")
             test = load_result(task.id, folder / file, plan.priors)
             others = test.stored.facts["other_noises"]

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+import mfd_bayes as mb
 from mfd_bayes.calibration.diagnostics import EFFORTS
 from tests.statistical import sbc_study
 from tests.statistical.sbc_study import TRUE, WRONG, Ranked
@@ -31,10 +32,17 @@ REACH = 0.35  # of the picture: the control's log likelihood goes far beyond
 
 
 def study_of(seed, model, quick):
-    """The full study; a quick one draws less."""
-    study = sbc_study.full_study(seed, model)
-    effort = replace(EFFORTS["quick"], ess=70, limit=400, ensembles=2, starts=4)
-    return replace(study, effort=effort, draws=15) if quick else study
+    """All parameters of a model, on two and a half cycles and four small ones inside the gap."""
+    time = np.arange(320) / 32.0
+    fade = 1.0 / (1.0 + np.exp((time - 6.6) / 0.15))
+    large = 0.5 * np.sin(2 * np.pi * 0.4 * time)
+    small = 0.05 * np.sin(2 * np.pi * 1.2 * time)
+    motion = mb.Trace.from_arrays(time, large * fade + small * (1.0 - fade))
+    # the effective sample size is three times the draws that are taken
+    effort, draws = replace(EFFORTS["standard"], ess=200, limit=12000), 63
+    if quick:
+        effort, draws = replace(EFFORTS["quick"], ess=70, limit=400, ensembles=2, starts=4), 15
+    return sbc_study.Study(sbc_study.narrow_priors(), motion, effort, draws, seed, model)
 
 
 def run_test(seed, index, noise, model, quick):

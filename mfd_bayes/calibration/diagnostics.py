@@ -153,15 +153,15 @@ def effective_size(draws: Array) -> float:
     return _arviz()[1](draws, "bulk") if draws.shape[1] >= FEWEST_STEPS else 0.0
 
 
-def _is_classic(arviz: Any) -> bool:
-    """Whether this ArviZ is 0.x, not 1.x."""
-    return int(arviz.__version__.split(".")[0]) < 1
+def _classic() -> Any:
+    """ArviZ 0.x, or None where it is 1.x."""
+    arviz = import_arviz()
+    return arviz if arviz.__version__.startswith("0.") else None
 
 
 def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
     """Rank-normalised split R̂ and ESS of an array (chain, draw), from ArviZ 0.x or 1.x."""
-    classic = import_arviz()
-    if _is_classic(classic):
+    if (classic := _classic()) is not None:
         return (
             lambda x: float(classic.rhat(x, method="rank")),
             lambda x, kind: float(classic.ess(x, method=kind)),
@@ -186,9 +186,8 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
         return ratios - np.log(ratios.size), -np.inf
     if ratios.size < 25:  # fewer than 5 draws in the tail: ArviZ 1.x refuses to fit them
         return ratios - np.logaddexp.reduce(ratios), np.inf
-    classic = import_arviz()
     with np.errstate(over="ignore"):  # harmless, in the fit to a very heavy tail
-        if _is_classic(classic):
+        if (classic := _classic()) is not None:
             weights, k = classic.psislw(ratios, reff=efficiency)
         else:
             from arviz_stats.base import array_stats

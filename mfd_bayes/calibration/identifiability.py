@@ -59,9 +59,7 @@ class Identifiability:
 
 
 def identify(
-    posterior: Posterior,
-    values: Mapping[str, Array],
-    prior: Mapping[str, Array],
+    posterior: Posterior, values: Mapping[str, Array], prior: Mapping[str, Array]
 ) -> Identifiability:
     """Identifiability of a test's sampled parameters, from its stored draws.
 

@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 
 LOG_2PI = float(np.log(2 * np.pi))
-# numbers per array that are worked on together, so that a piece's arrays stay in the cache
-PIECE = 1 << 15
 SD = Quantity("noise_sd", "force", "s", "s", "standard deviation of the noise")
 TIME = Quantity("noise_time", "time", r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise")
 DOF = Quantity(
@@ -172,38 +170,17 @@ class Staged(OU):
     def log_density(
         self, residual: Array, time: Array, values: Values, travel: Array | None = None
     ) -> Array:
-        """Normalised log density of residuals, (n,); see `Noise.log_density`.
-
-        Time comes first inside, in pieces that stay in the cache.
-        """
-        r, u = residual.T, _needed(travel).T
-        n = r.shape[1]
-        steps = np.diff(time, prepend=np.nan)[:, None]
+        """Normalised log density of residuals, (n,); see `Noise.log_density`."""
+        weight = _weight(values, _needed(travel).T)  # time first, as all here: (T, n)
         slow = 1.0 / values["noise_time"]
-        faster = 1.0 / values["noise_build_time"] - slow
-        total = -time.size * (np.log(values["noise_sd"]) + 0.5 * LOG_2PI)
-        before = np.zeros(n)
-        length = max(PIECE // n, 8)
-        for begin in range(0, time.size, length):
-            rows = slice(begin, begin + length)
-            weight = _weight(values, u[rows])
-            phi = np.exp(-steps[rows] * (slow + faster * weight))
-            if begin == 0:
-                phi[0] = 0.0  # the first sample remembers nothing
-            shrink = (1.0 - phi) * (1.0 + phi)
-            weight *= values["noise_build"] / values["noise_sd"]
-            weight += 1.0
-            standard = r[rows] / weight
-            phi[1:] *= standard[:-1]
-            phi[0] *= before
-            before = standard[-1].copy()
-            standard -= phi
-            standard *= standard
-            standard /= shrink
-            weight *= weight
-            weight *= shrink
-            total -= 0.5 * (standard.sum(axis=0) / values["noise_sd"] ** 2 + _log_product(weight))
-        return total
+        rate = slow + (1.0 / values["noise_build_time"] - slow) * weight[1:]
+        scale = values["noise_sd"] + values["noise_build"] * weight
+        standard, phi = residual.T / scale, np.exp(-np.diff(time)[:, None] * rate)
+        shrink = (1.0 - phi) * (1.0 + phi)
+        squares = (standard[1:] - phi * standard[:-1]) ** 2 / shrink
+        total = standard[0] ** 2 + squares.sum(axis=0) + time.size * LOG_2PI
+        total += 2.0 * np.log(scale[0]) + np.log(scale[1:] ** 2 * shrink).sum(axis=0)
+        return np.asarray(-0.5 * total)
 
     def memory(
         self, time: Array, values: Values, travel: Array | None = None
@@ -233,12 +210,6 @@ def _weight(values: Values, travel: Array) -> Array:
         risen = (travel - values["d2"]) / np.maximum(values["d3"], 1e-12)
         weight *= np.clip(risen, 0.0, 1.0, out=risen)
     return weight
-
-
-def _log_product(factors: Array) -> Array:
-    """Sum of the logarithms of factors (T, n), (n,); of products of eight, to take fewer."""
-    products = np.multiply.reduceat(factors, np.arange(0, len(factors), 8), axis=0)
-    return np.asarray(np.log(products).sum(axis=0))
 
 
 # every noise by its name in campaign files

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.calibration.noise import Noise, find_noise
 from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors, priors_of_fit
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.columns import columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.friction.quantity import columns_in_order, named_columns, named_vectors
 from mfd_bayes.records.inputs import whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.store.cards import card, counted
@@ -108,16 +108,10 @@ class Posterior:
         kind = find_noise(noise)
         own = priors_of_fit(file, chosen, kind, sampled_start=start == "sample")
         names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
-        first = first_slip(trace, file, chosen) if start == "mask" else 0
-        pivots = () if chosen.own else _pivots(trace, names, own)
+        vars(self).update(trace=trace, model=chosen, noise=kind, priors=own, names=names)
         vars(self).update(
-            trace=trace,
-            model=chosen,
-            noise=kind,
-            priors=own,
-            names=names,
-            pivots=pivots,
-            first=first,
+            pivots=_pivots(trace, names, own) if chosen.standard_names else (),
+            first=first_slip(trace, file, chosen) if start == "mask" else 0,
         )
         if chosen.own:  # a user's model that cannot be used is refused before it is sampled
             typical = {name: np.array([prior.typical]) for name, prior in own.items()}
@@ -142,7 +136,8 @@ class Posterior:
     def _defaults(self) -> dict[str, float]:
         """Values of what is not part of q; γ1 and start of every model, but γ1 of a user's own."""
         fixed = {name: p.figures["value"] for name, p in self.priors.items() if p.fixed}
-        return ({} if self.model.own else {"gamma1": 1.0}) | {"start": 0.5} | fixed
+        formal = {"gamma1": 1.0} if self.model.standard_names else {}
+        return formal | {"start": 0.5} | fixed
 
     def log_prob(self, q: ArrayLike) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,)."""
@@ -195,12 +190,9 @@ class Posterior:
     def _residual(
         self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
     ) -> Array:
-        if not len(values["offset"]):
-            return np.empty((0, self.trace.samples))
-        by_time = self.force(values, scales=scales).T  # as the models lay it out
-        np.subtract(np.asarray(self.trace.force)[:, None], by_time, out=by_time)
-        by_time -= values["offset"]
-        return by_time.T
+        left = np.asarray(self.trace.force) - self.force(values, scales=scales)
+        left -= values["offset"][:, None]
+        return left
 
     def force(
         self,
@@ -209,21 +201,20 @@ class Posterior:
         scales: Mapping[str, Array] | None = None,
     ) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        motion, theta, start = self._motion(values, trace)
-        return self.model.force_unbounded(theta, motion, start, scales=scales)
+        return self.model.force_unbounded(*self._motion(values, trace), scales=scales)
 
     def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""
         if not self.noise.needs_travel:
             return None
-        motion, theta, start = self._motion(values, trace)
-        return self.model.travel(theta, motion, start)
+        return self.model.travel(*self._motion(values, trace))
 
     def _motion(
         self, values: Mapping[str, Array], trace: Trace | None
-    ) -> tuple[Trace, Array, Array]:
+    ) -> tuple[Array, Trace, Array]:
+        """Parameters, motion and place in the gap, as the model takes them."""
         motion = self.trace if trace is None else check_trace("trace", trace, FitError)
-        return motion, self.theta(values), named_columns(values, ("start",))["start"]
+        return self.theta(values), motion, named_columns(values, ("start",))["start"]
 
     def values(self, q: ArrayLike) -> dict[str, Array]:
         """Values of all quantities of q by name, (n,) each, internal units.
@@ -302,7 +293,7 @@ def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -
 
 def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
     """Sample from which the device has surely slipped: after a stretch of two prior gaps."""
-    gap = None if model.own and not model.has_gap else file.gap
+    gap = file.gap if model.standard_names or model.has_gap else None
     if gap is None and not model.has_gap:
         return 0
     if gap is None:

@@ -1,4 +1,4 @@
-"""Posterior predictive records of a calibrated test, and checks on them (model.md section 8)."""
+"""Posterior predictive records of a test, checks on them, and derived quantities."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.cycles import cycle_energies, full_strokes, total_energy
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.friction.model import Model
+from mfd_bayes.records.loops import STRONG
 from mfd_bayes.records.trace import Trace, check_magnitude
 
 Array = NDArray[np.float64]
@@ -98,16 +99,65 @@ def _energy_checks(posterior: Posterior, replicas: Replicas) -> list[PredictiveC
     """Energy of a cycle at full stroke, and in all where other cycles have a part in it."""
     trace, first = posterior.trace, posterior.first
     forces = np.asarray(trace.force)[None], replicas.observed
-    strong = full_strokes(trace, first=first)
+    strong = full_strokes(trace, first)
     found = []
     if strong.any():
-        seen, drawn = (cycle_energies(f, trace, first=first)[:, strong] for f in forces)
-        name = "energy per cycle, kip·in"
-        found.append(_check(name, "energy", seen.mean(axis=1), drawn.mean(axis=1)))
+        seen, drawn = (cycle_energies(f, trace, first)[:, strong].mean(axis=1) for f in forces)
+        found.append(_check("energy per cycle, kip·in", "energy", seen, drawn))
     if not strong.all() or not strong.any():
-        seen, drawn = (total_energy(f, trace, first=first) for f in forces)
+        x = trace.displacement[first:]
+        seen, drawn = (np.asarray(np.trapezoid(f[:, first:], x, axis=1)) for f in forces)
         found.append(_check("energy in all, kip·in", "energy", seen, drawn))
     return found
+
+
+def cycle_energies(force: Array, trace: Trace, first: int = 0) -> Array:
+    """Energy dissipated in each of the L full cycles, E = ∮ F dx, (n, L), kip·in, of force (n, T).
+
+    A full cycle runs from one turn of the whole motion (`Trace.cycle_turns`) to the second one
+    after it. Cycles follow each other from the first turn at or after sample `first`.
+    """
+    bounds = _cycle_bounds(trace, first)
+    if bounds.size < 2:
+        return np.empty((len(force), 0))
+    kept = slice(bounds[0], bounds[-1] + 1)
+    mean = 0.5 * (force[:, kept][:, 1:] + force[:, kept][:, :-1])
+    work = mean * np.diff(trace.displacement[kept])
+    return np.add.reduceat(work, bounds[:-1] - bounds[0], axis=1)
+
+
+def full_strokes(trace: Trace, first: int = 0) -> NDArray[np.bool_]:
+    """Whether each of the full cycles has at least `STRONG` of the largest amplitude, (L,)."""
+    bounds = _cycle_bounds(trace, first)
+    if bounds.size < 2:
+        return np.empty(0, dtype=bool)
+    x, begins = trace.displacement[bounds[0] : bounds[-1] + 1], bounds[:-1] - bounds[0]
+    stroke = np.maximum.reduceat(x, begins) - np.minimum.reduceat(x, begins)
+    return np.asarray(stroke >= STRONG * stroke.max())
+
+
+def _cycle_bounds(trace: Trace, first: int) -> NDArray[np.intp]:
+    """Samples at which full cycles begin, and at which the last ends, (L + 1,)."""
+    return trace.cycle_turns[trace.cycle_turns >= first][::2]
+
+
+def derive_from_parameters(
+    model: Model,
+    values: Mapping[str, Array],
+    pressure: float = float("nan"),
+    area: float | None = None,
+) -> dict[str, Array]:
+    """Gap width, in, and self-energizing factors C = F_c/(p A) by name, (n,) each.
+
+    Those that are unknown, as without a pressure (ksi) or an area of the actuator (in²), are left
+    out.
+    """
+    width = model.gap_width(values)
+    derived = {} if width is None else {"gap_width": width}
+    if area is not None and pressure > 0.0:
+        sides = zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False)
+        derived |= {name: values[force] / (pressure * area) for name, force in sides}
+    return derived
 
 
 def _coverage_checks(record: Array, replica: Array) -> list[PredictiveCheck]:

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Interval, interval_rows, intervals_of, measure_draws
+from mfd_bayes.calibration.diagnostics import (
+    Effort,
+    Interval,
+    interval_rows,
+    intervals_of,
+    measure_draws,
+)
 from mfd_bayes.calibration.evidence import Evidence, log_evidence
-from mfd_bayes.calibration.noise_sensitivity import OtherFit, fit_other, other_noises
+from mfd_bayes.calibration.modes import find_modes
+from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.priors import PriorFile, units
@@ -30,8 +38,19 @@ if TYPE_CHECKING:
 
     from mfd_bayes.calibration.sampling import Draws
 
+Array = NDArray[np.float64]
+Bounds = tuple[float, float, float]
+
 LEAST_AFTER = 20  # fewest samples that are fitted after a start that is masked
 REPLICAS = 50  # posterior predictive records that are stored for each ensemble
+HALF = 0.5  # share of its 95 % interval by which a quantity may move
+QUANTILES = (0.025, 0.5, 0.975)
+FORMAL = frozenset({"gamma1", "gamma2", "start"})  # quantities that say nothing about the damper
+# enough for a median and an interval, not for their digits
+ROUGH = Effort(
+    name="other noise", ess=50, limit=800, r_hat=1.1, length=2.0, ensembles=2, kept=1200, starts=16
+)
+APART = 1.2  # R-hat of these walkers above which they do not tell where the posterior is
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +68,7 @@ class Task:
     model: Model | str
     noise: str
     start: str
-    effort: str
+    effort: str | Effort
     seed: tuple[int, ...]
     checks_noise: bool = False
 
@@ -73,40 +92,96 @@ class Task:
         return posterior
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Calibrate the test into a run folder."""
-        return calibrate_test(self, out, observe)
+        """Sample the test's posterior and store it in a run folder."""
+        from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
+
+        began = time.perf_counter()
+        observe(Step(self.id, "finding modes"))
+        try:
+            posterior = self.posterior()
+            draws = sample(
+                posterior,
+                self.effort,
+                self.seed,
+                report=lambda progress: observe(Step(self.id, "sampling", progress)),
+            )
+            others: list[OtherFit] = []
+            if self.checks_noise:
+                observe(Step(self.id, "checking the noise"))
+                for noise in dict.fromkeys(("ou", "staged", *NOISES)):
+                    if noise != self.noise:
+                        others.append(fit_other(replace(self, noise=noise)))
+            save_test(out / self.file, _stored_of(self, posterior, draws, others))
+        except StoreError:
+            raise
+        except MfdError as error:
+            observe(Step(self.id, State.FAILED, message=str(error)))
+            return Outcome(self.id, State.FAILED, time.perf_counter() - began, str(error))
+        seconds, steps = time.perf_counter() - began, draws.chains.steps
+        worst = draws.convergence.worst_r_hat, draws.convergence.worst_ess
+        observe(Step(self.id, State.DONE, Progress(steps, steps, *worst, seconds)))
+        return Outcome(self.id, State.DONE, seconds)
 
 
-def calibrate_test(task: Task, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-    """Sample one test's posterior and store it in a run folder."""
-    from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
+# --- other noises: does the noise model decide a test's parameters?
 
-    began = time.perf_counter()
-    observe(Step(task.id, "finding modes"))
+
+@dataclass(frozen=True)
+class OtherFit:
+    """A test's parameters under another noise."""
+
+    noise: str
+    size: float = 0.0  # effective number of draws
+    quantities: Mapping[str, Bounds] = field(default_factory=dict)  # 2.5 %, 50 %, 97.5 %
+    seconds: float = 0.0  # processor time
+    error: str = ""  # why there is no fit, if there is none
+
+
+def moves(own: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether another noise moves a quantity: 2.5 %, 50 % and 97.5 % quantile under each.
+
+    Its median moves by more than `HALF` of its 95 % interval, or the intervals do not overlap.
+    """
+    (low, middle, high), (below, there, above) = own, other
+    return abs(there - middle) > HALF * (high - low) or below > high or above < low
+
+
+def fit_other(task: Task) -> OtherFit:
+    """Parameters of a test under another noise; a fit that fails is a result too."""
+    from mfd_bayes.calibration.sampling import sample_density  # emcee takes long to import
+
+    began = time.process_time()
+    rng = np.random.default_rng((*task.seed, 17, *task.noise.encode()))
     try:
         posterior = task.posterior()
-        draws = sample(
-            posterior,
-            task.effort,
-            task.seed,
-            report=lambda progress: observe(Step(task.id, "sampling", progress)),
-        )
-        others: list[OtherFit] = []
-        if task.checks_noise:
-            observe(Step(task.id, "checking the noise"))
-            for noise in other_noises(task.noise):
-                make = replace(task, noise=noise).posterior
-                others.append(fit_other(noise, make, task.seed))
-        save_test(out / task.file, _stored_of(task, posterior, draws, others))
-    except StoreError:
-        raise
-    except MfdError as error:
-        observe(Step(task.id, State.FAILED, message=str(error)))
-        return Outcome(task.id, State.FAILED, time.perf_counter() - began, str(error))
-    seconds, steps = time.perf_counter() - began, draws.chains.steps
-    worst = draws.convergence.worst_r_hat, draws.convergence.worst_ess
-    observe(Step(task.id, State.DONE, Progress(steps, steps, *worst, seconds)))
-    return Outcome(task.id, State.DONE, seconds)
+        modes = find_modes(posterior, rng, starts=ROUGH.starts)
+        chains = sample_density(posterior.log_prob, modes, ROUGH, rng)
+        if not chains.convergence.reached(APART, ROUGH.ess):
+            raise FitError("the walkers did not settle")
+        values = posterior.values(chains.q.reshape(-1, posterior.dim))
+        quantities = quantiles_of(posterior, values)
+    except (MfdError, np.linalg.LinAlgError) as error:
+        seconds = time.process_time() - began
+        return OtherFit(task.noise, error=str(error), seconds=seconds)
+    size, seconds = chains.convergence.worst_ess, time.process_time() - began
+    return OtherFit(task.noise, size, quantities, seconds)
+
+
+def quantiles_of(posterior: Posterior, values: Mapping[str, Array]) -> dict[str, Bounds]:
+    """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap."""
+    model = posterior.model
+    formal = {*posterior.noise.parameters, "start", *(FORMAL & model.standard_names)}
+    columns = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
+    if (gap := model.gap(values)) is not None:
+        columns["gap"] = gap
+    return {
+        name: tuple(np.quantile(column, QUANTILES).tolist())
+        for name, column in columns.items()
+        if name not in formal and np.ptp(column) > 0.0
+    }
+
+
+# --- what is stored of a test, and read again
 
 
 def _stored_of(
@@ -187,7 +262,7 @@ def needed(extras: Extras | None) -> Extras:
 class TestResult:
     """A calibrated test."""
 
-    __test__ = False
+    __test__ = False  # for pytest
 
     id: str
     posterior: Posterior

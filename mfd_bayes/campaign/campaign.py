@@ -5,11 +5,11 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from pydantic import ValidationError
 
@@ -18,6 +18,7 @@ from mfd_bayes.campaign.schema import (
     TABLES,
     CampaignFile,
     Column,
+    General,
     GoalTable,
     NoiseName,
     Role,
@@ -30,6 +31,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, check_session
 from mfd_bayes.population.laws import complete_laws, default_laws
+from mfd_bayes.population.settings import CONDITIONS
 from mfd_bayes.records.channels import NO_ACTUATION, Source, header_unit, parse_window
 from mfd_bayes.records.inputs import file_inside
 from mfd_bayes.records.readers import read_table
@@ -38,39 +40,21 @@ from mfd_bayes.records.record import Record, Window, read_record
 from mfd_bayes.store.toml import TomlError, read_toml
 from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
 
-_MOST_FAULTS, _LONGEST_FAULT = 10, 400  # what a message lists, and letters of each
+_MOST_FAULTS = 10  # that a message lists
 
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """One test of a campaign.
-
-    Attributes
-    ----------
-    id : str
-        The name of its folder; no two ids differ only in the case of their letters.
-    path : Path
-        Its file, inside the campaign's folder, links resolved.
-    actuation : str or None
-        Constant actuation with its unit; None where `columns` has the role "actuation".
-    window : (float, float) or None
-        The part of the record that is fitted, s.
-    columns : dict of str to Source
-        Role to its source, where the campaign file gives one.
-    session, after : str
-        As in the campaign file.
-    axes : Axes
-        What the model's motion and response are.
-    """
+    """One test of a campaign."""
 
     __test__: ClassVar[bool] = False  # pytest must not take it for a test class
 
-    id: str
-    path: Path
-    actuation: str | None
-    window: Window | None
+    id: str  # the name of its folder; no two differ only in the case of their letters
+    path: Path  # inside the campaign's folder, links resolved
+    actuation: str | None  # constant; None where `columns` has the role "actuation"
+    window: Window | None  # the part of the record that is fitted, s
     role: Role
-    columns: dict[str, Source]
+    columns: dict[str, Source]  # by role, of those that the campaign file gives
     session: str = ""
     after: str = ""
     axes: Axes = DAMPER
@@ -84,26 +68,14 @@ class Test:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """A campaign file, checked.
-
-    Attributes
-    ----------
-    path, folder : Path
-        The file, and its folder, links resolved; all test files are inside it.
-    settings : CampaignFile
-        What the file says, its defaults, and the unit of each measured actuation.
-    force_model : Model
-        The model that `settings` names.
-    replaced : bool
-        Whether that is not the file's own, so that its priors may have those of others.
-    """
+    """A campaign file, checked."""
 
     path: Path
-    folder: Path
-    settings: CampaignFile
+    folder: Path  # of the file, links resolved; all test files are inside it
+    settings: CampaignFile  # with its defaults, and the unit of each measured actuation
     tests: tuple[Test, ...]
-    force_model: Model
-    replaced: bool = False
+    force_model: Model  # that `settings` names
+    replaced: bool = False  # whether it is not the file's own: its priors may have those of others
 
     @property
     def title(self) -> str:
@@ -153,25 +125,9 @@ def load_campaign(
 ) -> Campaign:
     """Campaign of a TOML file; test files must exist but are not read yet.
 
-    The file of a user's own model is run, if it is in the campaign's folder. A test file is read
-    where only its row of units tells the unit of its actuation.
-
-    Parameters
-    ----------
-    path : str or Path
-    model, noise : str, optional
-        In place of the file's own.
-
-    Raises
-    ------
-    CampaignError
-        When the file is not TOML, a key is unknown, missing or of the wrong kind, two tests
-        share an id, a test's file is missing or outside the campaign's folder, actuations are of
-        several kinds, no test is to be calibrated, or tests follow each other as they cannot.
-    FitError
-        When the model cannot be used.
-    RecordError
-        When a test file that must be read for its row of units cannot be read.
+    `model` and `noise` stand in place of the file's own. The file of a user's own model is run, if
+    it is in the campaign's folder. A test file is read where only its row of units tells the unit
+    of its actuation.
     """
     path = Path(path)
     content = _read_toml(path)
@@ -179,21 +135,22 @@ def load_campaign(
         folder = path.resolve().parent
     except (OSError, RuntimeError) as error:
         raise CampaignError(f"cannot read {path}: {error}") from error
-    axes = _axes_of(content, folder, model)
     general = content.get("campaign")
+    own = general.get("model") if isinstance(general, dict) else None
+    if not (isinstance(own, str) and (own in models.model_names() or models.file_of(own))):
+        own = General().model  # what is wrong with it is said with the other faults
+    force_model = models.find_model(model or own, folder)
+    axes, replaced = force_model.axes, model not in (None, "", own)
     if not axes.timed and isinstance(general, dict) and "rate" in general:
         raise CampaignError(
             f"campaign.rate in {path}: samples are numbered for a rate-independent model; leave "
             "rate out"
         )
     settings = _checked(path, content, axes)
-    chosen = {name: value for name, value in (("model", model), ("noise", noise)) if value}
-    table = settings.campaign.model_copy(update=chosen)
-    force_model = models.find_model(table.model, folder)
-    replaced = table.model != settings.model
     if not replaced:
         _check_own_names(path, settings, force_model)
-    laws = _laws_of(settings, force_model)
+    chosen = {"model": model or settings.model, "noise": noise or settings.noise}
+    table, laws = settings.campaign.model_copy(update=chosen), _laws_of(settings, force_model)
     settings = settings.model_copy(update={"campaign": table, "laws": laws})
     tests = []
     for entry in settings.test:
@@ -201,19 +158,25 @@ def load_campaign(
             raise CampaignError(
                 f"test {entry.id!r} in {path}: a time is given either by its column or by a rate"
             )
-        file = _find_file(path, folder, entry)
-        if isinstance(entry.actuation, Column):
-            unit = _history_unit(path, entry.id, entry.actuation, file)
-            column = entry.actuation.model_copy(update={"unit": unit})
-            settings = settings.with_test(entry.id, actuation=column)
+        file, level = _find_file(path, folder, entry), entry.actuation or NO_ACTUATION
+        if isinstance(level, Column):
+            unit = _history_unit(path, entry.id, level, file)
+            level = level.model_copy(update={"unit": unit})
+            settings = settings.with_test(entry.id, actuation=level)
             entry = settings.tests[entry.id]
-        level = None if isinstance(entry.actuation, Column) else entry.actuation or NO_ACTUATION
+        window = None
+        if entry.fit is not None:
+            try:
+                of = f"fit of test {entry.id!r} in {path}"
+                window = parse_window(entry.fit, of=of, timed=axes.timed)
+            except UnitError as error:
+                raise CampaignError(str(error)) from error
         tests.append(
             Test(
                 entry.id,
                 file,
-                level,
-                _window_of(path, entry, axes),
+                None if isinstance(level, Column) else level,
+                window,
                 entry.role,
                 {role: column.source for role, column in settings.columns_of(entry).items()},
                 entry.session,
@@ -224,33 +187,11 @@ def load_campaign(
     _check_actuations(path, settings, force_model)
     _check_tests(path, settings)
     _check_order(path, tests)
-    own = [*force_model.laws, *([settings.goal.of] if settings.goal and replaced else [])]
-    goal = goal_settings(settings.goal, settings.actuation_unit, path, own).goal
+    names = [*force_model.laws, *([settings.goal.of] if settings.goal and replaced else [])]
+    goal = goal_settings(settings.goal, settings.actuation_unit, path, names).goal
     learned = [test.session for test in tests if test.role == "calibrate"]
     check_session(goal.session, learned, of=f"goal.session in {path}")
     return Campaign(path, folder, settings, tuple(tests), force_model, replaced)
-
-
-def _axes_of(content: dict[str, Any], folder: Path, model: str | None) -> Axes:
-    """Axes of the model that a campaign's content names, or of the one in its place.
-
-    What is wrong with the content is said later.
-    """
-    general = content.get("campaign")
-    own = general.get("model") if isinstance(general, dict) else None
-    name = model or (own if isinstance(own, str) and len(own) <= 1000 else None)
-    if name is None or not (name in models.model_names() or models.file_of(name)):
-        return DAMPER
-    return models.find_model(name, folder).axes
-
-
-def _window_of(path: Path, entry: TestTable, axes: Axes) -> Window | None:
-    if entry.fit is None:
-        return None
-    try:
-        return parse_window(entry.fit, of=f"fit of test {entry.id!r} in {path}", timed=axes.timed)
-    except UnitError as error:
-        raise CampaignError(str(error)) from error
 
 
 def _check_actuations(path: Path, settings: CampaignFile, model: Model) -> None:
@@ -271,15 +212,18 @@ def _check_own_names(path: Path, settings: CampaignFile, model: Model) -> None:
     """Refuse laws and dependences of what a model of the user's own does not have."""
     if settings.model in models.MODELS:
         return
-    for table, known in (("laws", tuple(model.laws)), ("dependence", model.parameters)):
+    for table, known in (("laws", model.laws), ("dependence", model.parameters)):
         for name in getattr(settings, table):
             if name not in known:
-                near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-                expected = f"expected {', '.join(known)}" if known else "it has none"
-                hint = f"did you mean {near[0]!r}?" if near else expected
+                hint = _nearest(name, tuple(known)) if known else "it has none"
                 raise CampaignError(
                     f"unknown key {name!r} in [{table}] of {path}, by {model.where}; {hint}"
                 )
+
+
+def _nearest(name: str, known: Collection[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(islice(known, 20))}"
 
 
 def _laws_of(settings: CampaignFile, model: Model) -> dict[str, str]:
@@ -309,7 +253,7 @@ def _find_file(path: Path, folder: Path, entry: TestTable) -> Path:
 def _history_unit(path: Path, test: str, column: Column, file: Path) -> str:
     """Unit of a measured actuation: as given, or of its name, or of the file's row of units."""
     unit = column.unit or header_unit(column.name or "")
-    if column.unit is None and (unit is None or not _is_actuation(unit)):
+    if column.unit is None and not (unit and measure(unit) != "ratio" and _is_actuation(unit)):
         table = read_table(file)
         name = table.name_of(column.key)
         unit = table.units.get(name, unit or header_unit(own_name(name)))
@@ -325,12 +269,12 @@ def _history_unit(path: Path, test: str, column: Column, file: Path) -> str:
 
 
 def _is_actuation(unit: str) -> bool:
-    """Whether a unit is one of an actuation; "force" of "axial_force" is none, nor 1 of "p_1"."""
+    """Whether a unit is one of an actuation; "force" of "axial_force" is none."""
     try:
         actuation_factor(unit)
     except UnitError:
         return False
-    return measure(unit) != "ratio"
+    return True
 
 
 def _check_tests(path: Path, settings: CampaignFile) -> None:
@@ -349,6 +293,14 @@ def _check_tests(path: Path, settings: CampaignFile) -> None:
             f"actuations of {path} must be all of one kind, as all pressures or all forces; "
             + ", ".join(each)
         )
+    for name, which in settings.dependence.items():
+        for test in settings.test:
+            for condition in which:
+                if condition in CONDITIONS and condition not in test.conditions:
+                    raise CampaignError(
+                        f"dependence.{name} in {path}: it is to follow the {condition}, and test "
+                        f"{test.id!r} has no {condition}"
+                    )
     if all(test.role == "validate" for test in settings.test):
         raise CampaignError(f"{path} has no test with role 'calibrate'")
     if settings.area is not None and "ksi" not in kinds:
@@ -368,30 +320,25 @@ def _check_order(path: Path, tests: Sequence[Test]) -> None:
             continue
         where = f"after of test {test.id!r} in {path}"
         if test.after not in by_id:
-            near = difflib.get_close_matches(test.after, by_id, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise CampaignError(f"{where} must be the id of another test, got {test.after!r}{hint}")
-        if test.after == test.id:
-            raise CampaignError(f"{where} must be the id of another test, got its own")
+            raise CampaignError(
+                f"{where} must be the id of another test, got {test.after!r}; "
+                f"{_nearest(test.after, by_id)}"
+            )
         other = follower.setdefault(test.after, test.id)
         if other != test.id:
             raise CampaignError(
                 f"{where} must be a test that no other follows directly, got {test.after!r}, which "
                 f"test {other!r} follows"
             )
-    ordered = [test.id for test in tests if not test.after]
-    for name in ordered:  # and those that follow, which are appended meanwhile
-        if name in follower:
-            ordered.append(follower[name])
-    if circular := [test.id for test in tests if test.id not in set(ordered)]:
-        chain = circular[:1]
-        while len(chain) == 1 or chain[-1] != chain[0]:
-            chain.append(by_id[chain[-1]].after)
-        raise CampaignError(
-            f"after of test {chain[0]!r} in {path} must lead back to a test that follows none, got "
-            f"a circle: {' after '.join(chain)}"
-        )
     for test in tests:
+        chain = [test.id, test.after]
+        while chain[-1] and chain[-1] not in chain[:-1]:
+            chain.append(by_id[chain[-1]].after)
+        if chain[-1]:
+            raise CampaignError(
+                f"after of test {test.id!r} in {path} must lead back to a test that follows none, "
+                f"got a circle: {' after '.join(chain)}"
+            )
         before = by_id.get(test.after)
         if before is None or before.path != test.path:
             continue
@@ -407,22 +354,12 @@ def _window_text(window: Window | None) -> str:
     return "all of the file" if window is None else f"{window[0]:g} s to {window[1]:g} s"
 
 
-@dataclass(frozen=True)
-class GoalSettings:
-    """What is to be known better, and by which tests.
+class GoalSettings(NamedTuple):
+    """What is to be known better, and by which tests: none for a grid of the campaign's range."""
 
-    Attributes
-    ----------
-    goal : Goal
-    candidates : sequence of Parts
-        Empty for a grid of the campaign's range.
-    limits : Limits
-        Of the actuator.
-    """
-
-    goal: Goal = field(default_factory=Goal)
+    goal: Goal = Goal()
     candidates: Sequence[Parts] = ()
-    limits: Limits = field(default_factory=Limits)
+    limits: Limits = Limits()  # of the actuator
 
 
 def goal_settings(
@@ -431,11 +368,6 @@ def goal_settings(
     """What the table `[goal]` of a campaign file says; the default without one.
 
     What follows the actuation in a user's own model is in `laws`.
-
-    Raises
-    ------
-    CampaignError
-        When a text in it is not understood; the sentence names the file and the key.
     """
     if table is None:
         return GoalSettings()
@@ -456,34 +388,31 @@ def _checked(path: Path, content: dict[str, Any], axes: Axes) -> CampaignFile:
     try:
         return CampaignFile.model_validate(content)
     except ValidationError as error:
-        faults = list(islice(_faults(path, content, error, axes), _MOST_FAULTS + 1))
-        texts = [f if len(f) <= _LONGEST_FAULT else f"{f[:_LONGEST_FAULT]}…" for f in faults]
-        more = "; and more" if len(texts) > _MOST_FAULTS else ""
-        raise CampaignError("; ".join(texts[:_MOST_FAULTS]) + more) from None
+        faults = islice(_faults(path, content, error, axes), _MOST_FAULTS)
+        text = "; ".join(f"{fault:.400}" for fault in faults)
+        more = "; and more" if error.error_count() > _MOST_FAULTS else ""
+        raise CampaignError(text + more) from None
 
 
 def _in_roles(path: Path, content: dict[str, Any], axes: Axes) -> dict[str, Any]:
     """The content with the package's names of columns in place of a model's own."""
-    if axes.of_damper:
-        return content
 
-    def renamed(tables: dict[str, Any], where: str) -> dict[str, Any]:
-        columns = tables.get("columns")
-        if not isinstance(columns, dict):
-            return tables
+    def renamed(table: Any) -> Any:
+        columns = table.get("columns") if isinstance(table, dict) else None
+        if axes.of_damper or not isinstance(columns, dict):
+            return table
+        known = tuple(map(axes.name, ("time", "displacement", "force")))
         for key in columns:
             if axes.name(key) != key:
-                known = ", ".join(map(axes.name, ("time", "displacement", "force")))
                 raise CampaignError(
-                    f"unknown key {key!r} in {where} of {path}, by its model; expected {known}"
+                    f"unknown key {key!r} in columns of {path}, by its model; expected "
+                    f"{', '.join(known)}"
                 )
-        return {**tables, "columns": {axes.role(key): value for key, value in columns.items()}}
+        return {**table, "columns": {axes.role(key): value for key, value in columns.items()}}
 
-    content, tests = renamed(content, "[columns]"), content.get("test")
-    if isinstance(tests, list):
-        entries = [renamed(t, "columns of a test") if isinstance(t, dict) else t for t in tests]
-        content = {**content, "test": entries}
-    return content
+    tests = content.get("test")
+    named = {"test": [renamed(test) for test in tests]} if isinstance(tests, list) else {}
+    return {**renamed(content), **named}
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -492,15 +421,10 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise CampaignError(f"{path} is a folder: give the campaign file in it, {example}")
     try:
         return read_toml(path)
-    except FileNotFoundError as error:
-        if not path.parent.is_dir():
-            raise CampaignError(f"cannot read {path}: there is no folder {path.parent}") from error
-        files = [file.name for file in path.parent.glob("*.toml")]
-        near = difflib.get_close_matches(path.name, files, n=1)
-        hint = f"; did you mean {path.parent / near[0]}?" if near else ""
-        raise CampaignError(f"cannot read {path}: {error.strerror}{hint}") from error
     except OSError as error:
-        raise CampaignError(f"cannot read {path}: {error.strerror or error}") from error
+        files = [] if path.exists() else [file.name for file in path.parent.glob("*.toml")]
+        hint = f"; {_nearest(path.name, files)}" if files else ""
+        raise CampaignError(f"cannot read {path}: {error.strerror or error}{hint}") from error
     except TomlError as error:
         raise CampaignError(f"{path} {error}") from error
 
@@ -518,7 +442,7 @@ def _faults(
             yield f"a test in {path} begins with [[test]], in two brackets, not [test]"
         elif fault["type"] == "too_short" and content.get("test"):
             continue  # there are tests, but each has a fault of its own, which is reported
-        elif fault["type"] == "extra_forbidden":
+        elif fault["type"] == "extra_forbidden" or "[key]" in fault["loc"]:
             yield _unknown_key(path, content, loc)
         elif fault["type"] == "missing":
             yield f"{key} is missing in {path}"
@@ -537,10 +461,8 @@ def _unknown_key(path: Path, content: dict[str, Any], loc: list[int | str]) -> s
     tables = [part for part in loc[:-1] if isinstance(part, str)]
     table = tables[-1] if tables else ""
     known = keys_of(table if table in TABLES or len(tables) == 1 else "actuation")
-    near = difflib.get_close_matches(str(loc[-1]), known, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
     section = f" in [{_dotted(content, loc[:-1])}]" if tables else ""
-    return f"unknown key {str(loc[-1])!r}{section} of {path}; {hint}"
+    return f"unknown key {str(loc[-1])!r}{section} of {path}; {_nearest(str(loc[-1]), known)}"
 
 
 def _dotted(content: dict[str, Any], loc: list[int | str]) -> str:

@@ -28,8 +28,7 @@ from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.population.settings import CONDITIONS
-from mfd_bayes.records.channels import NO_ACTUATION, Source, Subtracted, parse_window, step_of
+from mfd_bayes.records.channels import NO_ACTUATION, Source, Subtracted, step_of
 from mfd_bayes.records.readers.table import COLUMNS, NAME
 from mfd_bayes.units import (
     ActuationUnit,
@@ -105,45 +104,32 @@ _PERCENT = re.compile(r"(\d+(?:\.\d+)?)\s*%")
 _TEMPERATURE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([CFK])")
 
 
-def _one_of(names: Callable[[], Iterable[str]]) -> BeforeValidator:
-    """Validator of a name in a registry, which is read when a campaign is."""
+def _one_of(
+    names: Callable[[], Iterable[str]],
+    is_own: Callable[[str, ValidationInfo], object] = lambda name, info: False,
+) -> BeforeValidator:
+    """Validator of a name in a registry, which is read when a campaign is, or of a user's own."""
 
-    def check(value: object) -> object:
+    def check(value: object, info: ValidationInfo) -> object:
         *others, last = map(repr, names())
-        if repr(value) not in (*others, last):
-            expected = f"Input should be {', '.join(others)} or {last}"
-            raise PydanticCustomError("literal_error", expected)
-        return value
+        if repr(value) in (*others, last) or (isinstance(value, str) and is_own(value, info)):
+            return value
+        expected = f"Input should be {', '.join(others)} or {last}"
+        raise PydanticCustomError("literal_error", expected)
 
     return BeforeValidator(check)
 
 
-def _is_own(info: ValidationInfo) -> bool:
-    """Whether the campaign's model is none of the package: its names are checked once it is read.
+def _key_of(names: Iterable[str]) -> BeforeValidator:
+    """Validator of a key; those of a user's own model are checked by `load_campaign`."""
+    return _one_of(lambda: names, lambda _, info: _model_of(info) is None)
 
-    That is when `load_campaign` has read it.
-    """
+
+def _model_of(info: ValidationInfo) -> str | None:
+    """The campaign's model, if it is one of the package."""
     general = (info.data or {}).get("campaign")
-    return isinstance(general, General) and general.model not in models.MODELS
-
-
-def _check_model(value: object) -> object:
-    if isinstance(value, str) and (value in models.model_names() or models.file_of(value)):
-        return value
-    *others, last = map(repr, ("my_file.py:MyClass", *models.model_names()))
-    expected = f"Input should be {', '.join(others)} or {last}"
-    raise PydanticCustomError("literal_error", expected)
-
-
-def _key_of(names: Callable[[], Iterable[str]], *, models_own: bool = False) -> AfterValidator:
-    """Validator of a key of a table, which is reported as that of any other table."""
-
-    def check(name: str, info: ValidationInfo) -> str:
-        if name not in names() and not (models_own and _is_own(info)):
-            raise PydanticCustomError("extra_forbidden", "Extra inputs are not permitted")
-        return name
-
-    return AfterValidator(check)
+    name = general.model if isinstance(general, General) else General().model
+    return name if name in models.MODELS else None
 
 
 def _understood(parse: Callable[[str], object]) -> AfterValidator:
@@ -169,11 +155,6 @@ def _quantity(dimension: str) -> BeforeValidator:
             raise ValueError(str(error)) from error
 
     return BeforeValidator(read)
-
-
-def _window(text: str) -> object:
-    """Window in time or in samples; which of them is right is checked with the model."""
-    return parse_window(text, timed=not re.fullmatch(r"[\d\s]+to[\d\s]+", text))
 
 
 def _kind_of_actuation(value: object) -> str:
@@ -210,12 +191,10 @@ def _celsius(value: object) -> object:
 
 def _all_dependences(given: Mapping[str, Any], info: ValidationInfo) -> dict[str, Any]:
     """Covariates of each quantity of the model; "Fc" stands for both directions."""
-    general = (info.data or {}).get("campaign")
-    staged = isinstance(general, General) and general.model == "three_stage"
+    gap = "d2" if _model_of(info) == "three_stage" else "gap"
     found: dict[str, Any] = {}
     for name, which in given.items():
-        names = {"Fc": ("Fc_fwd", "Fc_bwd"), "gap": ("d2",) if staged else ("gap",)}
-        for each in names.get(name, (name,)):
+        for each in {"Fc": ("Fc_fwd", "Fc_bwd"), "gap": (gap,)}.get(name, (name,)):
             found[each] = tuple(dict.fromkeys((*found.get(each, ()), *which)))
     return {name: which for name, which in found.items() if which}
 
@@ -241,7 +220,7 @@ def _once(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _all_laws(given: dict[str, LawName], info: ValidationInfo) -> dict[str, Any]:
     """Law of every sampled quantity; a law that is tied to another may not differ from it."""
-    if _is_own(info):
+    if _model_of(info) is None:
         return dict(given)
     laws = complete_laws(given)
     for model in models.MODELS.values():
@@ -255,7 +234,13 @@ def _all_laws(given: dict[str, LawName], info: ValidationInfo) -> dict[str, Any]
 
 
 Id = Annotated[str, AfterValidator(check_id)]
-ModelName = Annotated[str, Field(max_length=1000), BeforeValidator(_check_model)]
+ModelName = Annotated[
+    str,
+    Field(max_length=1000),
+    _one_of(
+        lambda: ("my_file.py:MyClass", *models.model_names()), lambda name, _: models.file_of(name)
+    ),
+]
 NoiseName = Annotated[str, _one_of(lambda: noises.NOISES)]
 SampleRate = Annotated[str, _understood(lambda text: step_of(text, "rate"))]
 Text = Annotated[str, Field(max_length=100)]
@@ -450,7 +435,7 @@ class TestTable(Table):
     nothing in a model of your own follows it"""
     rate: SampleRate | None = None
     """in place of a column of times: `"100 Hz"`, or the step, `"10 ms"`"""
-    fit: Annotated[str, _understood(_window)] | None = None
+    fit: QuantityText | None = None
     """the part of the record that is used, `"0 s to 60 s"`, in its own time; `"0 to 300"`, in
     samples, where the model is rate-independent"""
     role: Role = "calibrate"
@@ -518,29 +503,18 @@ class CampaignFile(Table):
     campaign: General = General()
     columns: Columns = Columns()
     laws: Annotated[
-        dict[Annotated[str, _key_of(lambda: complete_laws({}), models_own=True)], LawName],
+        dict[Annotated[str, _key_of(complete_laws({}))], LawName],
         Field(validate_default=True),
         AfterValidator(_all_laws),
     ] = {}
     dependence: Annotated[
-        dict[Annotated[str, _key_of(lambda: DEPENDENCE, models_own=True)], Covariates],
+        dict[Annotated[str, _key_of(DEPENDENCE)], Covariates],
         AfterValidator(_all_dependences),
     ] = {}
     goal: GoalTable | None = None
-    tolerances: dict[Annotated[str, _key_of(lambda: TOLERANCES)], Tolerance] = {}
-    limits: dict[Annotated[str, _key_of(lambda: ACCEPTANCE)], Limit] = {}
+    tolerances: dict[Annotated[str, _one_of(lambda: TOLERANCES)], Tolerance] = {}
+    limits: dict[Annotated[str, _one_of(lambda: ACCEPTANCE)], Limit] = {}
     test: Annotated[tuple[TestTable, ...], Field(min_length=1)]
-
-    @model_validator(mode="after")
-    def _conditions_there(self) -> Self:
-        for name, which in self.dependence.items():
-            for test in self.test:
-                if lacking := [c for c in which if c in CONDITIONS and c not in test.conditions]:
-                    raise ValueError(
-                        f"{name} is to follow the {lacking[0]}, and test {test.id!r} has no "
-                        f"{lacking[0]}"
-                    )
-        return self
 
     @property
     def tests(self) -> dict[str, TestTable]:
@@ -643,19 +617,16 @@ TABLES: Mapping[str, type[Table]] = MappingProxyType(
 def keys_of(table: str) -> dict[str, tuple[str, str]]:
     """Default, as TOML, and meaning of each key of a table; "" is the file itself."""
     if table == "laws":
-        tied = {
-            n: o for m in models.MODELS.values() for n, o in {**m.laws_from, **m.tied_laws}.items()
-        }
-        return {
-            name: (f"that of `{tied[name]}`" if name in tied else f'`"{law}"`', LAWS.get(name, ""))
-            for name, law in complete_laws({}).items()
-        }
+        defaults = {name: f'`"{law}"`' for name, law in complete_laws({}).items()}
+        for model in models.MODELS.values():
+            tied = {**model.laws_from, **model.tied_laws}
+            defaults |= {name: f"that of `{other}`" for name, other in tied.items()}
+        return {name: (default, LAWS.get(name, "")) for name, default in defaults.items()}
     if table == "dependence":
         return {name: ("`[]`", meaning) for name, meaning in DEPENDENCE.items()}
     if table == "limits":
-        return {
-            name: ('`"15 %"`' if name == "all" else "none", m) for name, m in ACCEPTANCE.items()
-        }
+        default = dict.fromkeys(ACCEPTANCE, "none") | {"all": '`"15 %"`'}
+        return {name: (default[name], meaning) for name, meaning in ACCEPTANCE.items()}
     if table == "tolerances":
         return {name: (f"`{share:g}`", meaning) for name, (share, meaning) in TOLERANCES.items()}
 

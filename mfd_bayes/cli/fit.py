@@ -43,7 +43,6 @@ def calibrate(
     with mistakes("" if dry_run else resumption()):
         if not dry_run:
             _get_ready()
-        from mfd_bayes.evaluation import summary
         from mfd_bayes.pipeline import calibrate as pipeline
         from mfd_bayes.pipeline.plan import plan_campaign
 
@@ -60,7 +59,7 @@ def calibrate(
         with watch(quiet=quiet) as observe:
             view = pipeline.calibrate_plan(plan, out, observe)
         console.print_end(view, out, quiet=quiet)
-    if not summary.is_whole(view) or (strict and summary.fails(view)):
+    if not view.whole or (strict and view.unusable):
         raise typer.Exit(1)
 
 
@@ -89,14 +88,13 @@ def check(
       mfd-bayes check out --quiet && echo fit to use
     """
     with mistakes():
-        from mfd_bayes.evaluation import summary
         from mfd_bayes.pipeline import report as pipeline
 
         view = pipeline.check(out, units or "")
     if not quiet:
         console.print_checks(view, every=every)
     console.print_sentences(view)
-    if summary.fails(view):
+    if view.unusable:
         raise typer.Exit(1)
 
 
@@ -141,7 +139,6 @@ def report(
       mfd-bayes report out --tests p500_f0.05 --tests p800_f0.05
     """
     with mistakes(this_command()):
-        from mfd_bayes.evaluation import summary
         from mfd_bayes.pipeline import report as pipeline
         from mfd_bayes.reporting.publish import Forms
 
@@ -150,7 +147,7 @@ def report(
         with watch(quiet=quiet) as observe:
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)
-    if not summary.is_whole(view):
+    if not view.whole:
         raise typer.Exit(1)
 
 

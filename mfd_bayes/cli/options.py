@@ -59,6 +59,9 @@ Units = Annotated[
     Literal["us", "si"] | None,
     Option(help="Units of what is written.", show_default="the campaign's own"),
 ]
+Date = Annotated[str, Option(help="The day of the test, as 2024-03-05.")]
+Cycles = Annotated[float | None, Option(min=0, help="Cycles that the device had made before.")]
+Temperature = Annotated[str, Option(help='Of the device, such as "20 °C".')]
 Quiet = Annotated[bool, Option("-q", "--quiet", help="Print only warnings and the verdict.")]
 
 

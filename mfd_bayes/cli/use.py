@@ -44,6 +44,9 @@ def predict(
         str,
         Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several."),
     ] = "",
+    date: options.Date = "",
+    cycles: options.Cycles = None,
+    temperature: options.Temperature = "",
     whole: Annotated[
         bool, Option("--whole", help="Add a band that holds the whole history.")
     ] = False,
@@ -158,7 +161,6 @@ def crossvalidate(
       mfd-bayes crossvalidate campaign.toml -o out --by level --resume
     """
     with mistakes(resumption()):
-        from mfd_bayes.evaluation import summary
         from mfd_bayes.pipeline import crossvalidate as pipeline
         from mfd_bayes.pipeline.report import left_out_shown
 
@@ -167,7 +169,7 @@ def crossvalidate(
             view = pipeline.crossvalidate(campaign, out, run_options, observe)
         console.print_left_out(*left_out_shown(view), quiet=quiet)
         console.print_end(view, out, quiet=quiet)
-    if not summary.is_whole(view):
+    if not view.whole:
         raise typer.Exit(1)
 
 
@@ -249,11 +251,9 @@ def accept(
         ),
     ] = None,
     session: Annotated[str, Option(help="The session in which the records were made.")] = "",
-    date: Annotated[str, Option(help="The day of the records, as 2024-03-05.")] = "",
-    cycles: Annotated[
-        float | None, Option(min=0, help="Cycles that the device had made before.")
-    ] = None,
-    temperature: Annotated[str, Option(help='Of the device, such as "20 °C".')] = "",
+    date: options.Date = "",
+    cycles: options.Cycles = None,
+    temperature: options.Temperature = "",
     draws: Annotated[int, Option(min=200, max=10000)] = 1000,
     seed: options.Seed = 0,
     force: options.Replace = False,

@@ -22,6 +22,10 @@ def watch(
     ],
     actuation: Annotated[str, Option(help='Such as "1000 psi".')] = "",
     session: Annotated[str, Option(help="Of the test, where the campaign has sessions.")] = "",
+    device: Annotated[str, Option(help="A device of the campaign; else a new one.")] = "",
+    date: options.Date = "",
+    cycles: options.Cycles = None,
+    temperature: options.Temperature = "",
     narrowing: Annotated[
         str, Option(metavar='"2 %"', help="Enough where one more cycle narrows no interval so far.")
     ] = "2 %",

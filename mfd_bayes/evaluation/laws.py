@@ -40,11 +40,13 @@ def law_rows(run: Run) -> Rows:
     population, design, unit = run.population, run.population.design, run.actuation_unit
     kinds, at = units(run.model), run.system.words([design.reference], unit, actuation=True)
     rows = mixed_rows(run, at)
-    drawn = {} if run.model.own else dict(population.slopes)
+    drawn = dict(population.slopes) if run.model.standard_names else {}
     for name, law in design.laws.items():
         if law == COMPARE:  # a mixture has no constants of its own
             continue
-        if run.model.own:  # what follows a law, at the reference actuation of the laws
+        if (
+            name not in run.model.standard_names
+        ):  # what follows a law, at the reference actuation of the laws
             draws = population.median(name, [design.reference])[..., 0]
             converged = _converged(draws, population.walkers)
             rows.append(_row(name, kinds[name], draws, f"{law} law; at {at}", **converged))

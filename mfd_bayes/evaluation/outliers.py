@@ -12,10 +12,8 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.settings import Setting
-from mfd_bayes.runs.folder import pooled_of
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Finding
-from mfd_bayes.store.netcdf import load_arrays
 
 Array = NDArray[np.float64]
 
@@ -71,8 +69,9 @@ def outlying_tests(run: Run) -> list[Finding]:
             j, k = int(tests[row]), columns[column]
             others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
             name = design.names[k]
-            unit = "1" if name == "d3" and not run.model.own else units(run.model)[name]
-            shown = name if run.model.own else _WORDS.get(name, name)
+            standard = name in run.model.standard_names
+            unit = "1" if standard and name == "d3" else units(run.model)[name]
+            shown = _WORDS.get(name, name) if standard else name
             values = {
                 key: Quantity.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
                 for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(others)))
@@ -106,9 +105,7 @@ def _places(run: Run) -> tuple[Array, Array]:
     index = rng.choice(population.size, size=min(DRAWS, population.size))
     places, medians = [], []
     for name, setting in zip(run.tests, design.settings, strict=True):
-        values, _ = load_arrays(run.folder / pooled_of(name))
-        flat = {n: values[n].reshape(-1).astype(np.float64) for n in design.coordinates.names}
-        places.append(design.coordinates.of(flat).mean(axis=0)[:d])
+        places.append(design.coordinates.of(run.sequence.pooled(name)).mean(axis=0)[:d])
         medians.append(_coordinates(run, setting, index, rng).mean(axis=0))
     centre, spread = design.coordinates.centre[:d], design.spread
     return centre + spread * np.array(places), centre + spread * np.array(medians)
@@ -140,14 +137,14 @@ def uncommon_device_values(run: Run) -> list[Finding]:
     if len(run.tests) < FEWEST:
         return []
     model = run.model
-    of_device = (*model.slip_forces, *(() if model.own else ("sigma0", "gap")))
+    of_device = (*model.slip_forces, *(("sigma0", "gap") if model.standard_names else ()))
     rows: dict[str, list[tuple[float, float, float, bool]]] = {}
     rng = np.random.default_rng(0)
     for test, setting in zip(run.tests.values(), run.population.design.settings, strict=True):
         index = run.population.draw_index(DRAWS, setting.actuation, rng) % run.population.size
         drawn = run.population.values(_coordinates(run, setting, index, rng, scatter=True))
         own = dict(test.intervals)
-        if not run.model.own and {"d2", "d3"} <= drawn.keys():
+        if {"d2", "d3"} <= drawn.keys() & model.standard_names:
             drawn["gap"] = drawn["d2"] + drawn["d3"]
             middle, lower, upper = (own["d2"][k] + own["d3"][k] for k in range(3))
             own["gap"] = middle, lower, upper

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.axes import Axes
-from mfd_bayes.calibration.cycles import derive_from_parameters
+from mfd_bayes.calibration.predictive import derive_from_parameters
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.evaluation.scores import spread_of

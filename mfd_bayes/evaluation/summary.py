@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import identify
-from mfd_bayes.calibration.noise_sensitivity import moves, quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.priors import units
-from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.checks import convergence_checks, exponent_checks
@@ -42,13 +41,12 @@ from mfd_bayes.evaluation.views import (
     REPORT,
     CampaignView,
     Check,
-    LawView,
     Marginal,
     Row,
     Rows,
     TestView,
 )
-from mfd_bayes.jobs.parallel import Meanwhile, in_turn, meanwhile, several_processes, when_wanted
+from mfd_bayes.jobs.parallel import in_turn, several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.records.trace import Trace
@@ -75,70 +73,10 @@ _FIRST = ("gap", "k3", "k2", "Fs_fwd", "Fs_bwd")
 """Quantities that matter most in design come first, after the slip forces."""
 
 
-Given = TypeVar("Given")
-
-
 def assess(run: Run, jobs: int = 1) -> CampaignView:
     """Everything that the report of a run shows, by one process or several."""
-    with meanwhile(jobs) as background:
-        rows, laws = background(partial(law_rows, run)), background(partial(law_views, run))
-        tests, lost = views_of_tests(run, jobs, background)
-        return build_summary(run, tests, rows(), laws(), lost)
-
-
-def views_of_tests(
-    run: Run, jobs: int = 1, background: Meanwhile = when_wanted
-) -> tuple[list[TestView], dict[str, str]]:
-    """Views of all tests, in the order of the campaign; and why others cannot be shown.
-
-    Several processes make those of calibrated tests, `background` the others.
-    """
-    others = {
-        name: background(partial(_attempt, partial(held_out_view, run, name), trace))
-        for name, trace in run.held_out.items()
-    }
-    make = partial(_attempt, partial(calibrated_view, run.manifest, peaks_of(run)))
-    views = [make] * len(run.tests)
-    # each test is sent by itself: the records of all need not be held in every process
-    tests = enumerate(replace(test, extras=None) for test in run.tests.values())
-    with several_processes(views, jobs) as in_processes:
-        made = list((in_processes or in_turn(views))(tests))
-    all_tests = {
-        name: with_joint(run, view) if isinstance(view, TestView) else view
-        for name, view in zip(run.tests, made, strict=True)
-    } | {name: view() for name, view in others.items()}
-    shown, lost = [], {}
-    for name in run.manifest.tests:
-        view = all_tests.get(name)
-        if isinstance(view, TestView):
-            shown.append(view)
-        elif view is not None:
-            lost[name] = str(view)
-    return shown, lost
-
-
-def _attempt(make: Callable[[Given], TestView], given: Given) -> TestView | MfdError:
-    """A view, or why it cannot be made; a stored file that cannot be used is no fault of a test."""
-    try:
-        with np.errstate(all="ignore"):  # what is not finite is refused by name
-            return make(given)
-    except StoreError:
-        raise
-    except MfdError as error:
-        return error
-
-
-def build_summary(
-    run: Run,
-    tests: list[TestView],
-    table: Rows,
-    laws: tuple[LawView, ...],
-    lost: Mapping[str, str],
-) -> CampaignView:
-    """The report of a run from the views of its tests and laws, and from its manifest.
-
-    `table` are the constants of the laws, `lost` the tests that cannot be shown, and why.
-    """
+    tests, lost = views_of_tests(run, jobs)
+    table, laws = law_rows(run), law_views(run)
     manifest = run.manifest
     failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
     missing = [(name, CALIBRATION, "finished") for name in failures]
@@ -189,14 +127,38 @@ def build_summary(
     )
 
 
-def is_whole(view: CampaignView) -> bool:
-    """Whether a report shows every test that it could."""
-    return all(check.check != REPORT for check in view.checks)
+def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, str]]:
+    """Views of all tests, in the order of the campaign; and why others cannot be shown.
+
+    Several processes make those of calibrated tests.
+    """
+    make = partial(_attempt, partial(calibrated_view, run.manifest, peaks_of(run)))
+    views = [make] * len(run.tests)
+    # each test is sent by itself: the records of all need not be held in every process
+    tests = enumerate(replace(test, extras=None) for test in run.tests.values())
+    with several_processes(views, jobs) as in_processes:
+        made = dict(zip(run.tests, (in_processes or in_turn(views))(tests), strict=True))
+    for name, trace in run.held_out.items():
+        made[name] = _attempt(partial(held_out_view, run, name), trace)
+    shown, lost = [], {}
+    for name in (name for name in run.manifest.tests if name in made):
+        view = made[name]
+        if isinstance(view, TestView):
+            shown.append(with_joint(run, view))
+        else:
+            lost[name] = str(view)
+    return shown, lost
 
 
-def fails(view: CampaignView) -> bool:
-    """Whether a run must not be used: a check failed, or something is wrong with a test."""
-    return view.verdict == Use.NOT_USABLE
+def _attempt(make: Callable[[Any], TestView], given: Any) -> TestView | MfdError:
+    """A view, or why it cannot be made; a stored file that cannot be used is no fault of a test."""
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is refused by name
+            return make(given)
+    except StoreError:
+        raise
+    except MfdError as error:
+        return error
 
 
 def verdicts(view: CampaignView) -> dict[str, str]:

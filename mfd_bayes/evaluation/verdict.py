@@ -243,7 +243,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
             "Parameters whose interval in a test alone does not overlap that in the joint "
             f"posterior of all tests, which predictions use (number of tests): {apart}."
         )
-    if any(row["name"] == "gamma1" for row in rows) and not run.model.own:
+    if "gamma1" in run.model.standard_names & {row["name"] for row in rows}:
         texts.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
     left = [test.id for test in tests if test.rows and not test.noises]
     if left:

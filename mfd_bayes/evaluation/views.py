@@ -337,6 +337,16 @@ class CampaignView:
     model: Model | None = None
 
     @property
+    def whole(self) -> bool:
+        """Whether it shows every test that it could."""
+        return all(check.check != REPORT for check in self.checks)
+
+    @property
+    def unusable(self) -> bool:
+        """Whether the run must not be used: a check failed, or something is wrong with a test."""
+        return self.verdict == Use.NOT_USABLE
+
+    @property
     def system(self) -> System:
         """System of units of figures and tables: by default the campaign's own."""
         return self.systems[self.metric]

@@ -15,19 +15,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import psi
 
-from mfd_bayes.friction.columns import named_columns
-from mfd_bayes.friction.lugre import of_direction
-from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
-from mfd_bayes.friction.parameters import BACKLASH, quantities_in_order
-from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import solve
-from mfd_bayes.friction.spring import Spring
+from mfd_bayes.friction.lugre import PIECE, of_direction, solve
+from mfd_bayes.friction.model import Columns, Model, State, through_vertices
+from mfd_bayes.friction.quantity import QUANTITIES, Array, named_columns
 from mfd_bayes.records.trace import Trace
 
 Index = NDArray[np.intp]
@@ -50,6 +45,10 @@ FAR, MOST_FAR = 2.0, 8  # in slip a step may be longer by FAR, and a sample has 
 MOST = 128  # a way that would have more is not cut: slip then sets in within a small part of it
 STIFF = 8.0  # a longer step ends in slip, or slides none
 
+# Inverse of the spring
+INVERSIONS = 60  # most steps
+LEAST = -690.0  # exponent of e below which a number loses digits
+
 # Newton's method
 OVER = 1.0  # largest n ln(G/g) at which a step begins: what is above goes at once
 TINY = 1e-12  # force, kip, that stands for one that does not push against friction
@@ -59,8 +58,84 @@ CLOSE, CLOSE_BLUNT = 8e-7, 2e-7  # a step is solved when Newton moves it less; w
 PATIENCE = 7  # steps after which vectors that are not solved go on without the others
 FAR_OFF = 1e13  # error, over its limit, from which Newton may be beyond what friction can hold
 
-PIECE = 1 << 15  # numbers of a piece's arrays: they stay in the cache
 WORTH = 2000  # numbers of an array whose computation takes as long as one more call
+
+
+@dataclass(frozen=True, eq=False)
+class Spring:
+    """Spring of n vectors, (n,) each (model.md section 9).
+
+    G(z) = k_f ℓ ln(1 + e^((z − D/2)/ℓ)) − k_b ℓ ln(1 + e^(−(z + D/2)/ℓ)) + k_0 z
+    """
+
+    k_fwd: Array
+    k_bwd: Array
+    gap: Array
+    ell: Array
+    k_0: Array
+
+    @cached_property
+    def corners(self) -> tuple[Array, Array]:
+        """Forces k_f ℓ and k_b ℓ of the rounded corners, (n,) each, kip."""
+        return self.k_fwd * self.ell, self.k_bwd * self.ell
+
+    def of(self, rows: NDArray[np.intp]) -> Spring:
+        """Spring of some of the vectors, by their number; one may come several times."""
+        parts = (self.k_fwd, self.k_bwd, self.gap, self.ell, self.k_0)
+        return Spring(*(part[rows] for part in parts))
+
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in."""
+        a, half, (fwd, bwd) = z / self.ell, 0.5 * self.gap / self.ell, self.corners
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            e = np.exp(a - half)  # one exponential serves both sides
+            other = np.exp(-2.0 * half) / e
+            e += 1.0
+            other += 1.0
+            force = fwd * np.log(e)
+            force -= bwd * np.log(other)
+            force += self.k_0 * z
+            slope = (self.k_fwd + self.k_bwd + self.k_0) - self.k_fwd / e - self.k_bwd / other
+        if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
+            forward, forward_slope = _softplus(a - half)
+            backward, backward_slope = _softplus(-a - half)
+            force = fwd * forward - bwd * backward + self.k_0 * z
+            slope = self.k_fwd * forward_slope + self.k_bwd * backward_slope + self.k_0
+        return force, slope
+
+    def deflection(self, force: Array, close: float | Array = 1e-13) -> Array:
+        """Deflection at which the force is G, (..., n), in: the inverse of G.
+
+        It begins at the inverse of one side alone, where k_0 takes its share of the force as with
+        a sharp corner. Newton's step is taken wherever it stays inside the bounds, else they are
+        bisected, until a step is below `close` times ℓ + |z|.
+        """
+        sign, half, size = np.sign(force), 0.5 * self.gap, np.abs(force)
+        stiff = np.where(force > 0, self.k_fwd, self.k_bwd)
+        softest = np.minimum(self.k_fwd, self.k_bwd)
+        uneven = np.log1p(np.maximum(self.k_fwd, self.k_bwd) / softest)
+        high = half + self.ell * (2.0 + uneven) + size / softest
+        low = -high
+        sharp = (half + size / stiff) / (1.0 + self.k_0 / stiff)
+        own = np.maximum((size - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
+        ahead = half + self.ell * (own + np.log(-np.expm1(-own)))
+        z: Array = sign * np.minimum(ahead, high)
+        for _ in range(INVERSIONS):
+            now, slope = self.evaluate(z)
+            error = now - force
+            step = error / np.maximum(slope, 1e-300)
+            if np.all(np.abs(step) <= close * (self.ell + np.abs(z))):
+                return z - step
+            low, high = np.where(error < 0, z, low), np.where(error > 0, z, high)
+            new = z - step
+            z = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
+        return z
+
+
+def _softplus(a: Array) -> tuple[Array, Array]:
+    """ln(1 + e^a) and its slope, of any a."""
+    e = np.exp(-np.abs(a))
+    return np.maximum(a, 0.0) + np.log1p(e), np.where(a > 0, 1.0, e) / (1.0 + e)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,17 +183,6 @@ class Damper:
         return np.asarray(self.onset.max(axis=0))
 
     @cached_property
-    def late(self) -> Array:
-        """Factor by which Gⁿ keeps the spring from reaching slip once it is near, (n,).
-
-        A spring without a gap reaches w = G/g after ξ = ∫ dw/(1 − wⁿ) (g/k), so that at the end
-        n (1 − w) = late exp(n − n ξ k/g) with late = exp(−γ − ψ(1/n) − n), Euler's γ and the
-        digamma function ψ: from 1/e at n = 1 to 1.
-        """
-        n = self.columns["n"]
-        return np.asarray(np.exp(-np.euler_gamma - psi(1.0 / n) - n))
-
-    @cached_property
     def steps(self) -> tuple[Array, Array]:
         """Longest step near a turn, and way after a turn beyond which it surely slips, (n,), in.
 
@@ -151,7 +215,8 @@ class Damper:
             share = np.where(backward, back, ahead)
             force *= share
             length = np.minimum(share, 1.0) * length
-        return np.log(force), self.spring.about(force, sign, 0.2 * length), length
+        bound = sign * self.spring.deflection(sign * force, close=0.3)
+        return np.log(force), bound, length
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
@@ -416,31 +481,12 @@ def guess(damper: Damper, steps: Steps, turns: Index, first: Array) -> Array:
         # a stretch that begins near slip has less of the corner ahead of it
         near = np.maximum((bound[begin] - held) * rate, 1e-300)
         offset[k] = held * rate - np.log(-np.expm1(-near))
-        last = sign[end] * (bound[end] - _corner(room[end] - offset[k], damper.late) / rate)
+        last = sign[end] * (bound[end] - np.logaddexp(0.0, room[end] - offset[k]) / rate)
     room -= offset[stretch]
-    bent = _corner(room, damper.late)
-    bent /= rate
+    bent = _softplus(room)[0] / rate
     np.subtract(bound, bent, out=bent)
     bent *= sign
     return bent
-
-
-def _corner(room: Array, late: Array) -> Array:
-    """Way by which friction holds back less than its bound, at a room for it.
-
-    Both over the length in which slip sets in: ln(1 + e^room), less where slip sets in early.
-    """
-    e = np.abs(room)
-    np.negative(e, out=e)
-    np.exp(e, out=e)
-    share = e + late
-    share *= e
-    e += 1.0
-    share /= e
-    share += 1.0
-    np.log(share, out=share)
-    share += np.maximum(room, 0.0, out=e)
-    return share
 
 
 @dataclass(frozen=True)
@@ -456,14 +502,16 @@ class BacklashLuGre(Model):
     varying actuation the slip force changes linearly between samples; the spring does not.
     """
 
-    name: ClassVar[str] = "backlash"
-    quantities: ClassVar[tuple[Quantity, ...]] = quantities_in_order(BACKLASH)
-    positive: ClassVar[frozenset[str]] = frozenset(
-        {"k_fwd", "k_bwd", "ell", "Fc_fwd", "Fc_bwd", "v_s"}
+    name = "backlash"
+    parameters = (
+        *("k_fwd", "k_bwd", "gap", "ell", "k_0", "Fc_fwd", "Fc_bwd", "n", "sigma2"),
+        *("static_excess_fwd", "static_excess_bwd", "v_s"),
     )
-    has_gap: ClassVar[bool] = True
-    laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
-    slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
+    quantities = tuple(map(QUANTITIES.__getitem__, parameters))
+    positive = frozenset({"k_fwd", "k_bwd", "ell", "Fc_fwd", "Fc_bwd", "v_s"})
+    slip_forces = ACTUATED
+    has_gap = True
+    laws = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
 
     def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Force at the samples, (T, n), kip.

@@ -9,22 +9,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.model import Array, Columns, Model, State, through_vertices
-from mfd_bayes.friction.parameters import BOUC_WEN, quantities_in_order
-from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.lugre import PIECE
+from mfd_bayes.friction.model import Columns, Model, Rows, State, through_vertices
+from mfd_bayes.friction.quantity import QUANTITIES, Array
 from mfd_bayes.records.trace import Trace
-
-Rows = NDArray[np.intp]
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")
 
 FLOOR = 1e-6  # least share of F_y that is left at zero actuation, so that nothing divides by zero
-PIECE = 1 << 15  # size of a piece's arrays, in numbers: small enough for the cache
 NEAR = 2e-9  # distance from w = 1 at which z has reached F_y
 REACH = 4.0  # the curve is resolved down to w = −`REACH` times the ratio of the two F_y
 FAR = 1e7  # factor by which w may go below that range after friction has fallen
@@ -269,14 +266,13 @@ class BoucWen(Model):
     z/F_y depends on k |x − x_turn|/F_y alone and is taken from a `Curve`.
     """
 
-    name: ClassVar[str] = "bouc_wen"
-    quantities: ClassVar[tuple[Quantity, ...]] = quantities_in_order(BOUC_WEN)
-    positive: ClassVar[frozenset[str]] = frozenset({"k", "Fy_fwd", "Fy_bwd"})
-    laws: ClassVar[Mapping[str, str]] = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
-    laws_from: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {"Fy_fwd": "Fc_fwd", "Fy_bwd": "Fc_bwd"}
-    )
-    slip_forces: ClassVar[tuple[str, ...]] = ACTUATED
+    name = "bouc_wen"
+    parameters = ("k", "alpha", *ACTUATED, "beta", "exponent", "c")
+    quantities = tuple(map(QUANTITIES.__getitem__, parameters))
+    positive = frozenset({"k", *ACTUATED})
+    slip_forces = ACTUATED
+    laws = MappingProxyType(dict.fromkeys(ACTUATED, "proportional"))
+    laws_from = MappingProxyType({"Fy_fwd": "Fc_fwd", "Fy_bwd": "Fc_bwd"})
 
     def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Force at the samples, (T, n), kip."""

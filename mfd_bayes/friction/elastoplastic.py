@@ -6,7 +6,8 @@ from typing import Self
 
 import numpy as np
 
-from mfd_bayes.friction.model import Array, Columns, Model, State
+from mfd_bayes.friction.model import Columns, Model, State
+from mfd_bayes.friction.quantity import Array
 
 
 class _ElastoPlastic(Model):

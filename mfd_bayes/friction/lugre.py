@@ -9,23 +9,60 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.columns import columns_in_order, named_vectors
-from mfd_bayes.friction.model import Array, Columns, Model, State
-from mfd_bayes.friction.parameters import PARAMETERS, STATIC, quantities_of
-from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.friction.recurrence import solve
+from mfd_bayes.friction.model import Columns, Model, State
+from mfd_bayes.friction.quantity import STATIC, Array, columns_in_order, named_vectors, sampled_for
 from mfd_bayes.records.trace import Trace
 
 FLOOR = 1e-9
 """Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
 
 PIECE = 1 << 15  # size of a piece's arrays, in numbers: they stay in the cache
+
+SHORT = 24  # up to this many steps of a recurrence are taken one after the other
+
+PARAMETERS = (
+    "sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd",
+    "k2", "k3", "d2", "d3", "gamma1", "gamma2", "v_s",
+)  # fmt: skip
+"""All parameters of the MFD paper, in its order."""
+
+
+def solve(decay: Array, drive: Array, first: Array) -> Array:
+    """States z_k = decay_k z_{k−1} + drive_k after each of N steps, (N, n).
+
+    `decay` and `drive` are (N, n); `first`, (n,), is z before the first step. The steps are taken
+    in blocks: a step in all of them at once, and then from block to block.
+    """
+    steps, n = decay.shape
+    if steps <= SHORT:
+        states, last = drive.copy(), first
+        for a, z in zip(decay, states, strict=True):
+            z += a * last
+            last = z
+        return states
+    length = round(1.3 * steps ** (1 / 3) if steps > SHORT**2 else steps**0.5)
+    count = -(-steps // length)
+    # (length, count, n): the j-th steps of all blocks together; what fills up the last one is 0
+    a, z = np.zeros((2, length, count, n))
+    for blocks, given in ((a, decay), (z, drive)):
+        by_block = blocks.swapaxes(0, 1)
+        by_block[:-1] = given[: (count - 1) * length].reshape(count - 1, length, n)
+        by_block[-1, : steps - (count - 1) * length] = given[(count - 1) * length :]
+    for j in range(1, length):
+        z[j] += a[j] * z[j - 1]
+        a[j] *= a[j - 1]
+    # the last block is followed by none, so that its end does not matter
+    before = np.concatenate([first[None], solve(a[-1, :-1], z[-1, :-1], first)])
+    a *= before
+    z += a
+    z = z.swapaxes(0, 1).reshape(-1, n)
+    return np.asarray(z[:steps])
 
 
 class Curve(NamedTuple):
@@ -39,27 +76,25 @@ class Curve(NamedTuple):
     excess: Array
     rate: Array
 
+    @classmethod
+    def of(cls, c: Mapping[str, Array]) -> Curve:
+        """The curve of LuGre's parameters by name."""
+        stiff, kinetic, excess = np.maximum(c["sigma0"], FLOOR), [], []
+        for side, sign in (("fwd", 1.0), ("bwd", -1.0)):
+            low = np.maximum(c[f"Fc_{side}"], FLOOR)
+            kinetic.append(sign * low / stiff)
+            excess.append(sign * np.maximum(c[f"Fs_{side}"] - low, 0.0) / stiff)
+        pairs = [np.stack(np.broadcast_arrays(*pair)) for pair in (kinetic, excess)]
+        return cls(pairs[0], pairs[1], -1.0 / np.square(c["v_s"]))
 
-def curve_of(c: Mapping[str, Array]) -> Curve:
-    """The Stribeck curve of LuGre's parameters by name."""
-    stiff = np.maximum(c["sigma0"], FLOOR)
-    forward, backward = (np.maximum(c[f"Fc_{side}"], FLOOR) for side in ("fwd", "bwd"))
-    excess = np.maximum(c["Fs_fwd"] - forward, 0.0), np.maximum(c["Fs_bwd"] - backward, 0.0)
-    return Curve(
-        np.stack(np.broadcast_arrays(forward / stiff, -backward / stiff)),
-        np.stack(np.broadcast_arrays(excess[0] / stiff, -excess[1] / stiff)),
-        -1.0 / np.square(c["v_s"]),
-    )
-
-
-def steady_of(curve: Curve, rate: Array) -> Array:
-    """Deflection sgn(v) g(v)/σ0, in, that the bristles tend to at a mean velocity, in/s."""
-    backward = rate < 0.0
-    steady: Array = np.square(rate) * curve.rate
-    np.exp(steady, out=steady)
-    steady *= of_direction(backward, curve.excess)
-    steady += of_direction(backward, curve.kinetic)
-    return steady
+    def steady(self, rate: Array) -> Array:
+        """Deflection sgn(v) g(v)/σ0, in, that the bristles tend to at a mean velocity, in/s."""
+        backward = rate < 0.0
+        steady: Array = np.square(rate) * self.rate
+        np.exp(steady, out=steady)
+        steady *= of_direction(backward, self.excess)
+        steady += of_direction(backward, self.kinetic)
+        return steady
 
 
 def of_direction(backward: NDArray[np.bool_], pair: Array) -> Array:
@@ -96,14 +131,12 @@ def limit_of(c: Mapping[str, Array], z: Array, steady: Array) -> Array:
 class PaperModel(Model):
     """What LuGre and the three stages have in common: the paper's friction."""
 
-    positive: ClassVar[frozenset[str]] = frozenset({"sigma0", "gamma1", "gamma2", "v_s"})
-    laws: ClassVar[Mapping[str, str]] = MappingProxyType(
+    positive = frozenset({"sigma0", "gamma1", "gamma2", "v_s"})
+    slip_forces = ("Fc_fwd", "Fc_bwd")
+    laws = MappingProxyType(
         {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine"}
     )
-    tied_laws: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {static: kinetic for static, (kinetic, _) in STATIC.items()}
-    )
-    slip_forces: ClassVar[tuple[str, ...]] = ("Fc_fwd", "Fc_bwd")
+    tied_laws = MappingProxyType({static: kinetic for static, (kinetic, _) in STATIC.items()})
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p): F_s = F_c (1 + excess), γ2 = ℓ γ1."""
@@ -117,7 +150,7 @@ class PaperModel(Model):
     def vectors(self, theta: ArrayLike) -> Array:
         """Theta as numbers, (n, p).
 
-        A model with fewer parameters takes its own from a theta in the paper's order, (n, 14), too.
+        LuGre takes its own from a theta in the paper's order, (n, 14), too.
         """
         values = columns_in_order("theta", theta, self.parameters)
         if values.ndim == 2 and values.shape[1] == len(PARAMETERS) != len(self.parameters):
@@ -146,29 +179,23 @@ class PaperModel(Model):
 
         The rate terms at sample n use the velocity of the path and the g of the step before it.
 
-        Parameters
-        ----------
-        c : dict of (n,)
-            At the reference actuation.
-        factors : dict of (T, n) or (T, 1)
-            Factors along the trace of those that follow the actuation; empty where it is constant.
+        `c` are at the reference actuation, and `factors` along the trace, (T, n) or (T, 1).
         """
         path = trace.path
         factors = {name: f.take(path.nearest, axis=0) for name, f in factors.items()}
         samples, n = path.step.size, c["v_s"].size
-        length = max(PIECE // max(n, 1), 1)
-        force, z, now, curve = np.empty((samples, n)), np.zeros(n), c, curve_of(c)
+        length = max(PIECE // n, 1)
+        force, z, now, curve = np.empty((samples, n)), np.zeros(n), c, Curve.of(c)
         for begin in range(0, samples, length):
             rows = slice(begin, begin + length)
             if factors:
                 at = np.arange(samples)[rows]
                 last = np.maximum(at - 1, 0)
                 now = c | {k: f[at] * c[k] for k, f in factors.items()}
-                curve = curve_of(
-                    c | {k: 0.5 * (f[last] + f[at]) * c[k] for k, f in factors.items()}
-                )
+                mean = {k: 0.5 * (f[last] + f[at]) * c[k] for k, f in factors.items()}
+                curve = Curve.of(c | mean)
             way, rate, velocity = (a[rows, None] for a in (path.step, path.rate, path.velocity))
-            steady = steady_of(curve, rate)
+            steady = curve.steady(rate)
             decay = np.exp(-way / steady)
             state = solve(decay, steady - decay * steady, z)
             damping = np.copysign(velocity, rate) / steady
@@ -179,17 +206,19 @@ class PaperModel(Model):
 
     def constants(self, c: Columns) -> dict[str, Any]:
         """Columns and the Stribeck curve."""
-        return c | curve_of(c)._asdict()
+        return c | Curve.of(c)._asdict()
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """Undeflected bristles; of a direction that is not known, the first velocity's is taken."""
         v = state.velocity
-        c = _at(state.constants, state.scales)
-        moved = np.full(v.size, direction is not None)
         way = np.where(v < 0.0, -1.0, 1.0) if direction is None else direction
-        slip = (c["sigma1"] + c["sigma2"]) * v
-        known = {"z": np.zeros(v.size), "slip": slip, "start": start}
-        return known | {"direction": way, "moved": moved}
+        return {
+            "z": np.zeros(v.size),
+            "slip": (state.constants["sigma1"] + state.constants["sigma2"]) * v,
+            "start": start,
+            "direction": way,
+            "moved": np.full(v.size, direction is not None),
+        }
 
     def advance(
         self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
@@ -202,11 +231,11 @@ class PaperModel(Model):
         if varying:
             before, now = _at(c, state.scales), _at(c, scales)
             names = {*scales, *state.scales}
-            curve = curve_of(c | {name: 0.5 * (before[name] + now[name]) for name in names})
+            curve = Curve.of(c | {name: 0.5 * (before[name] + now[name]) for name in names})
         else:
             curve = Curve(c["kinetic"], c["excess"], c["rate"])
         rate = way / dt
-        steady = steady_of(curve, rate)
+        steady = curve.steady(rate)
         z = steady + np.exp(-way / steady) * (memory["z"] - steady)
         damping = np.copysign(velocity, rate) / steady
         if varying:
@@ -235,11 +264,9 @@ class LuGre(PaperModel):
     theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
     """
 
-    name: ClassVar[str] = "lugre"
-    parameters: ClassVar[tuple[str, ...]] = (
-        *("sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd", "v_s"),
-    )
-    quantities: ClassVar[tuple[Quantity, ...]] = quantities_of(parameters)
+    name = "lugre"
+    parameters = (*PARAMETERS[:7], "v_s")
+    quantities = sampled_for(parameters)
 
     def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """F1 at the samples, (T, n), kip."""

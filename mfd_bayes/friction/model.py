@@ -17,18 +17,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.axes import DAMPER, Axes, axis_of, in_place_of
 from mfd_bayes.errors import FitError, MfdError, UnitError
-from mfd_bayes.friction.columns import columns_in_order, named_vectors
-from mfd_bayes.friction.quantity import LAW_NAMES, LIMITS, Parameter, Quantity
+from mfd_bayes.friction.quantity import (
+    LAW_NAMES,
+    LIMITS,
+    QUANTITIES,
+    Array,
+    Parameter,
+    Quantity,
+    columns_in_order,
+    named_vectors,
+)
 from mfd_bayes.records.inputs import real_number, real_numbers
 from mfd_bayes.records.trace import Trace, check_trace, vertex_of_turn, vertices
 from mfd_bayes.units import convert
 
-Array = NDArray[np.float64]
 Columns = dict[str, Array]
 Rows = NDArray[np.intp]
-Scales = Mapping[str, Array]
+Scales = Mapping[str, ArrayLike] | None
 
 _NONE: Mapping[str, str] = MappingProxyType({})
+_FORCE = " force"  # where the memory of a user's own model keeps it; no name of theirs begins so
 
 
 class Model:
@@ -108,42 +116,48 @@ class Model:
     def __init_subclass__(cls) -> None:
         """Read what the class declares; its `force`, `start` and `step` are called by ours."""
         super().__init_subclass__()
-        given = cls.__dict__
-        declared = given.get("parameters")
-        by_name = isinstance(declared, tuple) and {type(name) for name in declared} == {str}
+        given = dict(vars(cls))
+        where = _where(cls)
         for key, default in (("motion", DAMPER.motion), ("response", DAMPER.response)):
             if key in given:
                 try:
                     setattr(cls, key, axis_of(given[key], default))
                 except UnitError as error:
-                    raise FitError(f"{where_of(cls)}, {key}: {error}") from error
+                    raise FitError(f"{where}, {key}: {error}") from error
         if cls.motion.name == cls.response.name:
-            raise FitError(f"{where_of(cls)}: motion and response are both {cls.motion.name!r}")
+            raise FitError(f"{where}: motion and response are both {cls.motion.name!r}")
         if not isinstance(cls.rate_independent, bool):
-            raise FitError(
-                f"{where_of(cls)}: rate_independent must be True or False, "
-                f"got {cls.rate_independent!r:.60}"
-            )
-        if "parameters" in given and not (by_name or isinstance(declared, property)):
-            _declare(cls, declared)
-        elif "quantities" in given and "parameters" not in given:
-            cls.parameters = tuple(quantity.name for quantity in cls.quantities)
-        names = [name for name in ("force", "start", "step") if name in given]
+            got = f"{cls.rate_independent!r:.60}"
+            raise FitError(f"{where}: rate_independent must be True or False, got {got}")
+        if "quantities" in given:
+            cls.parameters = given.get("parameters", tuple(q.name for q in cls.quantities))
+        elif "parameters" in given and not isinstance(given["parameters"], property):
+            _declare(cls, given["parameters"], where)
+        own: dict[str, Any] = {
+            name: given[name] for name in ("force", "start", "step") if name in given
+        }
         parent: type[Any] = cls.__mro__[1]
-        built_in = parent.compute_force is not Model.compute_force
-        if names and (built_in or not all(callable(given[name]) for name in names)):
+        if own and not (all(map(callable, own.values())) and _is_own(parent)):
             raise FitError(
-                f"{where_of(cls)}: {names[0]} must be a function of a class on top of Model; one "
+                f"{where}: {next(iter(own))} must be a function of a class on top of Model; one "
                 f"on top of {parent.__name__} gives compute_force, begin, advance and total"
             )
-        cls.own = {**cls.own, **{name: given[name] for name in names}}
-        for name in names:
+        cls.own = {**cls.own, **own}
+        for name in own:
             delattr(cls, name)
 
     @property
     def actuated(self) -> tuple[str, ...]:
         """Parameters that `scales` may hold: those that follow the actuation."""
         return (*self.laws, *self.tied_laws)
+
+    @cached_property
+    def standard_names(self) -> frozenset[str]:
+        """Quantities that are those of the package's models: what a user's own calls so may differ.
+
+        That `sigma0` is a stiffness or `d2` a part of the gap is known of these names alone.
+        """
+        return frozenset(q.name for q in self.quantities if QUANTITIES.get(q.name) is q)
 
     @property
     def axes(self) -> Axes:
@@ -153,7 +167,7 @@ class Model:
     @property
     def where(self) -> str:
         """The class and its file, for messages."""
-        return where_of(type(self))
+        return _where(type(self))
 
     # --- a record
 
@@ -163,7 +177,7 @@ class Model:
         trace: Trace,
         start: ArrayLike | None = None,
         *,
-        scales: Mapping[str, ArrayLike] | None = None,
+        scales: Scales = None,
     ) -> Array:
         """Force of every parameter vector, (n, T), kip.
 
@@ -183,7 +197,7 @@ class Model:
         FitError
             When a shape, a name or a value does not fit, or the force is too large for a number.
         """
-        return self._finite("force", self.force_unbounded, theta, trace, start, scales=scales)
+        return self._finite("force", theta, trace, start, scales)
 
     def force_unbounded(
         self,
@@ -191,22 +205,14 @@ class Model:
         trace: Trace,
         start: ArrayLike | None = None,
         *,
-        scales: Mapping[str, ArrayLike] | None = None,
+        scales: Scales = None,
     ) -> Array:
         """As `force`, but infinite or NaN where it is too large for a number: for densities."""
-        c, w0, factors = self._arguments(theta, trace, start, scales)
-        if not w0.size:
-            return np.empty((0, trace.samples))
-        return self.compute_force(c, trace, w0, factors).T
+        return self._computed("force", theta, trace, start, scales)
 
     def travel(self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None) -> Array:
         """Travel since the last slip, or turn, of every parameter vector, (n, T), in."""
-
-        def compute() -> Array:
-            c, w0, _ = self._arguments(theta, trace, start, None)
-            return self.compute_travel(c, trace, w0).T if w0.size else np.empty((0, trace.samples))
-
-        return self._finite("travel", compute)
+        return self._finite("travel", theta, trace, start, None)
 
     def end(
         self,
@@ -214,29 +220,14 @@ class Model:
         trace: Trace,
         start: ArrayLike | None = None,
         *,
-        scales: Mapping[str, ArrayLike] | None = None,
+        scales: Scales = None,
     ) -> Array:
         """Place in the gap at the last sample of every parameter vector, (n,), 1.
 
         0 is where the device slips backward, 1 where it slips forward: there it stays while it
         slips. Without a gap it is ½, which is without effect. `start_at` makes a `start` of it.
-
-        Parameters
-        ----------
-        theta, trace, start, scales
-            As in `force`.
-
-        Raises
-        ------
-        FitError
-            When a shape or a value does not fit, or the model has a gap and does not say this.
         """
-
-        def compute() -> Array:
-            c, w0, factors = self._arguments(theta, trace, start, scales)
-            return self.compute_end(c, trace, w0, factors) if w0.size else np.empty(0)
-
-        return self._finite("end", compute)
+        return self._finite("end", theta, trace, start, scales)
 
     def stages(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
@@ -256,16 +247,48 @@ class Model:
     ) -> Array:
         """`start` of a motion that begins at a place in the gap, as `end` has it, (n,), 1.
 
-        Parameters
-        ----------
-        place : (n,), 1
-        trace : Trace
-            The motion that begins there.
-        before, theta : (n, p), optional
-            Parameters of the motion that ended there, and of the one that begins, where they
-            differ.
+        `before` and `theta`, (n, p), are the parameters of the motion that ended there and of
+        `trace`, which begins, where they differ.
         """
         return place
+
+    def _computed(
+        self, what: str, theta: ArrayLike, trace: Trace, start: ArrayLike | None, scales: Scales
+    ) -> Array:
+        """The force, travel or end of every vector, (n, …)."""
+        check_trace("trace", trace, FitError)
+        if not (trace.timed or self.rate_independent):
+            raise FitError(
+                f"the model {self.name} needs the time of each sample, and the trace has none"
+            )
+        c = self.columns(theta)
+        n = next(iter(c.values())).size if c else len(np.atleast_2d(np.asarray(theta)))
+        w0, factors = _start(start, n), {}
+        if scales is not None:
+            shapes = ((n, trace.samples), (1, trace.samples))
+            factors = {k: f.T for k, f in _factors(scales, shapes, self.actuated).items()}
+        elif trace.varying:
+            level = np.asarray(trace.actuation)[:, None]
+            factors = self.proportional(level, trace.reference_actuation)
+        if n == 0:
+            return np.empty(0 if what == "end" else (0, trace.samples))
+        values: Array = getattr(self, f"compute_{what}")(c, trace, w0, factors)
+        return values.T
+
+    def _finite(self, what: str, *args: Any) -> Array:
+        """As `_computed`, if all of it is finite."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                values = self._computed(what, *args)
+        except (ArithmeticError, IndexError) as error:  # of a place that is not a number
+            message = f"the {what} is no finite number for these parameters"
+            raise FitError(message) from error
+        finite = np.isfinite(values)
+        if not finite.all():
+            at = int(np.argmin(finite.reshape(len(values), -1).all(axis=1)))
+            of = f" of {self.where}" if self.own else ""
+            raise FitError(f"the {what}{of} of parameter vector {at} is no finite number")
+        return values
 
     # --- what a model computes: columns (n,), place in the gap (n,), factors (T, n) or (T, 1)
 
@@ -275,15 +298,11 @@ class Model:
             raise FitError(f"{self.where} has no force")
         theta = np.stack([c[name] for name in self.parameters], axis=1)
         along = {name: factors.get(name, np.ones((1, 1))).T for name in self.actuated}
-        if factors and not _takes(self.own["force"], "scales"):
-            raise FitError(
-                f"the actuation changes, and the force of {self.where} does not take scales, the "
-                f"factors of {', '.join(self.actuated)}"
-            )
-        force = self._call("force", theta, trace, start=start, scales=along)
+        options = {"start": start, "scales": along}
+        force = self._call("force", theta, trace, varies=bool(factors), **options)
         return self._checked("force", force, (start.size, trace.samples)).T
 
-    def compute_travel(self, c: Columns, trace: Trace, start: Array) -> Array:
+    def compute_travel(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Travel since the last turn along a record, (T, n), in."""
         path = trace.path
         turns = np.concatenate([path.displacement[:1], path.displacement[path.turning_points]])
@@ -317,23 +336,12 @@ class Model:
     def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array] | None:
         """Part of the range of `start` in which a device bears little load; None: all of it.
 
-        Parameters
-        ----------
-        values : mapping of str to (n,)
-            Quantities by name.
-
-        Returns
-        -------
-        lower, upper, edge : (n,), 1, each
-            Its ends, and the length over which the load grows there.
+        Its lower and upper end, and the length over which the load grows there, (n,), 1, each.
         """
         return None
 
     def vectors(self, theta: ArrayLike) -> Array:
-        """Theta as numbers, (n, p), or a FitError that says what does not fit.
-
-        Of a table with named columns, such as a DataFrame, those of `parameters` are taken.
-        """
+        """Theta as numbers, (n, p); of a table with named columns, those of `parameters`."""
         values = columns_in_order("theta", theta, self.parameters)
         width = len(self.parameters)
         if values.ndim != 2 or values.shape[1] != width:
@@ -343,28 +351,22 @@ class Model:
         return values
 
     def columns(self, theta: ArrayLike) -> Columns:
-        """Theta's columns by name, (n,) each, within the limits of their quantities.
-
-        Raises
-        ------
-        FitError
-            When the shape does not fit, or a value lies outside its limits.
-        """
+        """Theta's columns by name, (n,) each, within the limits of their quantities."""
         values = np.array(self.vectors(theta).T, order="C")  # not the caller's
         columns = dict(zip(self.parameters, values, strict=True))
-        known = {quantity.name: (quantity.least, quantity.most) for quantity in self.quantities}
-        limits = np.array([known.get(name, (-np.inf, np.inf)) for name in columns])
+        limits = {quantity.name: (quantity.least, quantity.most) for quantity in self.quantities}
+        ends = np.array([limits.get(name, LIMITS["real"]) for name in columns])
         zero = np.array([name in self.positive for name in columns])
-        good = (values >= limits[:, :1]) & (values <= limits[:, 1:]) & np.isfinite(values)
+        good = (values >= ends[:, :1]) & (values <= ends[:, 1:]) & np.isfinite(values)
         good &= ~(zero[:, None] & (values == 0.0))
         if not good.all():
             row, vector = np.argwhere(~good)[0]
-            name, (least, most) = self.parameters[row], limits[row]
-            words = "positive" if zero[row] else "not negative" if least == 0.0 else ""
-            words = f"in [{least:g}, {most:g}]" if np.isfinite(most) else words
-            words = words or (f"at least {least:g}" if np.isfinite(least) else "")
-            words = f"finite and {words}" if words else "finite"
-            raise FitError(f"parameter {name} must be {words}, got {values[row, vector]}")
+            least, most = ends[row]
+            span = f" and at least {least:g}" if np.isfinite(least) else ""
+            span = f" and in [{least:g}, {most:g}]" if np.isfinite(most) else span
+            span = " and positive" if zero[row] else span
+            name, value = self.parameters[row], values[row, vector]
+            raise FitError(f"parameter {name} must be finite{span}, got {value}")
         return columns
 
     def proportional(self, actuation: Array, reference: float | None) -> Columns:
@@ -405,20 +407,18 @@ class Model:
         if type(self).advance is Model.advance and "step" not in self.own:
             raise FitError(f"the model {self.name} has no step in time, which a building needs")
         constants, n = self.constants(self.columns(theta)), len(self.vectors(theta))
-        memory = {"start": check_start(start, n)}
+        memory = {"start": _start(start, n)}
         if direction is not None:
             way = np.asarray(direction)
-            signs = way.dtype.kind in "iuf" and way.shape in ((), (n,))
-            if not (signs and np.all(np.abs(way) == 1)):
+            if way.dtype.kind not in "iuf" or way.shape not in ((), (n,)) or (abs(way) != 1).any():
                 raise FitError(f"direction must be 1 or -1, got {direction}")
             memory["direction"] = np.broadcast_to(way.astype(np.float64), (n,))
-        reference = reference_actuation
-        if reference is not None:
-            reference = real_number(
-                "reference_actuation", reference, FitError, (0.0, inf), inside=True
+        if reference_actuation is not None:
+            reference_actuation = real_number(
+                "reference_actuation", reference_actuation, FitError, (0.0, inf), inside=True
             )
         nowhere = np.full(n, np.nan)
-        return State(self, constants, memory, nowhere, np.zeros(n), {}, reference)
+        return State(self, constants, memory, nowhere, np.zeros(n), {}, reference_actuation)
 
     def step(
         self,
@@ -428,7 +428,7 @@ class Model:
         dt: float,
         actuation: float | None = None,
         *,
-        scales: Mapping[str, ArrayLike] | None = None,
+        scales: Scales = None,
     ) -> tuple[Array, State]:
         """Force of every parameter vector at the next sample of one motion, and the state there.
 
@@ -475,7 +475,7 @@ class Model:
             if level != state.reference:
                 factors = self.proportional(np.full(n, level), state.reference)
         if scales is not None:
-            own = check_scales(scales, ((), (1,), (n,)), self.actuated)
+            own = _factors(scales, ((), (1,), (n,)), self.actuated)
             factors = {name: np.broadcast_to(f, (n,)).copy() for name, f in own.items()}
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             state = state.step(x, v, dt, factors)
@@ -495,75 +495,36 @@ class Model:
         theta = np.stack([state.constants[name] for name in self.parameters], axis=1)
         memory = self._call("start", theta) if "start" in self.own else {}
         state = replace(state, memory=self._memory(memory, start.size))
-        return self.advance(
-            state, state.displacement, state.velocity, np.zeros(start.size), state.scales
-        )
+        still = np.zeros(start.size)
+        return self.advance(state, state.displacement, state.velocity, still, state.scales)
 
     def advance(
         self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
     ) -> Columns:
         """Memory after a straight way of each damper to a sample, all (n,)."""
         n = displacement.size
-        if scales and not _takes(self.own["step"], "scales"):
-            raise FitError(f"the actuation changes, and the step of {self.where} takes no scales")
         factors = {name: scales.get(name, np.ones(n)) for name in self.actuated}
         before = {name: value for name, value in state.memory.items() if name != _FORCE}
-        answer = self._call("step", before, displacement, velocity, dt, scales=factors)
+        args = before, displacement, velocity, dt
+        answer = self._call("step", *args, varies=bool(scales), scales=factors)
         if not (isinstance(answer, tuple) and len(answer) == 2):
             raise FitError(f"the step of {self.where} must give the force and the new state")
-        force = self._checked("step", answer[0], (n,))
-        return self._memory(answer[1], n) | {_FORCE: force}
+        return self._memory(answer[1], n) | {_FORCE: self._checked("step", answer[0], (n,))}
 
     def total(self, state: State) -> Array:
         """Force of each damper of a state, (n,), kip."""
         return state.memory[_FORCE]
 
-    # --- checks
+    # --- a user's own class
 
-    def _arguments(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None,
-        scales: Mapping[str, ArrayLike] | None,
-    ) -> tuple[Columns, Array, Columns]:
-        """Columns and place in the gap, (n,), and factors, (T, n) or (T, 1); none if constant."""
-        check_trace("trace", trace, FitError)
-        if not (trace.timed or self.rate_independent):
-            raise FitError(
-                f"the model {self.name} needs the time of each sample, and the trace has none"
-            )
-        c = self.columns(theta)
-        n = next(iter(c.values())).size if c else len(np.atleast_2d(np.asarray(theta)))
-        w0 = check_start(start, n)
-        if scales is not None:
-            shapes = ((n, trace.samples), (1, trace.samples))
-            return c, w0, {k: f.T for k, f in check_scales(scales, shapes, self.actuated).items()}
-        if not trace.varying:
-            return c, w0, {}
-        level = np.asarray(trace.actuation)[:, None]
-        return c, w0, self.proportional(level, trace.reference_actuation)
-
-    def _finite(
-        self, what: str, compute: Callable[..., Array], *args: Any, **options: Any
-    ) -> Array:
-        """What is computed, (n, …), if all of it is finite."""
-        try:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                values = compute(*args, **options)
-        except (ArithmeticError, IndexError) as error:  # of a place that is not a number
-            message = f"the {what} is no finite number for these parameters"
-            raise FitError(message) from error
-        finite = np.isfinite(values)
-        if not finite.all():
-            at = int(np.argmin(finite.reshape(len(values), -1).all(axis=1)))
-            of = f" of {self.where}" if self.own else ""
-            raise FitError(f"the {what}{of} of parameter vector {at} is no finite number")
-        return values
-
-    def _call(self, name: str, *args: Any, **options: Any) -> Any:
+    def _call(self, name: str, *args: Any, varies: bool = False, **options: Any) -> Any:
         """What a function of a user's own class gives, with the options that it takes."""
         function = self.own[name]
+        if varies and not _takes(function, "scales"):
+            raise FitError(
+                f"the actuation changes, and the {name} of {self.where} does not take scales, the "
+                f"factors of {', '.join(self.actuated)}"
+            )
         taken = {key: value for key, value in options.items() if _takes(function, key)}
         try:
             return function(self, *args, **taken)
@@ -589,18 +550,14 @@ class Model:
             raise FitError(f"the state of {self.where} must be a dict of arrays (…, {n})")
         checked = {}
         for key, values in memory.items():
-            numbers = real_numbers(f"{key} in the state of {self.where}", values, FitError)
-            if not numbers.ndim or numbers.shape[-1] != n:
+            what = f"{key} in the state of {self.where}"
+            checked[str(key)] = numbers = real_numbers(what, values, FitError)
+            if numbers.shape[-1:] != (n,):
                 raise FitError(
-                    f"{key} in the state of {self.where} must have {n} values on its last axis, "
-                    f"one for each damper; got the shape {numbers.shape}"
+                    f"{what} must have {n} values on its last axis, one for each damper; got the "
+                    f"shape {numbers.shape}"
                 )
-            checked[str(key)] = numbers
         return checked
-
-
-_FORCE = " force"
-"""Where the memory of a user's own model keeps the force; no name of theirs begins so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -641,32 +598,29 @@ class State:
         return not np.isnan(self.displacement[:1]).all()
 
     def step(
-        self, displacement: Array, velocity: Array, dt: float, scales: Scales | None = None
+        self,
+        displacement: Array,
+        velocity: Array,
+        dt: float,
+        scales: Mapping[str, Array] | None = None,
     ) -> Self:
         """State at the next sample of each damper's motion; all arguments but dt are (n,).
 
         A motion that turns before the sample goes there through its vertex, as in `Trace.path`.
         This state may be stepped again: that is what equilibrium iterations do.
-
-        Parameters
-        ----------
-        displacement, velocity : (n,), in, in/s
-        dt : float, s
-        scales : mapping of (n,), optional
-            Factors of the parameters that follow the actuation.
+        `scales` has the factors of the parameters that follow the actuation, (n,).
         """
         later = dict(scales or {})
         if not self.begun:
-            first = self._at(self.memory, displacement, velocity, later)
-            memory = self.model.begin(first, self.memory["start"], self.memory.get("direction"))
-            return self._at(memory, displacement, velocity, later)
+            first = replace(self, displacement=displacement, velocity=velocity, scales=later)
+            start, direction = self.memory["start"], self.memory.get("direction")
+            return replace(first, memory=self.model.begin(first, start, direction))
         state, left = self, np.full(displacement.size, dt)
         (rows,) = (self.velocity * velocity < 0).nonzero()
         if rows.size:
             ends = self.displacement[rows], displacement[rows]
             share, vertex, regular = vertex_of_turn(dt, *ends, self.velocity[rows], velocity[rows])
-            if not regular.all():
-                rows, share, vertex = rows[regular], share[regular], vertex[regular]
+            rows, share, vertex = rows[regular], share[regular], vertex[regular]
         if rows.size:
             part = self.chosen(rows)
             near = {
@@ -681,48 +635,48 @@ class State:
     def _moved(self, displacement: Array, velocity: Array, dt: Array, scales: Columns) -> Self:
         """State after a straight way of each damper, in its own time, (n,) s."""
         memory = self.model.advance(self, displacement, velocity, dt, scales)
-        return self._at(memory, displacement, velocity, scales)
-
-    def _at(self, memory: Columns, displacement: Array, velocity: Array, scales: Columns) -> Self:
-        """The same dampers at a sample."""
-        return type(self)(
-            self.model, self.constants, memory, displacement, velocity, scales, self.reference
+        return replace(
+            self, memory=memory, displacement=displacement, velocity=velocity, scales=scales
         )
 
     def chosen(self, rows: Rows) -> Self:
         """The state of some of the dampers."""
-        constants, memory, scales = (
-            {k: v[..., rows] if isinstance(v, np.ndarray) else v for k, v in part.items()}
-            for part in (self.constants, self.memory, self.scales)
-        )
+
+        def of(part: Mapping[str, Any]) -> dict[str, Any]:
+            return {k: v[..., rows] if isinstance(v, np.ndarray) else v for k, v in part.items()}
+
         place = self.displacement[rows], self.velocity[rows]
-        return type(self)(self.model, constants, memory, *place, scales, self.reference)
+        parts = of(self.constants), of(self.memory), *place, of(self.scales)
+        return type(self)(self.model, *parts, self.reference)
 
     def replaced(self, rows: Rows, part: Self) -> Self:
         """The same with the state of some of the dampers replaced, after the same samples.
 
         That is how only those are stepped again that are not in equilibrium yet.
         """
+
+        def with_rows(whole: Array, new: Array | float) -> Array:
+            whole = whole.copy()
+            whole[..., rows] = new
+            return whole
+
         one = np.ones(self.displacement.size)
-        old = {name: self.scales.get(name, one) for name in {**self.scales, **part.scales}}
-        scales = {k: _with_rows(v, rows, part.scales.get(k, 1.0)) for k, v in old.items()}
-        memory = {k: _with_rows(v, rows, part.memory[k]) for k, v in self.memory.items()}
-        displacement = _with_rows(self.displacement, rows, part.displacement)
-        velocity = _with_rows(self.velocity, rows, part.velocity)
-        return self._at(memory, displacement, velocity, scales)
+        return replace(
+            self,
+            memory={k: with_rows(v, part.memory[k]) for k, v in self.memory.items()},
+            displacement=with_rows(self.displacement, part.displacement),
+            velocity=with_rows(self.velocity, part.velocity),
+            scales={
+                k: with_rows(self.scales.get(k, one), part.scales.get(k, 1.0))
+                for k in {**self.scales, **part.scales}
+            },
+        )
 
 
-def _with_rows(whole: Array, rows: Rows, part: Array | float) -> Array:
-    """A copy, (..., n), with the values of some rows of its last axis replaced."""
-    whole = whole.copy()
-    whole[..., rows] = part
-    return whole
+# --- what a class declares
 
 
-# --- a user's own class
-
-
-def where_of(cls: type) -> str:
+def _where(cls: type) -> str:
     """A class and its file, for messages: "class Viscous of my_damper.py"."""
     try:
         return f"class {cls.__name__} of {Path(inspect.getfile(cls)).name}"
@@ -730,57 +684,53 @@ def where_of(cls: type) -> str:
         return f"class {cls.__name__}"
 
 
-def _declare(cls: type[Model], declared: Any) -> None:
-    """Turn a class's parameters into quantities, laws and names.
+def _is_own(cls: type[Any]) -> bool:
+    """Whether the forces of a class are those of a user's functions."""
+    return cls.compute_force is Model.compute_force
 
-    Raises
-    ------
-    FitError
-        When one cannot be used.
-    """
+
+def _declare(cls: type[Model], declared: Any, where: str) -> None:
+    """Turn a class's parameters into quantities, laws and names."""
     listed = isinstance(declared, Sequence) and not isinstance(declared, str)
     if not (listed and declared and all(isinstance(p, Parameter) for p in declared)):
         raise FitError(
-            f"{where_of(cls)}: parameters must be a tuple of Parameter, such as "
+            f"{where}: parameters must be a tuple of Parameter, such as "
             f"(Parameter('k', 'kip/in'),), got {declared!r:.60}"
         )
-    for parameter in declared:
-        where = f"{where_of(cls)}, parameter {parameter.name!r}"
-        if not (isinstance(parameter.name, str) and re.fullmatch(r"[A-Za-z]\w*", parameter.name)):
-            raise FitError(f"{where}: the name must be a word of letters, digits and _")
-        if parameter.name in ("start", "offset") or parameter.name.startswith("noise_"):
-            raise FitError(f"{where}: the name is that of a quantity of every record")
-        if parameter.prior not in LIMITS:
-            raise FitError(
-                f"{where}: prior must be {' or '.join(LIMITS)}, got {parameter.prior!r:.60}"
-            )
-        if parameter.law not in ("", *LAW_NAMES):
-            raise FitError(
-                f"{where}: follows_actuation must be True, False or one of {', '.join(LAW_NAMES)}, "
-                f"got {parameter.law!r:.60}"
-            )
-        if not isinstance(parameter.symbol, str) or not isinstance(parameter.meaning, str):
-            raise FitError(f"{where}: symbol and meaning must be text")
-        _check_unit(where, parameter.unit)
     names = tuple(parameter.name for parameter in declared)
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise FitError(f"{where_of(cls)}: there are two parameters {twice[0]!r}")
-    cls.parameters = names
-    cls.quantities = tuple(parameter.quantity for parameter in declared)
-    if not (cls.motion == DAMPER.motion and cls.response == DAMPER.response):
-        # "in" and "kip" are inside the package those of motion and response
-        own = {q.unit: in_place_of(q.unit, {"in": "inch", "kip": "klbf"}) for q in cls.quantities}
+    for p in declared:
+        laws = f"True, False or one of {', '.join(LAW_NAMES)}"
+        faults = {
+            "the name must be a word of letters, digits and _": not (
+                isinstance(p.name, str) and re.fullmatch(r"[A-Za-z]\w*", p.name)
+            ),
+            "the name is that of a quantity of every record": (
+                p.name in ("start", "offset") or str(p.name).startswith("noise_")
+            ),
+            f"prior must be {' or '.join(LIMITS)}, got {p.prior!r:.60}": p.prior
+            not in tuple(LIMITS),
+            f"follows_actuation must be {laws}, got {p.law!r:.60}": p.law not in ("", *LAW_NAMES),
+            "symbol and meaning must be text": not (
+                isinstance(p.symbol, str) and isinstance(p.meaning, str)
+            ),
+            f"there are two parameters {p.name!r}": names.count(p.name) > 1,
+        }
+        try:
+            convert(p.unit, p.unit)
+        except UnitError as error:
+            faults[str(error)] = True
+        if wrong := next((words for words, holds in faults.items() if holds), ""):
+            raise FitError(f"{where}, parameter {p.name!r}: {wrong}")
+    cls.parameters, cls.quantities = names, tuple(parameter.quantity for parameter in declared)
+    if not Axes(
+        cls.motion, cls.response
+    ).of_damper:  # "in" and "kip" would be those of motion and response
+        kinds = (in_place_of(q.unit, {"in": "inch", "kip": "klbf"}) for q in cls.quantities)
         cls.quantities = tuple(
-            replace(q, kind=own[q.unit]) if own[q.unit] != q.unit else q for q in cls.quantities
+            replace(q, kind=kind) if kind != q.unit else q
+            for q, kind in zip(cls.quantities, kinds, strict=True)
         )
     cls.laws = {parameter.name: parameter.law for parameter in declared if parameter.law}
-
-
-def _check_unit(where: str, unit: Any) -> None:
-    try:
-        convert(unit, unit)
-    except UnitError as error:
-        raise FitError(f"{where}: {error}") from error
 
 
 @cache
@@ -793,14 +743,8 @@ def _takes(function: Callable[..., Any], name: str) -> bool:
 # --- arguments
 
 
-def check_start(start: ArrayLike | None, n: int) -> Array:
-    """Place in the gap at the first sample, (n,), checked; its middle where none is given.
-
-    Raises
-    ------
-    FitError
-        When it is no fraction of the gap, or its shape does not fit.
-    """
+def _start(start: ArrayLike | None, n: int) -> Array:
+    """Place in the gap at the first sample, (n,), checked; its middle where none is given."""
     if start is None:
         return np.full(n, 0.5)
     w0 = real_numbers("start", start, FitError)
@@ -809,16 +753,8 @@ def check_start(start: ArrayLike | None, n: int) -> Array:
     return np.broadcast_to(w0, (n,)).copy()  # a state must not change with the caller's array
 
 
-def check_scales(
-    scales: Any, shapes: tuple[tuple[int, ...], ...], names: tuple[str, ...]
-) -> Columns:
-    """Factors by name, checked: names, shapes, and that they are finite and not negative.
-
-    Raises
-    ------
-    FitError
-        When one does not fit.
-    """
+def _factors(scales: Any, shapes: tuple[tuple[int, ...], ...], names: tuple[str, ...]) -> Columns:
+    """Factors by name, checked: names, shapes, and that they are finite and not negative."""
     if not isinstance(scales, Mapping):
         kind = type(scales).__name__
         raise FitError(f"scales must be a mapping from names of parameters to factors, got {kind}")

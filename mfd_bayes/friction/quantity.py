@@ -1,15 +1,23 @@
-"""A quantity that has a prior or a posterior: what it measures and how it is written."""
+"""A quantity that has a prior or a posterior: what it measures, how it is written, its columns."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.inputs import real_numbers
 from mfd_bayes.units import DIMENSIONS, dimension_of
+
+Array = NDArray[np.float64]
 
 LAW_NAMES = ("proportional", "affine", "power", "compare")
 """Laws by which a parameter may follow the actuation."""
@@ -126,3 +134,104 @@ def html_of(symbol: str) -> str:
         r"_(?:\{((?:[^{}]|\{[^{}]*\})*)\}|(\w))", lambda m: f"<sub>{m[1] or m[2]}</sub>", text
     )
     return unicodedata.normalize("NFC", re.sub(r"[{}]", "", text))
+
+
+STATIC = MappingProxyType(
+    {"Fs_fwd": ("Fc_fwd", "static_excess_fwd"), "Fs_bwd": ("Fc_bwd", "static_excess_bwd")}
+)
+"""F_s = F_c (1 + excess), so that F_s ≥ F_c holds: kinetic friction and excess of each F_s."""
+
+# name, kind, symbol, HTML, meaning, in the order of sampling; @ is one side, and then the other
+_TABLE: tuple[tuple[str, str, str, str, str], ...] = (
+    ("sigma0", "stiffness", r"\sigma_0", "", "aggregate bristle stiffness"),
+    ("sigma1", "damping", r"\sigma_1", "", "micro-damping"),
+    ("sigma2", "damping", r"\sigma_2", "", "viscous friction"),
+    ("Fc_@", "force", r"F_{c,\mathrm{@}}", "", "kinetic friction, @"),
+    (
+        "static_excess_@",
+        "dimensionless",
+        r"F_s/F_c - 1,\ \mathrm{@}",
+        "(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>@</sub>",
+        "excess of static over kinetic friction, @",
+    ),
+    ("k2", "stiffness", "k_2", "", "stiffness of stage 2"),
+    ("k3", "stiffness", "k_3", "", "stiffness of stage 3"),
+    ("d2", "displacement", "d_2", "", "drum travel of stage 2"),
+    ("d3", "displacement", "d_3", "", "drum travel of stage 3"),
+    ("ell", "displacement", r"\ell", "", "transition length, γ2/γ1 of the three stages"),
+    ("gamma1", "dimensionless", r"\gamma_1", "", "transition constant"),
+    ("v_s", "velocity", r"\dot x_s", "", "Stribeck velocity"),
+    ("Fs_@", "force", r"F_{s,\mathrm{@}}", "", "static friction, @"),
+    ("gamma2", "displacement", r"\gamma_2", "", "transition constant"),
+    ("k_@", "stiffness", r"k_\mathrm{@}", "", "stiffness beyond the gap, @"),
+    ("gap", "displacement", "D", "", "width of the gap"),
+    ("k_0", "stiffness", "k_0", "", "stiffness inside the gap"),
+    ("n", "dimensionless", "n", "", "how sharply slip sets in"),
+    ("k", "stiffness", "k", "", "stiffness of Bouc-Wen hysteresis"),
+    ("alpha", "dimensionless", r"\alpha", "", "share of the stiffness that remains in slip"),
+    ("Fy_@", "force", r"F_{y,\mathrm{@}}", "", "yield force, @"),
+    ("beta", "dimensionless", r"\beta", "", "shape of the unloading"),
+    ("exponent", "dimensionless", "n", "", "sharpness of the knee"),
+    ("c", "damping", "c", "", "viscous damping of Bouc-Wen hysteresis"),
+)
+_LIMITS = {"n": (1.0, np.inf), "alpha": (0.0, 1.0), "beta": (0.5, 1.0), "exponent": (1.0, np.inf)}
+
+
+def _packaged() -> dict[str, Quantity]:
+    """Quantities of the package's models by name."""
+    found = {}
+    for template, kind, *words, meaning in _TABLE:
+        sides = {"fwd": "forward", "bwd": "backward"} if "@" in template else {"": ""}
+        for side, direction in sides.items():
+            name, maths, html = (text.replace("@", side) for text in (template, *words))
+            about = meaning.replace("@", direction)
+            sampled = name not in (*STATIC, "gamma2")
+            limits = _LIMITS.get(name, LIMITS["positive"])
+            found[name] = Quantity(name, kind, maths, html, about, *limits, sampled=sampled)
+    return found
+
+
+QUANTITIES = MappingProxyType(_packaged())
+"""Quantities of the package's models by name, in the order in which they are sampled."""
+
+
+def sampled_for(parameters: Iterable[str]) -> tuple[Quantity, ...]:
+    """Quantities of some of the paper's parameters, and what is sampled in their place."""
+    names = {*parameters, *(name for p in parameters for name in STATIC.get(p, ()))}
+    names |= {"ell"} if "gamma2" in names else set()
+    return tuple(quantity for name, quantity in QUANTITIES.items() if name in names)
+
+
+def named_columns(values: Mapping[str, ArrayLike], names: Iterable[str]) -> dict[str, Array]:
+    """Some of the quantities that are given by name, as numbers."""
+    if isinstance(values, type) or not hasattr(values, "keys"):
+        kind = type(values).__name__
+        raise FitError(f"values must be a mapping from names of quantities to numbers, got {kind}")
+    needed = tuple(names)
+    if missing := [name for name in needed if name not in values]:
+        raise FitError(f"values by name lack {', '.join(missing)}")
+    return {name: real_numbers(name, values[name], FitError) for name in needed}
+
+
+def named_vectors(values: Mapping[str, ArrayLike], names: Iterable[str]) -> dict[str, Array]:
+    """As `named_columns`, each (n,), of the same n."""
+    columns = named_columns(values, names)
+    size = max((column.size for column in columns.values()), default=0)
+    for name, column in columns.items():
+        if column.shape != (size,):
+            raise FitError(f"values of {name} must have shape ({size},), got {column.shape}")
+    return columns
+
+
+def columns_in_order(name: str, table: ArrayLike, names: tuple[str, ...]) -> Array:
+    """Numbers of an array as they are; of a table with named columns those of `names`, (n, p)."""
+    by_name: Any = table
+    if not hasattr(table, "columns"):
+        return real_numbers(name, table, FitError)
+    if missing := [column for column in names if column not in by_name.columns]:
+        raise FitError(
+            f"{name} is a table, whose columns are taken by their names: it lacks "
+            f"{', '.join(missing)}"
+        )
+    columns = [real_numbers(f"column {c} of {name}", by_name[c], FitError) for c in names]
+    return np.column_stack(columns)

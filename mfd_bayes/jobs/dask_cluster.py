@@ -7,6 +7,7 @@ send.
 
 from __future__ import annotations
 
+import json
 import logging
 import platform
 import queue
@@ -18,14 +19,14 @@ import warnings
 from asyncio import CancelledError
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import astuple
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from distributed import Client, KilledWorker, as_completed, get_worker
 from distributed.versions import VersionMismatchWarning
-from scipy import linalg  # noqa: F401  # loads scipy's BLAS, for `limit_threads` to find it
+from scipy import linalg  # noqa: F401  # loads scipy's BLAS, for `refusal` to find it
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from mfd_bayes.errors import FitError
@@ -45,7 +46,7 @@ _SAME = ("mfd_bayes", "numpy", "scipy", "emcee", "distributed")
 def check_cluster(address: str) -> None:
     """Refuse a scheduler that does not answer, or has a worker of other versions."""
     with _connected(address) as client, _losses(address):
-        answers = client.run(differences, versions(), on_error="return")
+        answers = client.run(refusal, versions(), on_error="return")
     for worker, answer in answers.items():
         if isinstance(answer, OSError):  # the worker was lost meanwhile; `work` checks again
             continue
@@ -55,7 +56,7 @@ def check_cluster(address: str) -> None:
                 "version there that is here"
             )
         if answer:
-            raise FitError(_other_versions(worker, answer))
+            raise FitError(f"the worker {worker} {answer}")
 
 
 def run_on_cluster(
@@ -72,7 +73,7 @@ def run_on_cluster(
         return
     messages: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
     topic = f"mfd_bayes-{uuid.uuid4().hex}"
-    attempts: dict[str, list[str]] = {}  # of each job; only the last one counts
+    attempts: dict[str, str] = {}  # the last one of each job
     idle = False
     with _connected(address) as client:
         with _losses(address):
@@ -94,15 +95,13 @@ def run_on_cluster(
                 idle = missing
                 while not messages.empty():
                     message = messages.get()
-                    earlier = attempts.setdefault(message["key"], [])
-                    if message["key"] not in ids or message["attempt"] in earlier[:-1]:
-                        continue
-                    name = ids[message["key"]]
-                    if message["attempt"] not in earlier:
-                        if earlier:
-                            observe(Step(name, State.RESTARTED, message="its worker was lost"))
-                        earlier.append(message["attempt"])
-                    observe(_step(name, message["step"]))
+                    key, attempt = message["key"], message["attempt"]
+                    if key in ids:
+                        if attempts.setdefault(key, attempt) != attempt:
+                            attempts[key] = attempt
+                            lost = "its worker was lost"
+                            observe(Step(ids[key], State.RESTARTED, message=lost))
+                        observe(_step(message["step"]))
                 for future in ended.next_batch(block=False) if ended.has_ready() else ():
                     del ids[future.key]
                     yield _store(future, futures.pop(future), out, address, observe)
@@ -157,7 +156,7 @@ def _store(
         if name in answer["files"]:
             write_bytes(out / name, answer["files"][name])
     for step in answer["steps"]:
-        observe(_step(job.id, step))
+        observe(_step(step))
     return Outcome(job.id, State(answer["status"]), answer["seconds"], answer["error"])
 
 
@@ -172,7 +171,7 @@ def _connected(address: str) -> Iterator[Any]:
     try:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", VersionMismatchWarning)  # `differences` reports it
+                warnings.simplefilter("ignore", VersionMismatchWarning)  # `refusal` reports it
                 client = Client(address, timeout=PATIENCE, name="mfd-bayes", set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise FitError(
@@ -219,23 +218,22 @@ def work(
 ) -> dict[str, Any]:
     """Do a job in a temporary folder; its outcome, its last steps and the files that it made.
 
-    "refused" says why it was not done: other versions than `expected`, or several threads.
+    "refused" says why it was not done.
     """
     worker = get_worker()
-    found = differences(expected)
-    if refused := _other_versions(worker.address, found) if found else limit_threads():
-        return {"refused": refused}
+    if refused := refusal(expected):
+        return {"refused": f"the worker {worker.address} {refused}"}
     about = {"key": worker.get_current_task(), "attempt": uuid.uuid4().hex}
-    last: list[list[Any]] = []
+    last: list[str] = []
 
     def send(step: Step) -> None:
         if step.stage in (State.DONE, State.FAILED):  # returned: so it comes after all messages
-            last.append(_values(step))
+            last.append(_text(step))
             return
         task = worker.state.tasks.get(about["key"])
         if task is None or task.state == "cancelled":
             raise _CancelledError
-        worker.log_event(topic, about | {"step": _values(step)})
+        worker.log_event(topic, about | {"step": _text(step)})
 
     with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder:
         out = Path(folder)
@@ -266,50 +264,36 @@ def versions() -> dict[str, str]:
     return {"Python": python} | {name: version(name) for name in _SAME}
 
 
-def differences(expected: Mapping[str, str]) -> str:
-    """Versions of this process that are not the expected ones, in words; "" where all are."""
+def refusal(expected: Mapping[str, str]) -> str:
+    """Why this process would compute other draws: other versions, or several threads; else "".
+
+    The number of threads changes the last bits of sums. It is set to one, and not set back: other
+    jobs may run in other threads of this process.
+    """
     found = versions()
-    return ", ".join(
+    others = [
         f"{name} {found.get(name, 'of no version')} and not {other}"
         for name, other in expected.items()
         if found.get(name) != other
-    )
-
-
-def _other_versions(worker: str, found: str) -> str:
-    return f"the worker {worker} has {found} as here: install the same versions there"
-
-
-def limit_threads() -> str:
-    """Let numpy and scipy use one thread in this process; "", or why that is not possible.
-
-    The number of threads changes the last bits of sums. It is not set back: other jobs may run in
-    other threads of this process.
-    """
+    ]
+    if others:
+        return f"has {', '.join(others)} as here: install the same versions there"
     threadpool_limits(limits=1)
-    many = [pool for pool in threadpool_info() if pool["num_threads"] != 1]
+    many = sorted(pool["filepath"] for pool in threadpool_info() if pool["num_threads"] != 1)
     if not many:
         return ""
-    names = ", ".join(sorted(pool["filepath"] for pool in many))
     return (
-        f"the worker {get_worker().address} computes with several threads, and {names} cannot be "
-        "told not to: start it with OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1"
+        f"computes with several threads, and {', '.join(many)} cannot be told not to: start it "
+        "with OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1"
     )
 
 
-def _values(step: Step) -> list[Any]:
-    """A step as plain values, which need not be unpickled."""
-    figures = None
-    if step.progress:
-        *numbers, missing = astuple(step.progress)
-        figures = [*map(float, numbers), missing]
-    return [str(step.stage), step.message, figures]
+def _text(step: Step) -> str:
+    """A step as JSON, which need not be unpickled."""
+    return json.dumps(asdict(step), default=float)
 
 
-def _step(name: str, sent: Sequence[Any]) -> Step:
-    """Step of the plain values that a worker sends."""
-    stage, message, figures = sent
-    if figures is None:
-        return Step(name, stage, None, message)
-    steps, limit, *others = figures
-    return Step(name, stage, Progress(int(steps), int(limit), *others), message)
+def _step(text: str) -> Step:
+    step = json.loads(text)
+    progress = step.pop("progress")
+    return Step(**step, progress=Progress(**progress) if progress else None)

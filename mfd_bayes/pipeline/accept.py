@@ -7,19 +7,14 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from mfd_bayes.campaign.schema import TestTable
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.acceptance import DRAWS, LIMITS, Acceptance, accept
 from mfd_bayes.pipeline.outputs import check_folder
-from mfd_bayes.pipeline.predict import stated_actuation
-from mfd_bayes.population.settings import CONDITIONS
+from mfd_bayes.pipeline.predict import stated_actuation, stated_conditions
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.reporting.acceptance import acceptance_page, acceptance_table, draw_batch
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
@@ -100,17 +95,6 @@ def read_as_tests(run: Run, path: Path, actuation: str) -> Record:
     return read_record(path, columns if columns and there else None, actuation=actuation, axes=axes)
 
 
-def _conditions(wish: Inspection) -> dict[str, float]:
-    """Date, count of cycles and temperature of the records, as a campaign reads them."""
-    given = {name: getattr(wish, name) for name in CONDITIONS}
-    given = {name: value for name, value in given.items() if value not in ("", None)}
-    try:
-        return TestTable.model_validate({"id": "x", "file": "x.csv", **given}).conditions
-    except ValidationError as error:
-        wrong = error.errors()[0]
-        raise CampaignError(f"--{wrong['loc'][0]}: {wrong['msg']}") from error
-
-
 def accept_records(out: Path, wish: Inspection) -> Accepted:
     """Compare devices with those of a run; table, pages and picture are written.
 
@@ -128,13 +112,13 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
     run.level_of(wish.actuation)
     records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
     device = wish.device[0] if len(wish.device) == 1 else wish.device or ""
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         devices = accept(
             *(run, records),
             device=device,
             limits=limits or None,
             session=wish.session,
-            conditions=_conditions(wish),
+            conditions=stated_conditions(wish),
             draws=wish.draws,
             seed=wish.seed,
         )

@@ -63,7 +63,7 @@ def findings_together(
     gap = priors.gap if model.has_gap else None
     found = compare_tests(tests)
     named = {name for name, fault in found if fault.name != "duplicate"}
-    if model.own:  # its parameters may have the names of others
+    if not model.standard_names:  # its parameters may have the names of others
         return found
     beyond = [
         (t.id, fault) for t in tests if t.id not in named for fault in _beyond(t, priors, gap)

@@ -19,7 +19,6 @@ from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.inputs import why_no_file
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE, alone_in
-from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import json_text, write_bytes, write_text
@@ -72,7 +71,7 @@ def next_test(out: Path, wish: Wish) -> Recommendation:
     check_outputs([*own, *drafts], inputs, force=wish.force)
     candidates = _candidates(wish.candidates)
     run = replace(open_run(out), units=wish.units)
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         advice = run.next_test(
             wish.goal or None,
             candidates,

@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from mfd_bayes.axes import Axes
-from mfd_bayes.campaign.schema import CampaignFile
+from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
-from mfd_bayes.population.settings import KIND_NAMES
+from mfd_bayes.population.settings import CONDITIONS, KIND_NAMES
 from mfd_bayes.records.channels import NO_ACTUATION, parse_window
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
@@ -24,7 +25,6 @@ from mfd_bayes.records.sine import parse_sine
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
-from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
@@ -59,6 +59,9 @@ class Question:
     after: str = ""
     others: tuple[Path, ...] = ()
     device: str = ""
+    date: str = ""
+    cycles: float | None = None
+    temperature: str = ""
 
     @property
     def window(self) -> tuple[float, float] | None:
@@ -105,8 +108,10 @@ def predict(out: Path, question: Question) -> Answer:
     check_question(question)
     run, *others = (open_run(folder) for folder in (out, *question.others))
     question = replace(question, actuation=stated_actuation(run, question.actuation))
+    changed: dict[str, Any] = {"conditions": stated_conditions(question)}
     if question.units:
-        run, *others = (replace(each, units=question.units) for each in (run, *others))
+        changed["units"] = question.units
+    run, *others = (replace(each, **changed) for each in (run, *others))
     source = ModelAverage((run, *others)) if others else run
     level = run.level_of(question.actuation)
     motion, remarks, record = _motion_of(question, run.manifest.settings, run.system.axes)
@@ -118,7 +123,7 @@ def predict(out: Path, question: Question) -> Answer:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
     drawn = measured if question.compare else trace
     design: Rows = ()
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         asked = measured if question.given else trace, question.kind, question.probability
         how: dict[str, Any] = {
             "whole": question.whole,
@@ -177,6 +182,19 @@ def check_question(question: Question) -> None:
     names = ("history.png", "derived.csv", "design.csv")
     outputs = [question.bands, question.picture, *map(question.beside, names)]
     check_outputs(outputs, [question.motion] if question.motion else [], force=question.force)
+
+
+def stated_conditions(command: Any) -> dict[str, float]:
+    """Date, count of cycles and temperature of a command, as a campaign reads them."""
+    given = {name: getattr(command, name) for name in CONDITIONS}
+    given = {name: value for name, value in given.items() if value not in ("", None)}
+    try:
+        return TestTable.model_validate({"id": "x", "file": "x.csv", **given}).conditions
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        raise CampaignError(
+            f"--{wrong['loc'][0]}: {wrong['msg'].removeprefix('Value error, ')}"
+        ) from error
 
 
 def stated_actuation(run: Run, text: str) -> str:

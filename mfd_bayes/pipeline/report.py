@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import io
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
@@ -14,14 +19,17 @@ from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutVie
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
 from mfd_bayes.reporting.conversion import convert_scores
-from mfd_bayes.reporting.draws import check_parquet, frames_of, write_csv, write_parquet
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import alone_in, check_places
-from mfd_bayes.runs.manifest import read_manifest, unchanged
+from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.unit_system import SI, named_system
+from mfd_bayes.runs.unit_system import SI, System, named_system
 from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.store.files import write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Observe = Callable[[Step], None]
 
@@ -84,7 +92,7 @@ def check(out: Path, units: str = "") -> CampaignView:
     """
     run = open_run(out)
     metric = named_system(units, run.system).name == SI.name
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         view = assess(run)
     checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
     return replace(view, metric=metric, checks=tuple(checks))
@@ -92,11 +100,46 @@ def check(out: Path, units: str = "") -> CampaignView:
 
 def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:
     """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows."""
-    if to == "parquet":
-        check_parquet()
+    import pandas as pd
+
+    if to == "parquet" and find_spec("pyarrow") is None:
+        raise ReportError(
+            '--to parquet needs pyarrow, which is not installed: pip install "mfd_bayes[parquet]", '
+            "or take --to csv"
+        )
     read_manifest(out)  # a folder that is no finished run is refused before it is locked
     with alone_in(out):
         check_places(out)
         run = open_run(out)
-        path, write = out / f"draws.{to}", write_parquet if to == "parquet" else write_csv
-        return path, write(path, frames_of(run, named_system(units, run.system), most))
+        frame = pd.concat(draws_of(run, named_system(units, run.system), most), ignore_index=True)
+        path, content = out / f"draws.{to}", io.BytesIO()
+        if to == "parquet":
+            frame.to_parquet(content, engine="pyarrow", index=False)
+        else:
+            frame.to_csv(content, index=False, float_format="%.7g", lineterminator="\n")
+        write_bytes(path, content.getvalue())
+        return path, len(frame)
+
+
+def draws_of(run: Run, system: System, most: int = 0) -> Iterator[pd.DataFrame]:
+    """Draws of every calibrated test, a table each: test, chain, draw, quantities, log densities.
+
+    A column of a quantity is called by its name and its unit in `system`: "Fc_fwd [kN]". With
+    `most`, so many draws are taken evenly out of all of them.
+    """
+    import pandas as pd
+
+    for name, test in run.tests.items():
+        stats = test.stored.stats
+        chains, draws = stats["lp"].shape
+        kept = np.arange(chains * draws)
+        if 0 < most < kept.size:
+            kept = np.linspace(0, kept.size - 1, most).astype(np.intp)
+        frame = pd.DataFrame({"test": name, "chain": kept // draws, "draw": kept % draws})
+        for quantity, values in test.stored.draws.data_vars.items():
+            unit = str(values.attrs.get("units", "1"))
+            head = f"{quantity} [{system.unit(unit)}]" if unit != "1" else str(quantity)
+            frame[head] = values.to_numpy().reshape(-1)[kept] * system.factor(unit)
+        for density in ("log_prior", "log_likelihood"):
+            frame[density] = stats[density].to_numpy().reshape(-1)[kept]
+        yield frame

@@ -29,10 +29,8 @@ from mfd_bayes.reporting.response import (
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
-from mfd_bayes.response.result import Response
+from mfd_bayes.response.result import Response, Shares, variance_shares
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
-from mfd_bayes.response.variance_shares import Shares, variance_shares
-from mfd_bayes.runs.manifest import unchanged
 from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, US, System
@@ -128,7 +126,7 @@ def respond(prepared: Prepared, observe: Callable[[Step], None]) -> ResponseView
         )
 
     sweep, remarks = None, tuple[str, ...]()
-    with unchanged(run.folder, run.manifest):
+    with run.unchanged():
         response = response_of(prepared.building)
         if prepared.levels is not None:
             levels, unit = prepared.levels

@@ -12,7 +12,7 @@ import numpy as np
 
 from mfd_bayes.errors import MfdError, RecordError
 from mfd_bayes.pipeline.accept import read_as_tests
-from mfd_bayes.pipeline.predict import stated_actuation
+from mfd_bayes.pipeline.predict import stated_actuation, stated_conditions
 from mfd_bayes.population.given import Forecaster
 from mfd_bayes.population.stopping import NARROWING, Estimate, is_enough
 from mfd_bayes.records.trace import Trace
@@ -33,8 +33,10 @@ class Watched:
     ----------
     actuation : str
         As "1000 psi".
-    session : str
-        Of the test, where the campaign declares sessions.
+    session, device : str
+        Of the test, where the campaign declares sessions or devices.
+    date, cycles, temperature : str, float and str
+        Of the test, where a quantity of the run follows them.
     narrowing : str
         Share by which one more cycle must narrow an interval, to be worth it: "2 %".
     wait : str
@@ -44,6 +46,10 @@ class Watched:
     record: Path
     actuation: str = ""
     session: str = ""
+    device: str = ""
+    date: str = ""
+    cycles: float | None = None
+    temperature: str = ""
     narrowing: str = f"{100 * NARROWING:g} %"
     wait: str = "10 s"
 
@@ -105,7 +111,7 @@ def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
         When the run, the file, the actuation or an option cannot be used, or the file has no
         cycle when it ends.
     """
-    run = open_run(out)
+    run = replace(open_run(out), conditions=stated_conditions(watched))
     watched = replace(watched, actuation=stated_actuation(run, watched.actuation))
     level = run.level_of(watched.actuation)
     narrowing = parse_quantity(watched.narrowing, "dimensionless", of="--narrowing")
@@ -117,7 +123,7 @@ def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
             raise RecordError(f"{watched.record} has no column of the force")
         turns = trace.cycle_turns[::2]
         for first, end in pairwise(turns[turns >= begin - 1].tolist()):
-            follower = follower or _follow(run, trace, level, watched.session)
+            follower = follower or _follow(run, trace, level, watched)
             part = slice(begin, end + 1)
             follower.update(
                 trace.time[part], trace.displacement[part], None, np.asarray(trace.force)[part]
@@ -135,11 +141,15 @@ def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
         )
 
 
-def _follow(run: Run, trace: Trace, level: float, session: str) -> Forecaster:
+def _follow(run: Run, trace: Trace, level: float, watched: Watched) -> Forecaster:
     """Forecaster of a test with the stroke and the speed of its first cycle."""
     reached = conditions_of(trace)
     return run.follow(
-        level, amplitude=0.5 * reached["stroke"], velocity=reached.get("speed"), session=session
+        level,
+        amplitude=0.5 * reached["stroke"],
+        velocity=reached.get("speed"),
+        session=watched.session,
+        device=watched.device,
     )
 
 

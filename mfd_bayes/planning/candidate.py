@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.cycles import count_cycles
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.inputs import real_number
@@ -28,7 +28,6 @@ SETUP = 0.25  # time on the frame besides the motion itself, h
 NEW_DEVICE = "a new device"  # of a candidate
 WAVEFORMS = ("sine", "triangle")
 MOST = 1000  # most candidates of one question
-FORM = "a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
 BEYOND = 1.25  # how far candidates go beyond the largest tested actuation, amplitude and frequency
 LEVELS = 9  # most actuations of candidates
 RANGE = 5  # actuations over which the campaign's range is averaged
@@ -194,8 +193,9 @@ def parse_tests(
     of its values. The parts are told apart by their units: actuation, frequency, amplitude (half
     the stroke), cycles, waveform, and the cost as a time.
     """
+    form = f"{of}: a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
     if not isinstance(text, str) and not all(isinstance(part, str) for part in text):
-        raise CampaignError(f"{of}: {FORM}, got {text!r}")
+        raise CampaignError(f"{form}, got {text!r}")
     whole = text if isinstance(text, str) else ";".join(text)
     if len(whole) > _LONGEST:
         raise CampaignError(f"{of}: longer than {_LONGEST} characters")
@@ -206,26 +206,22 @@ def parse_tests(
             match = _ALTERNATIVES.fullmatch(part)
             values, own = (match[1], f" {match[2]}") if match else (part, "")
             choices.append([f"{value.strip()}{own}" for value in values.split("|")])
-        for parts in product(*choices):
-            tests.append(_parts(parts, unit, of))
+        for texts in product(*choices):
+            parts: dict[str, Any] = {}
+            for part in texts:
+                try:
+                    name, value = _part(part, unit)
+                except UnitError as error:
+                    raise CampaignError(f"{form}, got {', '.join(texts)!r}: {error}") from error
+                if name in parts:
+                    raise CampaignError(f"{form}, got two values of the {name}: {test.strip()!r}")
+                parts[name] = value
+            tests.append(Parts(**parts))
             if len(tests) > MOST:
                 raise CampaignError(f"{of}: more than {MOST} tests, the most of one question")
     if not tests:
-        raise CampaignError(f"{of}: {FORM}, got {whole[:80]!r}")
+        raise CampaignError(f"{form}, got {whole[:80]!r}")
     return tests
-
-
-def _parts(texts: Sequence[str], unit: ActuationUnit, of: str) -> Parts:
-    parts: dict[str, float | str] = {}
-    for text in texts:
-        try:
-            name, value = _part(text, unit)
-        except UnitError as error:
-            raise CampaignError(f"{of}: {FORM}, got {', '.join(texts)!r}: {error}") from error
-        if name in parts:
-            raise CampaignError(f"{of}: {FORM}, got two values of the {name}: {', '.join(texts)!r}")
-        parts[name] = value
-    return Parts(**parts)  # type: ignore[arg-type]
 
 
 def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
@@ -241,14 +237,17 @@ def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
         if not 1.0 <= float(match[1]) <= MOST_CYCLES:
             raise UnitError(f"a test has 1 to {MOST_CYCLES} cycles, not {text!r}")
         return "cycles", float(match[1])
-    kind = _measured(text)
-    if kind not in ("length", "time", "rate", None):
+    kinds = {
+        "length": ("amplitude", "displacement"),
+        "time": ("price", "time"),
+        "rate": ("frequency", "rate"),
+    }
+    if (kind := _measured(text)) not in kinds:
         level, own = parse_actuation(text)
         if own != unit:
             raise UnitError(f"the campaign's actuation is {actuation_kind(unit)}, {text!r} is not")
         return "actuation", level
-    kinds = {"length": ("amplitude", "displacement"), "time": ("price", "time")}
-    name, dimension = kinds.get(kind, ("frequency", "rate"))
+    name, dimension = kinds[kind]
     value = parse_quantity(text, dimension)
     if not 0.0 < value < 1e9:
         raise UnitError(f"{text!r} must be above zero, and not too large")
@@ -288,7 +287,7 @@ def harmonic_of(trace: Trace, shown: Shown = Shown()) -> Candidate:
         setting.actuation,
         _round(frequency, NEAR),
         _round(amplitude, NEAR, shown.length),
-        float(np.clip(count_cycles(trace), 1, 100)),
+        float(np.clip(loops.period.size, 1, 100)),
     )
 
 

@@ -242,10 +242,14 @@ class _Study:
         summaries = np.stack(list(loop.summaries(force, self.gap).values()), axis=1)
         return np.abs(force).max(axis=1), directions_of(summaries)
 
-    def gain(self, directions: Array, *, curved: bool = True) -> Gain:
-        """Gain of tests whose summaries have these directions."""
-        left = fit_left_out(self.goals.values, directions, curved=curved)
-        return gain_of(self.goals, left, np.random.default_rng([self.seed, BOOTSTRAP]))
+    def gain(self, *copies: Array, curved: bool = True) -> Gain:
+        """Gain of tests whose summaries have these directions: the mean of several copies."""
+        gains = []
+        for directions in copies:
+            left = fit_left_out(self.goals.values, directions, curved=curved)
+            rng = np.random.default_rng([self.seed, BOOTSTRAP])
+            gains.append(list(vars(gain_of(self.goals, left, rng)).values()))
+        return Gain(*np.mean(gains, axis=0).tolist())
 
     def gain_of_set(self, numbers: Sequence[int]) -> Gain:
         """Gain of a set of candidates, by new copies of them.
@@ -253,17 +257,12 @@ class _Study:
         Of many sets the best owes part of its worth to the chance in its copies, so that these
         copies must not judge it too.
         """
-        gains = []
+        sets = []
         for again in range(AFRESH):
             first = COPIES + 1 + again * CURVE
             tests = [self.simulated(n, first + place)[1] for place, n in enumerate(numbers)]
-            gains.append(self.gain(np.concatenate(tests, axis=1), curved=False))
-        return _mean(gains)
-
-
-def _mean(gains: Sequence[Gain]) -> Gain:
-    """Mean of gains, and of their errors: each is that of one copy."""
-    return Gain(*np.mean([list(vars(gain).values()) for gain in gains], axis=0).tolist())
+            sets.append(np.concatenate(tests, axis=1))
+        return self.gain(*sets, curved=False)
 
 
 def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
@@ -306,10 +305,14 @@ def advise(
     for number, _ in tests[:SHORTLIST]:
         # the first copy has put a candidate on the list: it must not judge it too
         copies = [study.simulated(number, copy)[1] for copy in range(1, COPIES + 1)]
-        gains[number] = _mean([study.gain(directions) for directions in copies])
+        gains[number] = study.gain(*copies)
         tests += [(number, directions) for directions in copies]
     chosen = greedy(study.goals, [directions for _, directions in tests], CURVE)
-    sets = [tuple(tests[k][0] for k in one) for one in chosen]
+    together = []
+    for one in chosen:
+        numbers = [tests[k][0] for k in one]
+        candidates_of = tuple(allowed[n] for n in numbers)
+        together.append(Together(**vars(study.gain_of_set(numbers)), candidates=candidates_of))
     tested = situation.tests
     rows = [
         Row(**vars(gain), candidate=allowed[n], repeat=repeats(allowed[n], tested))
@@ -320,13 +323,7 @@ def advise(
         unit=goal.unit(situation.population.actuation_unit, units(situation.model)),
         width=study.goals.width,
         rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
-        together=tuple(
-            Together(
-                **vars(study.gain_of_set(numbers)),
-                candidates=tuple(allowed[n] for n in numbers),
-            )
-            for numbers in sets
-        ),
+        together=tuple(together),
         ruled_out=tuple((one, ruled_out[one]) for one in every if one in ruled_out),
         tests=tested,
         draws=study.devices.index.size,

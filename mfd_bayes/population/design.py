@@ -426,7 +426,9 @@ def design_of(
     speed = geometric_mean([v for v in speeds if v > 0] or [1.0])
     everything = (*shared, *(n for n in names if n == "start" or n in shapes))
     each = {n: shape_prior(shapes[n]) if n in shapes else priors.parameters[n] for n in everything}
-    coordinates = Coordinates(everything, each, USUAL_SPEED * speed, not (model and model.own))
+    coordinates = Coordinates(
+        everything, each, USUAL_SPEED * speed, model is None or bool(model.standard_names)
+    )
     return Design(
         names=shared,
         coordinates=coordinates,

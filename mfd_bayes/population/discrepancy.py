@@ -114,16 +114,8 @@ class Residual:
         ε is multiplied by `rest`, and the levels of the strokes by `level`.
         """
         e = rng.standard_normal((len(sd), trace.samples))
-        phi = np.exp(-np.diff(trace.time) / self.noise_time)
-        if np.ptp(phi) < 1e-3:  # even steps: one filter
-            step = float(phi.mean())
-            e[:, 1:] *= np.sqrt(1.0 - step**2)
-            from scipy.signal import lfilter  # which takes long to import
-
-            e = lfilter([1.0], [1.0, -step], e, axis=1)
-        else:
-            for t, f in enumerate(phi, start=1):
-                e[:, t] = f * e[:, t - 1] + np.sqrt(1.0 - f * f) * e[:, t]
+        for t, f in enumerate(np.exp(-np.diff(trace.time) / self.noise_time), start=1):
+            e[:, t] = f * e[:, t - 1] + np.sqrt(1.0 - f * f) * e[:, t]
         strokes, h = strokes_of(trace), self.stroke_share
         levels = rng.standard_normal((len(sd), int(strokes[-1]) + 1))
         noise = np.sqrt(1.0 - h * h) * rest * e + h * level * levels[:, strokes]

@@ -30,7 +30,7 @@ from mfd_bayes.population.law_scores import (
     free_exponents,
 )
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
-from mfd_bayes.population.mixed_model import MixedModel, marginalised
+from mfd_bayes.population.mixed_model import MixedModel
 from mfd_bayes.population.population import LawDraws, Population
 from mfd_bayes.population.settings import CONDITIONS, Setting, levels_of, setting_of, varies
 from mfd_bayes.population.starts import Starts, place_left, without_load
@@ -164,14 +164,11 @@ def _inferred(
     )
     share, exponent = (part.reshape(chosen.shape) for part in drawn)
     posterior = likelihoods[0].posterior
-    slips = [n for n in design.laws if posterior.model.own or n != "sigma0"]
+    slips = [n for n in design.laws if n not in {"sigma0"} & posterior.model.standard_names]
     alternatives, alternative_weight = _alternatives(mixed, slips, weights, gaussians, rng)
     prior_of = dict(posterior.priors)
     if posterior.model.has_gap and "start" in priors.parameters:
         prior_of.setdefault("start", priors.parameters["start"])
-    starts = Starts.of(prior_of.get("start"))
-    if "start" in coordinates.names and starts.fixed is None:
-        starts = _starts(starts, likelihoods, draws.x, prior_of["start"])
     population = Population(
         design=design,
         draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
@@ -180,7 +177,7 @@ def _inferred(
         alternatives=alternatives,
         alternative_weight=alternative_weight,
         residual=fit.residual,
-        starts=starts,
+        starts=_starts(prior_of.get("start"), likelihoods, draws.x),
         priors=prior_of,
         actuation_unit=settings.actuation_unit,
         walkers=walkers,
@@ -193,10 +190,19 @@ def _inferred(
 
 
 def gaussians_of(fit: JointFit, unpooled: NDArray[np.bool_], d: int) -> tuple[Array, Array]:
-    """Gaussian likelihoods of the d shared coordinates, (J, d) and (J, d, d)."""
-    pairs = [marginalised(*each) for each in zip(fit.mean, fit.precision, unpooled, strict=True)]
-    y, precision = (np.array(part) for part in zip(*pairs, strict=True))
-    return y[:, :d], precision[:, :d, :d]
+    """Gaussian likelihoods of the d shared coordinates, (J, d) and (J, d, d).
+
+    What is unpooled is integrated over N(0, 1), and has no precision.
+    """
+    y, precision = np.zeros((len(unpooled), d)), np.zeros((len(unpooled), d, d))
+    for j, (mean, p, out) in enumerate(zip(fit.mean, fit.precision, unpooled, strict=True)):
+        kept, rest = np.flatnonzero(~out), np.flatnonzero(out)
+        across, pull = p[np.ix_(rest, kept)], p @ mean
+        gain = np.linalg.solve(p[np.ix_(rest, rest)] + np.eye(rest.size), across).T
+        reduced = p[np.ix_(kept, kept)] - gain @ across
+        y[j, kept] = np.linalg.solve(reduced, pull[kept] - gain @ pull[rest])
+        precision[j][np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
+    return y, precision
 
 
 def _likelihoods(
@@ -300,11 +306,11 @@ def _alternatives(
     return LawDraws(*map(np.concatenate, zip(*found, strict=True))), np.concatenate(weight)
 
 
-def _starts(
-    starts: Starts, likelihoods: Sequence[TestLikelihood], x: Array, prior: Prior
-) -> Starts:
+def _starts(prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array) -> Starts:
     """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
-    left, free = [], []
+    starts, left, free = Starts.of(prior), [], []
+    if prior is None or prior.fixed or "start" not in likelihoods[0].coordinates.names:
+        return starts
     even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
     for j, one in enumerate(likelihoods):
         model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])

@@ -93,7 +93,7 @@ class TestGaussians:
         """Log densities of a quantity's tests, all and without each fold, under a law by itself.
 
         They are (n, 1 + folds), with log weights that make their points h (n, dim) stand for the
-        prior. `follows` are covariates instead of those of the design.
+        prior. `follows` are covariates instead of the design's.
         """
         k = [self.design.names.index(name)]
         follows = self.design.dependence.get(name, ()) if follows is None else follows

@@ -52,13 +52,9 @@ class MixedModel:
     effects' sd, and the coordinates of the laws' shapes, in this order. `choice` has the number of
     the law of each quantity that follows the actuation: one row (L,), or a row for each h, (n, L).
 
-    Parameters
-    ----------
-    design : Design
-    y, precision : (J, d), (J, d, d)
-        Gaussian likelihoods in prior units; zero precision where a test tells nothing.
-    weight : (J, F), optional
-        Of the free quantities of tests: prior precision of a deviation over 1/τ².
+    The Gaussian likelihoods y (J, d), precision (J, d, d) are in prior units, the precision zero
+    where a test tells nothing. The `weight` (J, F) of a free quantity of a test is the prior
+    precision of its deviation over 1/τ².
     """
 
     def __init__(
@@ -214,16 +210,16 @@ class MixedModel:
         """Mode of the numbers by BFGS, its gradient by central differences, (dim,)."""
         from scipy import optimize  # which takes long to import
 
-        step, start = 1e-4 * np.eye(self.dim), np.zeros(self.dim)
+        if not self.dim:
+            return np.zeros(0)
+        step = 1e-4 * np.eye(self.dim)
 
         def loss(g: Array) -> tuple[float, Array]:
             f = -self.log_numbers(np.concatenate([g[None], g + step, g - step]), choice)
             up, down = np.split(f[1:], 2)
             return float(f[0]), (up - down) / 2e-4
 
-        bounds = [(-FARTHEST, FARTHEST)] * self.dim
-        if not self.dim:
-            return start
+        bounds, start = [(-FARTHEST, FARTHEST)] * self.dim, np.zeros(self.dim)
         return optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
 
     def laplace(self, choice: Index) -> tuple[Array, Array]:
@@ -303,18 +299,3 @@ def forward(a: Array, b: Array) -> Array:
 def backward(factor: Array, u: Array) -> Array:
     """factor⁻ᵀ u."""
     return forward(np.swapaxes(factor, -1, -2), u)
-
-
-def marginalised(y: Array, precision: Array, out: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Gaussian likelihood (D,), (D, D) with some coordinates integrated over N(0, 1).
-
-    Their precision is then zero.
-    """
-    kept, rest = np.flatnonzero(~out), np.flatnonzero(out)
-    across, pull = precision[np.ix_(rest, kept)], precision @ y
-    gain = np.linalg.solve(precision[np.ix_(rest, rest)] + np.eye(rest.size), across).T
-    reduced = precision[np.ix_(kept, kept)] - gain @ across
-    found, mean = np.zeros_like(precision), np.zeros_like(y)
-    found[np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
-    mean[kept] = np.linalg.solve(reduced, pull[kept] - gain @ pull[rest])
-    return mean, found

@@ -15,12 +15,9 @@ from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]
 
-# the law with its level's effect; plus test-to-test scatter; plus a record's offset and noise
-NESTED = ("device", "new_test", "observation")
 THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
-KINDS = (*NESTED, THIS_TEST)
-
-# what each kind of band is about, in the words of design; the same everywhere
+# what each kind of band is about, in the words of design: the law with its level's effect; plus
+# test-to-test scatter; plus a record's offset and noise
 KIND_NAMES: Mapping[str, str] = MappingProxyType(
     {
         "device": "mean property",
@@ -29,6 +26,7 @@ KIND_NAMES: Mapping[str, str] = MappingProxyType(
         THIS_TEST: "this very test",
     }
 )
+KINDS = tuple(KIND_NAMES)
 
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
 ZERO = 1e-3  # share of the largest actuation below which one is zero: what an idle gauge shows

@@ -22,41 +22,22 @@ from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 
-NARROWING = 0.02
-"""Share by which one more cycle must narrow the interval of a property, to be worth it."""
-
-FEWEST_CYCLES = 2
-"""A test is never long enough before: the first cycle may begin from rest or in the gap."""
-
+NARROWING = 0.02  # share by which one more cycle must narrow a property's interval
+FEWEST_CYCLES = 2  # the first cycle may begin from rest or in the gap
 ONE_SD = (0.15866, 0.5, 0.84134)  # shares of a normal distribution at one sd on both sides
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A property of a test that runs, and what the population expects of it.
-
-    Attributes
-    ----------
-    name, unit : str
-    median, lower, upper : float
-        With the interval of 95 %.
-    expected_lower, expected_upper : float
-        Interval of 95 % of a new test of this device.
-    percentile : float
-        Share of new tests with a smaller value than the median.
-    narrowing : float
-        Share by which one more cycle is expected to narrow the interval of the device's property.
-    """
+    """A property of a test that runs, beside new tests of this device."""
 
     name: str
     unit: str
     median: float
-    lower: float
+    lower: float  # interval of 95 %
     upper: float
-    expected_lower: float
-    expected_upper: float
-    percentile: float
-    narrowing: float
+    percentile: float  # share of new tests with a smaller value than the median
+    narrowing: float  # share by which one more cycle is expected to narrow the device's interval
 
 
 def is_enough(estimates: Mapping[str, Estimate], cycles: int, narrowing: float = NARROWING) -> bool:
@@ -78,24 +59,16 @@ def properties(model: Model, values: Mapping[str, Array]) -> dict[str, Array]:
 class Stopping:
     """Judges a test by the draws of its quantities, with weights, after each cycle.
 
-    Parameters
-    ----------
-    prior : mapping of str to (n,)
-        Properties of new tests, above zero.
-    typical : mapping of str to (n,)
-        The same draws without the scatter from test to test.
-    units : mapping of str to str
+    `prior` are properties of new tests, above zero, `typical` the same draws without the scatter
+    from test to test.
     """
 
     def __init__(
         self, prior: Mapping[str, Array], typical: Mapping[str, Array], units: Mapping[str, str]
     ) -> None:
         self.prior, self.units = prior, units
-        even = np.full(len(next(iter(prior.values()), ())), 1.0)
-        self.sd = {name: _log_sd(values, even) for name, values in prior.items()}
-        self.scatter = {
-            name: _log_sd(prior[name] / values, even) for name, values in typical.items()
-        }
+        self.sd = {name: _log_sd(values) for name, values in prior.items()}
+        self.scatter = {name: _log_sd(prior[name] / values) for name, values in typical.items()}
 
     def estimates(
         self, draws: Mapping[str, Array], weights: Array, cycles: int
@@ -104,18 +77,10 @@ class Stopping:
         known = {}
         for name, values in draws.items():
             lower, median, upper = quantiles(values, weights, (0.025, 0.5, 0.975))
-            low, high = np.quantile(self.prior[name], (0.025, 0.975)).tolist()
-            known[name] = Estimate(
-                name,
-                self.units[name],
-                median,
-                lower,
-                upper,
-                low,
-                high,
-                float(np.mean(self.prior[name] < median)),
-                self._narrowing(name, _log_sd(values, weights), cycles),
-            )
+            below = float(np.mean(self.prior[name] < median))
+            narrowing = self._narrowing(name, _log_sd(values, weights), cycles)
+            unit = self.units[name]
+            known[name] = Estimate(name, unit, median, lower, upper, below, narrowing)
         return known
 
     def _narrowing(self, name: str, sd: float, cycles: int) -> float:
@@ -128,8 +93,9 @@ class Stopping:
         return float(1.0 - np.sqrt((after + scatter) / (now + scatter)))
 
 
-def _log_sd(values: Array, weights: Array) -> float:
+def _log_sd(values: Array, weights: Array | None = None) -> float:
     """Standard deviation of the logarithm: half of the interval that holds 68 %."""
+    weights = np.ones(len(values)) if weights is None else weights
     low, _, high = quantiles(np.log(np.maximum(values, 1e-300)), weights, ONE_SD)
     return 0.5 * (high - low)
 

@@ -275,7 +275,7 @@ def stated_unit(name: str, row: str = "") -> str | None:
     name = normalize("NFKC", name)
     for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
         text = bare_unit(square or round_ or angle)
-        if not re.search(r"[^\W\d_]|[%°]", text) or _REMARKS.fullmatch(text.lower()):
+        if not re.search(r"[^\W\d_]|[%°\"″′”]", text) or _REMARKS.fullmatch(text.lower()):
             continue
         words = re.findall(r"[^\W\d_]+", text)
         is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"

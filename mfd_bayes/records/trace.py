@@ -355,9 +355,11 @@ def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
 
 def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
     """Refuse numbers so large that their fourth power could overflow."""
-    if not np.all(np.abs(values) <= most):
+    large = np.flatnonzero(~(np.abs(values) <= most))
+    if large.size:
         raise RecordError(
-            f"{name} holds numbers too large to use, beyond {most:g} in s, in, kip or ksi"
+            f"{name} holds numbers too large to use, beyond {most:g} in s, in, kip or ksi: the "
+            f"first at sample {large[0]}; where the logger overflowed, take such rows out"
         )
 
 

@@ -238,8 +238,8 @@ def _summary(
     shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
     explorer = explore(view) if view.tests else None
     parameters, laws = paper_sheets(view, units.words)
-    own = view.model.parameters if view.model and view.model.own else ()
-    elsewhere = ELSEWHERE.difference(own)
+    own = set(view.model.parameters) - view.model.standard_names if view.model else set()
+    elsewhere = ELSEWHERE - own
     columns = [test for test in view.tests if test.rows]
     left_out = None
     if view.left_out:

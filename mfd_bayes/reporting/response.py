@@ -13,9 +13,8 @@ from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.reporting.page import Picture, Units, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex
-from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row
+from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row, Shares
 from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.response.variance_shares import Shares
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.store.files import json_text

@@ -80,7 +80,8 @@ class Symbols:
     """Symbols and meanings of quantities; those of a `model` stand before others of their name."""
 
     def __init__(self, model: Model | None = None) -> None:
-        self.pooled = {} if model and model.own else _POOLED
+        standard = model.standard_names if model else _POOLED.keys()
+        self.pooled = {name: words for name, words in _POOLED.items() if name in standard}
         self.written = {n: (maths, html_of(maths), what) for n, (maths, what) in _SYMBOLS.items()}
         for name, quantity in known_quantities(model).items():
             html = quantity.html or html_of(quantity.maths)

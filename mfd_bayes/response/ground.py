@@ -343,7 +343,9 @@ def _even_step(path: Path, written: Array, unit: float, given: float | None) -> 
         return given
     step = float(time[-1] - time[0]) / max(time.size - 1, 1)
     off = np.max(np.abs(time - (time[0] + step * number)))
-    if not (step > 0.0 and off <= UNEVEN * step and np.all(np.diff(time) > 0.0)):
+    rounding = digit if digit <= 0.5 * step else 0.0
+    even = off <= max(UNEVEN * step, rounding) and np.all(np.diff(time) > 0.0)
+    if not (step > 0.0 and even):
         raise BuildingError(f"{path}: the time of a ground motion must grow by one even step")
     _agreed_step(path, step, given)
     return given or step

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import reprlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -371,19 +372,16 @@ def this_machine() -> dict[str, str]:
     import scipy.linalg  # noqa: F401  (loads its BLAS)
     from threadpoolctl import threadpool_info
 
-    processor = platform.processor() or platform.machine()
+    names: list[str] = []
     with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
-            if line.startswith("model name"):
-                processor = line.partition(":")[2].strip()
-                break
+        text = Path("/proc/cpuinfo").read_text(errors="replace")
+        names = re.findall(r"^model name\s*: *(.*\S)", text, re.MULTILINE)
     config: dict[str, Any] = np.show_config(mode="dicts") or {}  # type: ignore[assignment]
     sets = config.get("SIMD Extensions", {})
-    instructions = " ".join([*sets.get("baseline", []), *sets.get("found", [])])
-    machine = {"processor": processor, "instructions": instructions}
-    for library in sorted(threadpool_info(), key=lambda info: str(info["filepath"])):
-        if library["user_api"] == "blas":
-            owners = [name for name in ("numpy", "scipy") if f"{name}.libs" in library["filepath"]]
-            words = (library.get(key) for key in ("internal_api", "version", "architecture"))
-            machine.setdefault(" of ".join(["BLAS", *owners]), " ".join(filter(None, words)))
-    return machine
+    libraries = (info for info in threadpool_info() if info["user_api"] == "blas")
+    keys = ("internal_api", "version", "architecture")
+    return {
+        "processor": names[0] if names else platform.processor() or platform.machine(),
+        "instructions": " ".join([*sets.get("baseline", []), *sets.get("found", [])]),
+        "BLAS": ", ".join(sorted({" ".join(str(info.get(k)) for k in keys) for info in libraries})),
+    }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -37,9 +38,9 @@ from mfd_bayes.planning.study import Advice, Effort, Situation, advise
 from mfd_bayes.population.bands import FEWEST, Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import THIS_TEST, planned_setting, same_level
+from mfd_bayes.population.settings import CONDITIONS, THIS_TEST, planned_setting, same_level
 from mfd_bayes.population.starts import Ending
-from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number, why_no_file
+from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -134,10 +135,8 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     if not done:
         raise StoreError(f"the run in {folder} has no calibrated test")
     for name in (*map(posterior_of, done), *map(record_of, held_out)):
-        path = folder / name
-        if not path.is_file():
-            reason = why_no_file(path) if path.exists() else "is missing from the run"
-            raise StoreError(f"{path} {reason}")
+        if not (folder / name).is_file():
+            raise StoreError(f"{folder / name} is missing from the run")
     tests = ByName(
         "calibrated test", done, partial(_read_test, folder, manifest, (priors, model), extras)
     )
@@ -186,6 +185,8 @@ class Run:
         Tests with role "validate"; likewise.
     units : {"", "us", "si"}
         What its sentences are in; "" for the units of the records.
+    conditions : mapping of str to float
+        Of tests that are predicted, where a call says no others, as in `predict`.
     """
 
     folder: Path
@@ -195,13 +196,7 @@ class Run:
     held_out: Mapping[str, Trace]
     extras: Extras | None = field(default=None, repr=False)
     units: str = ""
-
-    def __post_init__(self) -> None:
-        for what, name in (("calibrated test", "tests"), ("held-out test", "held_out")):
-            items = getattr(self, name)
-            if not isinstance(items, ByName):
-                items = dict(items)
-                object.__setattr__(self, name, ByName(what, items, items.__getitem__))
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
@@ -213,9 +208,13 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.storage import load_population
 
-        with unchanged(self.folder, self.manifest):
+        with self.unchanged():
             path = check_stored(self.folder, POPULATION, self.manifest.files)
             return load_population(path, self.priors, self.model)
+
+    def unchanged(self) -> AbstractContextManager[None]:
+        """Context that raises StoreError where another process changes the run meanwhile."""
+        return unchanged(self.folder, self.manifest)
 
     def rewrite(self, **parts: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""
@@ -391,7 +390,7 @@ class Run:
         forecast = Forecast(
             *(kind, probability, draws, seed, session, whole, bool(explain)),
             device=device,
-            conditions=conditions or {},
+            conditions={**self.conditions, **(conditions or {})},
         )
         if after:
             forecast = self.sequence.begun(forecast, trace, after)
@@ -405,14 +404,19 @@ class Run:
             departure.sentence(self.system, widened=not test)
             for departure in self.departures(trace, test)
         ]
-        remarks += self._remarks(session, device)
+        remarks += self._remarks(session, device, CONDITIONS if test else forecast.conditions)
         remarks += [NO_GAP] if after and forecast.before is None else []
         remarks += [*forecast.remarks, *band.remarks]
         return replace(band, remarks=tuple(remarks), extras=self.extras)
 
-    def _remarks(self, session: str, device: str = "") -> list[str]:
-        """Remarks of every band: an unusable run, a session or a device that no test has."""
+    def _remarks(self, session: str, device: str, conditions: Collection[str]) -> list[str]:
+        """Remarks of every band: an unusable run, what no test has, and what is not said."""
         remarks = []
+        followed = {c for those in self.population.design.dependence.values() for c in those}
+        for name in CONDITIONS:
+            if name in followed and name not in conditions:
+                usual = "the mean" if name == "temperature" else "the latest"
+                remarks.append(f"the {name} is not said: it is taken as {usual} of the tests")
         if self.use == Use.NOT_USABLE:
             remarks.append(f"the run is not usable as it is: {self.verdict}")
         sessions = dict.fromkeys(self.manifest.settings.sessions.values())
@@ -514,6 +518,8 @@ class Run:
         draws: int = 1000,
         seed: int = 0,
         session: str = "",
+        device: str = "",
+        conditions: Mapping[str, float] | None = None,
         refresh: bool = True,
     ) -> Forecaster:
         """Forecaster of a test that is about to run: its bands learn from the force as it comes.
@@ -531,7 +537,8 @@ class Run:
         draws : int
             Draws that are stepped along; the time of an update is in proportion.
         seed : int
-        session : str
+        session, device, conditions
+            As in `predict`.
         refresh : bool
             Whether a band may take some seconds to sample the draws anew.
 
@@ -541,7 +548,10 @@ class Run:
             When an option is of another type or unknown, or the model has no steps.
         """
         planned = {"amplitude": amplitude, "velocity": velocity}
+        conditions = {**self.conditions, **(conditions or {})}
         setting = planned_setting(self.population.design.settings, actuation, session, planned)
+        covariates = {**setting.covariates, **conditions}
+        setting = replace(setting, device=device, covariates=covariates)
         forecast = Forecast(kind, probability, draws, seed, session)
         forecaster = Forecaster(self.predictor, setting, forecast, refresh=refresh)
         unit = self.actuation_unit
@@ -553,7 +563,7 @@ class Run:
         left = departures(self.tested, range_of([plan], unit))
         said = {departure.reached.name for departure in left}
         remarks = [departure.sentence(self.system, widened=True) for departure in left]
-        remarks += self._remarks(session)
+        remarks += self._remarks(session, device, conditions)
 
         def complete(band: Band, motion: Trace) -> Band:
             """The band with its remarks; a motion that has begun is no smaller than planned."""

@@ -59,17 +59,16 @@ class System:
 
     def unit(self, internal: str) -> str:
         """Unit of this system for an internal one, in the metric system "kN/mm" for "kip/in"."""
+        if internal == "s" and not self.axes.timed:
+            return "samples"
         units = {"kip": self.force, "in": self.length, "ksi": self.pressure}
         level, shown = self.level
         if level:
             units[level] = shown
         if not self.axes.of_damper:
-            if internal == "s" and not self.axes.timed:
-                return "samples"
             own = ((self.axes.motion, self.length), (self.axes.response, self.force))
             units |= {axis.unit: unit for axis, unit in own if _WORD.fullmatch(axis.unit)}
-            return in_place_of(internal, units)
-        text = _WORD.sub(lambda word: units.get(word[0], word[0]), internal)
+        text = in_place_of(internal, units)
         if "*" not in level:
             return text
         return re.sub(rf"(?<![A-Za-z]){re.escape(level)}(?![A-Za-z])", shown, text)

@@ -18,7 +18,6 @@ from mfd_bayes.records.inputs import why_invalid, why_no_file
 
 PART = ".part"
 _LARGEST_JSON = 64 * 2**20
-_DEEPEST = 50
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
@@ -74,20 +73,7 @@ def read_json(path: Path) -> dict[str, Any]:
         if path.stat().st_size > _LARGEST_JSON:
             raise StoreError(f"{path} is larger than {_LARGEST_JSON >> 20} MB: not of this program")
         content = json.loads(path.read_text(encoding="utf-8"))
-        level, depth = [content], 0
-        while level:  # what could not be written again: nested too deeply, or invalid Unicode
-            depth += 1
-            if depth > _DEEPEST:
-                raise ValueError(f"nested more than {_DEEPEST} times")
-            below: list[object] = []
-            for part in level:
-                if isinstance(part, dict):
-                    below += [*part, *part.values()]
-                elif isinstance(part, list):
-                    below += part
-                elif isinstance(part, str):
-                    part.encode()
-            level = below
+        json.dumps(_to_json(content), ensure_ascii=False).encode()  # it can be written again
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:

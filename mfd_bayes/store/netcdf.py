@@ -261,9 +261,9 @@ def _read_group(group: h5py.Group, most: int) -> Group:
         data = _member(group, name)
         if _NO_VARIABLE in str(data.attrs.get("NAME")):
             continue
-        if data.dtype.kind not in "fiub" or data.is_virtual or data.external:
+        if data.dtype.kind not in "fiub" or data.external:
             raise ValueError(f"{name} holds no numbers of its own")
-        if data.id.get_create_plist().get_nfilters() or data.nbytes > most:
+        if data.id.get_storage_size() != data.nbytes or data.nbytes > most:
             raise ValueError(f"{name} is packed, or larger than the file")
         dims = [(dim[0].name if len(dim) else data.name).rpartition("/")[2] for dim in data.dims]
         about = {key: data.attrs[key] for key in data.attrs.keys() - _FORMAT_ATTRIBUTES}

@@ -1,10 +1,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import (
-    autocorrelation_time,
-    measure,
-)
+from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
 
 
 def autoregressive(phi, steps=3000, seed=0, shape=(4, 20)):
@@ -19,10 +16,11 @@ def autoregressive(phi, steps=3000, seed=0, shape=(4, 20)):
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.9])
-def test_autocorrelation_time_of_ar1_is_its_closed_form(phi):
-    found = autocorrelation_time(autoregressive(phi))
-    assert found.shape == (1,)
-    assert found[0] == pytest.approx((1 + phi) / (1 - phi), rel=0.1)
+def test_autocorrelation_time_and_effective_size_of_ar1_are_their_closed_forms(phi):
+    chains = autoregressive(phi, steps=1000)
+    time = (1 + phi) / (1 - phi)
+    assert autocorrelation_time(chains) == pytest.approx([time], rel=0.1)
+    assert measure(chains).ess_bulk[0] == pytest.approx(chains.size / time, rel=0.15)
 
 
 def test_stuck_walkers_have_a_long_autocorrelation_time():
@@ -56,9 +54,3 @@ def test_a_shifted_ensemble_and_a_drift_in_time_raise_r_hat():
     assert found.r_hat[0] < 1.01
     assert np.all(found.r_hat[1:] > 1.1)
     assert not found.reached(1.01, 1)
-
-
-def test_effective_size_of_ar1_walkers_is_their_closed_form():
-    chains = autoregressive(0.9, steps=1000)
-    expected = chains.size * (1 - 0.9) / (1 + 0.9)
-    assert measure(chains).ess_bulk[0] == pytest.approx(expected, rel=0.15)

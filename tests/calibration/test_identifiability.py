@@ -1,11 +1,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.identifiability import (
-    find_directions,
-    find_pairs,
-    identify,
-)
+from mfd_bayes.calibration.identifiability import find_directions, find_pairs, identify
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.records.trace import Trace
 
@@ -27,9 +23,6 @@ def linear_posterior(design=DESIGN):
     """Covariance of a linear model's posterior."""
     precision = np.diag(PRIOR_SD**-2.0) + design.T @ design / NOISE**2
     return np.linalg.inv(precision)
-
-
-# --- directions
 
 
 def test_directions_of_a_linear_model_are_those_of_its_curvature():
@@ -62,23 +55,15 @@ def test_draws_that_follow_each_other_count_as_fewer():
     assert find_directions(names, np.ones(20), held, 15.0).informed == 0  # fewer than dimensions
 
 
-# --- pairs
-
-
 def test_pairs_that_trade_off_are_named():
     r = -0.85
     normal = exact_draws(np.array([[1.0, r, 0.0], [r, 1.0, 0.0], [0.0, 0.0, 1.0]]), 20000)
     (pair,) = find_pairs(NAMES, np.exp(3 * normal))  # ranks are the same on any scale
     assert (pair.first, pair.second) == ("a", "b")
     assert pair.correlation == pytest.approx(6 / np.pi * np.arcsin(r / 2), abs=0.01)
-
-
-def test_independent_parameters_do_not_trade_off():
+    # independent parameters do not
     assert find_pairs(NAMES, np.random.default_rng(2).normal(size=(4000, 3))) == ()
     assert find_pairs(("a",), np.random.default_rng(2).normal(size=(4000, 1))) == ()
-
-
-# --- a test of a damper
 
 
 def test_draws_of_the_prior_say_that_the_data_tell_nothing():

@@ -34,9 +34,7 @@ def test_without_pressure_residual_friction_is_left(tmp_path):
 
 
 def test_its_laws_have_intercepts_where_the_truth_has(tmp_path):
-    write_campaign(tmp_path, 1, ONE)
-    assert load_campaign(tmp_path / "campaign.toml").settings.laws["Fc_fwd"] == "affine"
-    above = Matrix(pressures=(500.0,), frequencies=(0.5,), cycles=(2,))
-    truth = write_campaign(tmp_path, 1, above)
-    assert load_campaign(tmp_path / "campaign.toml").settings.laws["Fc_fwd"] == "proportional"
-    assert "Fc_fwd_0" not in truth["population"]
+    for pressure, law in ((0.0, "affine"), (500.0, "proportional")):
+        truth = write_campaign(tmp_path, 1, Matrix((pressure,), (0.5,), (2,)))
+        assert load_campaign(tmp_path / "campaign.toml").settings.laws["Fc_fwd"] == law
+        assert ("Fc_fwd_0" in truth["population"]) == (law == "affine")

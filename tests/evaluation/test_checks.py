@@ -7,8 +7,8 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.identifiability import (
     Directions,
 )
-from mfd_bayes.calibration.noise_sensitivity import quantiles_of
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.result import quantiles_of
 from mfd_bayes.evaluation.checks import (
     convergence_checks,
     directions_check,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mfd_bayes.friction.spring import Spring
+from mfd_bayes.friction.backlash import Spring
 from mfd_bayes.records.loops import loop_estimate
 from mfd_bayes.records.trace import Trace
 from tests.friction.backlash_cases import (

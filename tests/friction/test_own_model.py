@@ -32,24 +32,18 @@ class Viscous(mb.Model):
         return c * np.sign(velocity) * np.abs(velocity) ** state["alpha"], state
 """
 PRIORS = """
-[parameters.c]
-family = "lognormal"
-median = "2 kN"
-spread = 0.6
-
-[parameters.alpha]
-family = "lognormal"
-median = 0.6
-spread = 0.4
-
-[parameters.offset]
-family = "normal"
-mean = "0 kip"
-sd = "0.05 kip"
-
-[parameters.noise_sd]
-family = "half_normal"
-sd = "0.1 kip"
+[parameters]
+c = { family = "lognormal", median = "2 kN", spread = 0.6 }
+alpha = { family = "lognormal", median = 0.6, spread = 0.4 }
+offset = { family = "normal", mean = "0 kip", sd = "0.05 kip" }
+noise_sd = { family = "half_normal", sd = "0.1 kip" }
+"""
+STEEL_PRIORS = """
+[parameters]
+E = { family = "lognormal", median = "200 GPa", spread = 0.1 }
+b = { family = "beta", a = 1, b = 9 }
+offset = { family = "normal", mean = "0 ksi", sd = "0.05 ksi" }
+noise_sd = { family = "half_normal", sd = "0.1 ksi" }
 """
 TIME = np.arange(0, 8, 1 / 32)
 MOTION = np.sin(np.pi * TIME)
@@ -145,17 +139,16 @@ def test_other_quantities_have_their_own_units(folder):
     assert model.rate_independent
     stiffness, share = model.quantities
     assert (stiffness.unit, share.least, share.most) == ("MPa", 0.0, 1.0)
-    text = '[parameters.E]\nfamily = "lognormal"\nmedian = "200 GPa"\nspread = 0.1\n'
-    text += '[parameters.b]\nfamily = "beta"\na = 1\nb = 9\n'
-    (folder / "steel.toml").write_text(text + PRIORS.partition("\n\n[parameters.alpha]")[0])
-    with pytest.raises(mb.MfdError, match="unknown parameter"):  # c is none of this model's
-        mb.Posterior(trace_of(FORCE), str(folder / "steel.toml"), "iid", "lugre")
-    text += PRIORS[PRIORS.index("[parameters.offset]") :]
-    (folder / "steel.toml").write_text(text)
-    with pytest.raises(mb.MfdError, match=r"offset.*'kip' cannot be given in 'MPa'"):
-        mb.Posterior(trace_of(FORCE), str(folder / "steel.toml"), "iid", model)
-    (folder / "steel.toml").write_text(text.replace("kip", "ksi"))
-    posterior = mb.Posterior(trace_of(FORCE), str(folder / "steel.toml"), "iid", model)
+    file, text = folder / "steel.toml", STEEL_PRIORS
+    for wrong, of, words in (
+        (text, "lugre", "unknown parameter"),  # E is none of that model's
+        (text.replace("ksi", "kip"), model, r"offset.*'kip' cannot be given in 'MPa'"),
+    ):
+        file.write_text(wrong)
+        with pytest.raises(mb.MfdError, match=words):
+            mb.Posterior(trace_of(FORCE), str(file), "iid", of)
+    file.write_text(text)
+    posterior = mb.Posterior(trace_of(FORCE), str(file), "iid", model)
     assert posterior.priors["E"].typical == pytest.approx(2e5)
     with pytest.raises(mb.MfdError, match="no step in time"):
         model.start([[2e5, 0.1]])
@@ -186,7 +179,7 @@ def test_a_model_of_an_installed_package_has_an_entry_point(monkeypatch, viscous
         ("../outside.py:Viscous", ("outside the campaign's folder",)),
         ("my_damper:Viscous", ("unknown model 'my_damper:Viscous'", "three_stage")),
         ("\0.py:Viscous", ("cannot be found",)),
-        (None, ("unknown model None",)),
+        *((name, (f"unknown model {name!r}",)) for name in (None, 5, ["lugre"], {}, "lugre+x")),
     ],
 )
 def test_what_is_not_there_is_named(folder, name, words):
@@ -237,17 +230,15 @@ def test_a_class_that_is_no_model_is_named(folder, old, new, words):
     ("old", "new", "words"),
     [
         ("** alpha\n", "** alpha[0]\n", ()),  # the control
-        ("        return c * np.sign(trace", "        return np.sign(trace", ("shape (1, 256)",)),
+        ("return c * np.sign(trace", "return 1.0 or np.sign(trace", ("shape (1, 256)",)),
         ("** alpha\n", "** (alpha * np.nan)\n", ("no finite number",)),
         ("** alpha\n", "** trace.alpha\n", ("AttributeError", "alpha")),
         ("** alpha\n", "** exit()\n", ("SystemExit",)),
-        ("        return c * np.sign(trace", "        return 'f' or np.sign(trace", ("real",)),
+        ("return c * np.sign(trace", "return 'f' or np.sign(trace", ("real",)),
         ("trace, scales):", "trace):\n        scales = {'c': 1}", ("the actuation changes",)),
     ],
 )
 def test_a_force_that_cannot_be_used_is_refused_before_it_is_sampled(folder, old, new, words):
-    if words == ("shape (1, 256)",):
-        new = new.replace("np.sign(trace", "1.0 or np.sign(trace")
     model = changed(folder, old, new)
     level = 0.5 + 0.1 * np.sin(TIME) if "the actuation changes" in words else 0.5
     trace = trace_of(FORCE, level)

@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.records.trace import Trace
+from tests.friction.test_arguments import some_values
 
-PRIORS = load_priors("mfd").parameters
 TIME = np.arange(0.0, 4.0, 0.02)
 MOTIONS = {
     "turns between samples": np.sin(np.pi * TIME) + 0.3 * np.sin(1.3 * TIME),
@@ -23,9 +22,7 @@ LEVELS = {
 
 def dampers(model, n, seed=1):
     """Vectors drawn from the priors, (n, p)."""
-    rng = np.random.default_rng(seed)
-    values = {name: p.draw(rng, n) for name, p in PRIORS.items()} | {"gamma1": np.ones(n)}
-    return model.theta(values)
+    return model.theta(some_values(n, seed))
 
 
 def trace_of(motion, level=1.0, time=TIME):
@@ -55,10 +52,10 @@ def test_steps_equal_the_force_of_the_record():
         for level in LEVELS.values():
             for motion in MOTIONS.values():
                 trace, theta = trace_of(motion, level), dampers(model, 4)
-                for start in (None, np.array([0.0, 0.2, 0.7, 1.0])):
-                    expected = model.force(theta, trace, start)
-                    assert np.ptp(expected) > 0.1, model.name
-                    close(stepped(model, theta, trace, start), expected)
+                start = np.array([0.0, 0.2, 0.7, 1.0])
+                expected = model.force(theta, trace, start)
+                assert np.ptp(expected) > 0.1, model.name
+                close(stepped(model, theta, trace, start), expected)
 
 
 def test_a_building_meets_the_device_of_the_record():
@@ -103,9 +100,7 @@ def test_given_factors_replace_the_proportion():
     for model in MODELS.values():
         trace, theta = trace_of(MOTIONS["partial"]), dampers(model, 3)
         along = 1.0 + 0.4 * np.sin(np.array([[1.0], [2.0], [3.0]]) * TIME)
-        scales = dict.fromkeys(model.slip_forces, along)
-        if model.tied_laws:
-            scales |= dict.fromkeys(model.tied_laws, along)
+        scales = dict.fromkeys((*model.slip_forces, *model.tied_laws), along)
         state, forces = model.start(theta, direction=trace.path.direction), []
         for i, (x, v) in enumerate(zip(trace.displacement, trace.velocity, strict=True)):
             now = {name: factor[:, i] for name, factor in scales.items()}

@@ -66,12 +66,7 @@ FULL = Sines((1.0, 0.0, 0.5, 0.3))
 PARTIAL = Sines((0.02, 0.05, 0.5, 0.0), (0.0, 0.012, 1.3, 1.0))
 IN_GAP = Sines((0.05, 0.0, 0.5, 0.0), (0.02, 0.0, 1.1, 0.4))
 ON_SAMPLES = Sines((1.0, 0.0, 0.5, 0.0))
-MOTIONS = {
-    "full, turning on samples": ON_SAMPLES,
-    "full, turning between samples": FULL,
-    "partial": PARTIAL,
-    "in gap": IN_GAP,
-}
+MOTIONS = (ON_SAMPLES, FULL, PARTIAL, IN_GAP)
 
 
 def reference_slip(values, motion, time):
@@ -147,27 +142,17 @@ def reference(values, motion, *, w0=0.5, finer=20, rate=100.0):
 
 
 def test_force_agrees_with_a_stiff_solver_within_two_thousandths_of_the_peak():
-    for motion in MOTIONS.values():
-        expected = reference(VALUES, motion)
-        force = MODEL.force(theta(), motion.trace())[0]
+    soft = {"gamma2": 0.01, "k3": 20.0, "sigma0": 25.0}
+    cases = [(motion, {}, 0.5) for motion in MOTIONS]
+    for motion, changes, start in [*cases, (PARTIAL, soft, 0.1), (PARTIAL, soft, 0.9)]:
+        expected = reference(VALUES | changes, motion, w0=start)
+        force = MODEL.force(theta(**changes), motion.trace(), start)[0]
         peak = np.max(np.abs(expected))
         assert peak > 0.01
         assert np.max(np.abs(force - expected)) < 2e-3 * peak
-
-
-def test_agreement_holds_for_other_starts_and_soft_transitions():
-    for start in [0.1, 0.9]:
-        values = VALUES | {"gamma2": 0.01, "k3": 20.0, "sigma0": 25.0}
-        expected = reference(values, PARTIAL, w0=start)
-        force = MODEL.force(theta(**values), PARTIAL.trace(), start=start)[0]
-        assert np.max(np.abs(force - expected)) < 2e-3 * np.max(np.abs(expected))
-
-
-def test_agreement_is_not_for_lack_of_a_gap():
-    # the control: the same comparison detects a gap that is a fiftieth wider
-    expected = reference(VALUES, FULL)
-    force = MODEL.force(theta(d2=1.02 * VALUES["d2"]), FULL.trace())[0]
-    assert np.max(np.abs(force - expected)) > 2e-3 * np.max(np.abs(expected))
+        # the control: a gap that is a fiftieth wider is another force
+        other = MODEL.force(theta(**changes, d2=1.02 * VALUES["d2"]), motion.trace(), start)[0]
+        assert motion is IN_GAP or np.max(np.abs(other - expected)) > 2e-3 * peak
 
 
 def test_force_retraces_inside_the_gap():
@@ -222,8 +207,7 @@ def test_travel_begins_where_the_damper_starts_and_at_every_turn_after_slip():
 
 def test_start_matters_until_the_first_turn_after_slip_only():
     trace = FULL.trace()
-    batch = np.repeat(theta(), 3, axis=0)
-    force = MODEL.force(batch, trace, start=np.array([0.0, 0.5, 1.0]))
+    force = MODEL.force(np.repeat(theta(), 3, axis=0), trace, start=np.array([0.0, 0.5, 1.0]))
     travel = np.abs(trace.displacement - trace.displacement[0])
     slipping = int(np.argmax(travel > D + 40 * VALUES["gamma2"]))
     assert np.max(np.abs(force[0, :slipping] - force[2, :slipping])) > 1.0

@@ -133,15 +133,50 @@ def test_a_swapped_sign_is_said(finished_run, production, tmp_path):
     assert "sign" in ended.stderr
 
 
+def drifting(run, **changed):
+    """The run with a slip force that falls by the date, 2020 to 2024."""
+    population, d = run.population, len(run.population.design.names)
+    tested = [
+        replace(s, covariates=s.covariates | {"date": year})
+        for s, year in zip(population.design.settings, np.linspace(2020, 2024, 99), strict=False)
+    ]
+    tested[-1] = replace(tested[-1], covariates=tested[-1].covariates | {"date": 2024.0})
+    design = replace(population.design, dependence={"Fc_fwd": ("date",)}, settings=tuple(tested))
+    draws = population.draws
+    z = np.insert(draws.z, d, -0.3, axis=-1)
+    other = population.alternatives
+    other = replace(other, z=np.insert(other.z, d, -0.3, axis=-1))
+    run = replace(run, **changed)
+    run.__dict__["population"] = replace(
+        population, design=design, draws=replace(draws, z=z), alternatives=other
+    )
+    return run
+
+
 def test_a_quantity_that_follows_the_date_needs_the_date(finished_run, production):
-    """A run with drift cannot judge a record whose date it does not know."""
-    run = mb.open_run(finished_run.out)
-    design = run.population.design
-    dated = replace(design, dependence={"Fc_fwd": ("date",)})
-    run.__dict__["population"] = replace(run.population, design=dated)
+    """A run with drift judges no record whose date it does not know, and predicts with a remark."""
+    run = drifting(mb.open_run(finished_run.out))
     record = mb.read_record(production("good.csv"), actuation="1000 psi")
     with pytest.raises(mb.MfdError, match="date"):
         mb.accept(run, record)
+    trace, medians = replace(record.trace(32.0), force=None), {}
+    for year in (None, 2020.0, 2024.0):
+        conditions = {"date": year} if year else {}
+        for source in (run, drifting(mb.open_run(finished_run.out), conditions=conditions)):
+            how = {"conditions": conditions} if source is run else {}
+            band = source.predict(trace, "device", **how)
+            assert any("date" in remark for remark in band.remarks) == (year is None)
+            medians.setdefault(year, []).append(np.median(band.values["Fc_fwd"]))
+    assert medians[2024.0] == medians[None]
+    assert medians[2020.0][0] == medians[2020.0][1]
+    assert np.log(medians[2020.0][0] / medians[2024.0][0]) == pytest.approx(0.3, abs=0.01)
+    follower = run.follow(1.0, conditions={"date": 2020.0})
+    follower.update(trace.time[:40], trace.displacement[:40], None, record.trace(32.0).force[:40])
+    assert not any("date" in r for r in follower.band(later(trace)).remarks)
+
+
+def later(trace):
+    return mb.Trace.from_arrays(trace.time[40:], trace.displacement[40:])
 
 
 @pytest.mark.parametrize(

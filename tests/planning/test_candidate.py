@@ -1,13 +1,14 @@
-"""Candidates and limits in words, and mistakes in them in one sentence."""
+"""Candidates, limits and goals: in words, as objects, and a campaign's own."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.next_test import goal_words
 from mfd_bayes.planning.candidate import (
-    MOST,
     SETUP,
     Candidate,
     Limits,
@@ -20,17 +21,18 @@ from mfd_bayes.planning.candidate import (
     repeats,
     typical_of,
 )
+from mfd_bayes.planning.goal import Goal, check_session, parse_goal
 from mfd_bayes.records.sine import Harmonic
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.unit_system import US
 
 TYPICAL = Candidate(1.0, 0.5, 1.0, 3.0)
 
 
 def test_a_test_in_words_is_read():
     (found,) = parse_tests("1350 psi, 0.5 Hz, 25.4 mm, 5 cycles, triangle, 2 h", "ksi")
-    expected = Candidate(1.35, 0.5, 1.0, 5.0, "triangle", 2.0)
     whole = found.completed(TYPICAL)
-    assert vars(whole) == pytest.approx(vars(expected))
+    assert vars(whole) == pytest.approx(vars(Candidate(1.35, 0.5, 1.0, 5.0, "triangle", 2.0)))
     assert whole.cost == 2.0
 
 
@@ -43,42 +45,15 @@ def test_bars_and_semicolons_give_a_grid():
 
 
 def test_what_is_not_given_is_that_of_a_typical_test_but_for_its_cost():
-    typical = Candidate(1.0, 0.5, 1.0, 3.0, price=9.0)
-    found = Parts(actuation=0.5).completed(typical)
+    found = Parts(actuation=0.5).completed(replace(TYPICAL, price=9.0))
     assert found == Candidate(0.5, 0.5, 1.0, 3.0)
     assert found.cost == pytest.approx(SETUP + 6.0 / 3600.0)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "got ''"),
-        ("fast", "no number with a unit"),
-        ("500 psi, 600 psi", "two values of the actuation"),
-        ("500 lbf", "is a pressure, '500 lbf' is not"),
-        ("0 Hz", "above zero"),
-        ("1000 cycles", "1 to 100 cycles"),
-        ("1 kg", "measures"),
-        ("|".join(["1"] * 101) + " psi, 1|2|3|4|5|6|7|8|9|10 Hz", f"more than {MOST}"),
-        ("9" * 30000, "longer"),
-    ],
-)
-def test_a_bad_test_ends_in_one_sentence(text, said):
-    with pytest.raises(CampaignError) as caught:
-        parse_tests(text, "ksi")
-    sentence = str(caught.value)
-    assert sentence.startswith("--candidates: ")
-    assert said in sentence
-    assert "\n" not in sentence
-
-
-def test_limits_are_read_in_any_order_and_unit():
+def test_limits_are_read_in_any_order_and_kept():
     found = parse_limits("50 kN, 254 mm/s, 6 in")
     assert vars(found) == pytest.approx({"velocity": 10.0, "stroke": 6.0, "force": 11.24}, rel=1e-3)
     assert parse_limits("6 in") == Limits(stroke=6.0)
-
-
-def test_limits_are_kept():
     limits = Limits(velocity=3.0, stroke=1.9)
     assert limits.forbids(Candidate(1.0, 0.5, 0.96)) == "velocity"  # a sine's speed is 3.016 in/s
     assert not limits.forbids(Candidate(1.0, 0.5, 0.95))
@@ -87,43 +62,72 @@ def test_limits_are_kept():
     assert not Limits().forbids(Candidate(1.0, 100.0, 100.0))
 
 
-# --- the campaign's own grid
+# --- goals
 
 
-def test_a_record_is_known_by_its_harmonic_test():
-    trace = Harmonic(1.0, 0.5, 4).trace(0.8)
-    found = harmonic_of(trace)
-    assert (found.actuation, found.frequency, found.amplitude) == (0.8, 0.5, 1.0)
+def test_goals_are_read():
+    assert parse_goal("band", "ksi") == Goal()
+    assert parse_goal("band of new_test", "ksi").kind == "new_test"
+    energy = parse_goal("Energy at 1000 psi, 0.5 Hz, 1 in; 1500 psi, 0.5 Hz, 1 in", "ksi")
+    assert energy.quantity == "energy"
+    assert [part.actuation for part in energy.at] == [1.0, 1.5]
+    assert parse_goal("peak force at 2 ksi", "ksi").quantity == "peak"
+    assert parse_goal("exponent of Fc_fwd", "ksi").of == "Fc_fwd"
 
+
+def test_a_goal_is_at_its_tests_or_at_a_motion_at_every_level():
+    typical = [Candidate(0.0, 0.5, 2.0), TYPICAL]
+    places = parse_goal("energy at 0.2 in", "ksi").places(typical)
+    assert places == [Candidate(0.0, 0.5, 0.2), Candidate(1.0, 0.5, 0.2)]
+    there = Candidate(0.8, 0.5, 1.0)
+    for at in (there, (there,), [there]):
+        assert Goal("energy", at=at).places(typical) == [there]
+    assert hash(Goal(at=[there])) == hash(Goal(at=(there,)))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("band", "the 95 % band over the campaign's range"),
+        (
+            "energy at 1 ksi, 0.5 Hz, 1 in",
+            "the 95 % interval of the energy per cycle at 1000 psi, 0.5 Hz, 1 in",
+        ),
+        (
+            "band at 0.2 in",
+            "the 95 % band at 5 places from 500 psi, 0.5 Hz, 0.2 in to 1500 psi, 0.5 Hz, 0.2 in",
+        ),
+    ],
+)
+def test_the_goals_words_name_its_motions(text, words):
+    tests = (Candidate(0.5, 0.5, 1.0), Candidate(1.5, 0.5, 1.0))
+    advice = SimpleNamespace(goal=parse_goal(text, "ksi"), tests=tests)
+    assert goal_words(advice, US, "ksi") == words
+
+
+# --- a campaign's own grid
 
 METRIC = Shown(6.894757, 25.4)
 
 
 @pytest.mark.parametrize("amplitude", [25.0, 25.4])
-def test_a_metric_record_is_rounded_in_mm_not_in_inches(amplitude):
+def test_a_record_is_known_by_its_harmonic_test_rounded_in_the_campaigns_units(amplitude):
     trace = Harmonic(1.0004 * amplitude / 25.4, 0.5, 4).trace(7.0 / METRIC.actuation)
     found = harmonic_of(trace, METRIC)
+    assert (found.frequency, found.cycles) == (0.5, 4.0)
+    assert found.actuation * METRIC.actuation == pytest.approx(7.0)
     assert found.amplitude * 25.4 == pytest.approx(amplitude, rel=1e-9)
     rough = harmonic_of(trace).amplitude * 25.4
     assert (rough == pytest.approx(amplitude, rel=1e-9)) == (amplitude == 25.4)  # the control
 
 
-def test_new_levels_of_a_metric_campaign_are_round_in_mpa():
-    tests = [Candidate(p / METRIC.actuation, 0.5, 25 / 25.4) for p in (3.5, 7.0)]
-    grid = grid_of(tests, METRIC)
-    levels = sorted({c.actuation * METRIC.actuation for c in grid})
-    assert levels == pytest.approx([3.5, 5.2, 7.0, 8.8])
-    assert {round(c.amplitude * 25.4, 6) for c in grid} == {25.0, 31.0}
-
-
 def test_an_irregular_motion_has_the_frequency_of_its_peak_speed():
     time = np.arange(2001) / 100
     rise = np.exp(-(((time - 10) / 3) ** 2)) * np.sin(2 * np.pi * 0.7 * time)
-    found = harmonic_of(Trace.from_arrays(time, rise, 0.8))
-    assert 0.5 < found.frequency < 0.9
+    assert 0.5 < harmonic_of(Trace.from_arrays(time, rise, 0.8)).frequency < 0.9
 
 
-def test_the_grid_repeats_every_test_and_goes_a_little_beyond():
+def test_the_grid_repeats_every_test_and_goes_a_little_beyond_in_round_numbers():
     tests = [Candidate(p, f, 1.0) for p in (0.5, 1.0, 1.5) for f in (0.05, 0.5)]
     grid = grid_of(tests)
     assert sum(repeats(c, tests) for c in grid) == len(tests)
@@ -131,6 +135,10 @@ def test_the_grid_repeats_every_test_and_goes_a_little_beyond():
     assert {0.5, 0.75, 1.0, 1.5} < levels
     assert 1.5 < max(levels) < 2.0
     assert len(set(grid)) == len(grid) <= 200
+    metric = grid_of([Candidate(p / METRIC.actuation, 0.5, 25 / 25.4) for p in (3.5, 7.0)], METRIC)
+    levels = sorted({c.actuation * METRIC.actuation for c in metric})
+    assert levels == pytest.approx([3.5, 5.2, 7.0, 8.8])
+    assert {round(c.amplitude * 25.4, 6) for c in metric} == {25.0, 31.0}
 
 
 def test_the_range_has_its_ends_and_the_median_motion():
@@ -140,21 +148,73 @@ def test_the_range_has_its_ends_and_the_median_motion():
     assert len(typical_of([Candidate(0.5, 0.1, 1.0)])) == 1
 
 
+# --- refusals
+
+BARS = "|".join(["1"] * 101)
+
+
+def read_limits(text, _, of):
+    return parse_limits(text, of=of)
+
+
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("read", "text", "name"),
     [
-        ({"waveform": "sawtooth"}, "waveform of a test must be sine or triangle"),
-        ({"cycles": 0}, "cycles of a test must be a number from 1 to 100, got 0"),
-        ({"frequency": 0.0}, "frequency of a test must be a finite number above 0"),
-        ({"price": -1.0}, "price of a test must be a finite number of at least 0"),
+        (parse_tests, "", "''"),
+        (parse_tests, "fast", "fast"),
+        (parse_tests, "500 psi, 600 psi", "actuation"),
+        (parse_tests, "500 lbf", "500 lbf"),
+        (parse_tests, "0 Hz", "0 Hz"),
+        (parse_tests, "1000 cycles", "1000 cycles"),
+        (parse_tests, "1 kg", "1 kg"),
+        (parse_tests, f"{BARS} psi, 1|2|3|4|5|6|7|8|9|10 Hz", "1000"),
+        (parse_tests, "9" * 30000, "longer"),
+        (parse_goal, "", "''"),
+        (parse_goal, "energie", "'energy'"),
+        (parse_goal, "band of observation", "observation"),
+        (parse_goal, "exponent", "exponent"),
+        (parse_goal, "gap of Fc_fwd", "Fc_fwd"),
+        (parse_goal, "band at 100 lbf", "100 lbf"),
+        (parse_goal, "energy @ 1000 psi", "@"),
+        (read_limits, "", "''"),
+        (read_limits, "6", "'6'"),
+        (read_limits, "6 in, 7 in", "stroke"),
+        (read_limits, "-1 kip", "force"),
+        (read_limits, "3 s", "3 s"),
     ],
 )
-def test_what_is_no_test_is_refused(wrong, said):
-    with pytest.raises(CampaignError, match=said):
-        replace(TYPICAL, **wrong)
-    for limit in ({"velocity": np.nan}, {"force": 0.0}, {"stroke": "6"}):
-        with pytest.raises(CampaignError, match=next(iter(limit))):
-            Limits(**limit)
-    for text in ("", "6", "6 in, 7 in", "-1 kip", "3 s"):
-        with pytest.raises(CampaignError, match="--limits"):
-            parse_limits(text)
+def test_bad_words_end_in_one_sentence_that_names_them(read, text, name):
+    with pytest.raises(CampaignError) as caught:
+        read(text, "ksi", of="--option")
+    sentence = str(caught.value)
+    assert sentence.startswith("--option: ")
+    assert name in sentence
+    assert "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("made", "values", "name"),
+    [
+        (TYPICAL, {"waveform": "sawtooth"}, "sawtooth"),
+        (TYPICAL, {"cycles": 0}, "cycles"),
+        (TYPICAL, {"frequency": 0.0}, "frequency"),
+        (TYPICAL, {"price": -1.0}, "price"),
+        (Limits(), {"velocity": np.nan}, "velocity"),
+        (Limits(), {"force": 0.0}, "force"),
+        (Limits(), {"stroke": "6"}, "stroke"),
+        (Goal(), {"quantity": None}, "quantity"),
+        (Goal(), {"probability": "0.9"}, "probability"),
+        (Goal(), {"probability": 2}, "probability"),
+        (Goal(), {"at": "x"}, "at of a goal"),
+    ],
+)
+def test_what_is_no_test_limit_or_goal_is_refused(made, values, name):
+    with pytest.raises(CampaignError, match=name):
+        replace(made, **values)
+
+
+def test_a_goal_is_about_a_session_of_the_tests_or_a_new_one():
+    check_session("", ["2022", "2023"])
+    check_session("2023", ["2022", "2023"])
+    with pytest.raises(CampaignError, match="'2023'"):
+        check_session("2032", ["2022", "2023"])

@@ -13,7 +13,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
-from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.laws import LAW_NAMES, usual_shapes
 from mfd_bayes.population.population import LawDraws, Population
 from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.starts import Starts
@@ -97,44 +97,38 @@ def make_population(
     z = np.zeros((*shape, design.quantity.size))
     wide = by_name(level_sd, names, 0.0) / design.spread
     z[..., :d] = middle[:d] + wide * rng.standard_normal((*shape, d))
-    laws_of = [*design.laws.values()]
-    choice = np.broadcast_to(
-        [LAW_NAMES.index("power" if law == "compare" else law) for law in laws_of],
-        (*shape, len(laws_of)),
-    ).astype(np.intp)
-
-    def shapes(chosen: NDArray[np.intp]) -> tuple[Array, Array]:
-        size = (len(chosen), len(design.shapes))
-        free = np.empty(size)
-        for i, (_, name) in enumerate(design.shapes):
-            spread = exponent + exponent_sd * rng.standard_normal(len(chosen))
-            free[:, i] = np.log(share / (1.0 - share)) if name == "share" else spread
-        return design.law_shapes(free, chosen)
-
-    flat = choice.reshape(-1, len(laws_of))
-    drawn = [s.reshape(*shape, -1) for s in shapes(flat)]
-    other, weight = LawDraws(np.zeros((0, h.size)), z[0, :0], *(s[0, :0] for s in drawn)), []
-    if alternatives:
-        parts = []
-        for law, w in alternatives.items():
-            row = [law if n != "sigma0" else laws_of[i] for i, n in enumerate(design.laws)]
-            under = replace(design, laws=dict(zip(design.laws, row, strict=True)))
-            chosen = np.tile([LAW_NAMES.index(one) for one in row], (shape[1], 1))
-            free = np.ones((shape[1], len(under.shapes)))
-            free[:, [s == "share" for _, s in under.shapes]] = 0.0
-            parts.append(under.law_shapes(free, chosen))
-            weight += [w / shape[1]] * shape[1]
-        pairs = [np.concatenate(p) for p in zip(*parts, strict=True)]
-        n = len(weight)
-        other = LawDraws(np.tile(h, (n, 1)), np.resize(z[0], (n, z.shape[-1])), *pairs)
+    laws_of = ["power" if law == "compare" else law for law in design.laws.values()]
+    numbers = [LAW_NAMES.index(law) for law in laws_of]
+    choice = np.broadcast_to(numbers, (*shape, len(numbers))).astype(np.intp)
+    free = np.empty((choice[..., 0].size, len(design.shapes)))
+    for i, (_, name) in enumerate(design.shapes):
+        spread = exponent + exponent_sd * rng.standard_normal(len(free))
+        free[:, i] = np.log(share / (1.0 - share)) if name == "share" else spread
+    drawn = design.law_shapes(free, choice.reshape(len(free), -1))
+    # laws beyond the levels: of slip forces, with the medians of their shapes
+    others, each = dict(alternatives or {}), shape[1]
+    rows = [
+        [usual_shapes(own if n == "sigma0" else law) for n, own in design.laws.items()]
+        for law in others
+    ]
+    pairs = np.repeat(np.array(rows).reshape(len(rows), len(numbers), 2), each, axis=0)
+    weight = np.repeat([*others.values()], each) / each
+    other = LawDraws(
+        np.tile(h, (weight.size, 1)), np.resize(z[0], (weight.size, z.shape[-1])),
+        pairs[..., 0], pairs[..., 1],
+    )  # fmt: skip
     known = {*medians, "start", "gamma1"} & set(priors.parameters)
     return Population(
         design=design,
-        draws=LawDraws(np.broadcast_to(h, (*shape, h.size)).copy(), z, *drawn),
+        draws=LawDraws(
+            np.broadcast_to(h, (*shape, h.size)).copy(),
+            z,
+            *(s.reshape(choice.shape) for s in drawn),
+        ),
         choice=choice,
         law_weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
         alternatives=other,
-        alternative_weight=np.array(weight),
+        alternative_weight=weight,
         residual=residual or no_residual(),
         starts=starts or Starts(),
         priors={name: priors.parameters[name] for name in known},

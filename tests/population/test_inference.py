@@ -5,18 +5,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.population import inference
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(160) / 32.0
-NOISE = 0.03
-SCATTER = 0.05
+MOTION = 0.8 * np.sin(1.2 * np.pi * TIME)
+NOISE, SCATTER = 0.03, 0.05
 LAW = {"Fc_fwd": "affine", "Fc_bwd": "affine", "sigma0": "constant"}
+LEVELS = (0.5, 0.5, 1.0, 1.0, 1.5, 1.5)
+SHORT = Effort(ess=25.0, limit=1, r_hat=1.3, kept=1200)
 
 
 def slip(p):
@@ -24,61 +26,43 @@ def slip(p):
     return 0.4 + 0.8 * np.asarray(p)
 
 
-def typical(priors, names):
-    values = {n: priors.parameters[n].typical for n in names if n in priors.parameters}
-    return values | {"offset": 0.0, "noise_sd": NOISE, "start": 0.5, "gamma1": 1.0}
-
-
 def made_test(priors, name, actuation, rng, luck=0.0):
     """A result of one test: its record is made of the law, with scatter and noise."""
     model = find_model(name)
-    motion = 0.8 * np.sin(1.2 * np.pi * TIME)
-    blank = Trace.from_arrays(TIME, motion, actuation, np.ones(TIME.size))
+    blank = Trace.from_arrays(TIME, MOTION, actuation, np.ones(TIME.size))
     posterior = Posterior(blank, priors, "iid", model, start="sample")
-    values = typical(priors, posterior.names)
-    level = blank.reference_actuation
-    values["Fc_fwd"] = slip(level) * np.exp(luck)
-    values["Fc_bwd"] = 1.2 * slip(level) * np.exp(luck)
-    arrays = {k: np.array([v]) for k, v in values.items()}
-    scales = {}
-    if np.ndim(actuation):
-        along = (slip(actuation) / slip(level))[None]
-        scales = dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fs_fwd", "Fs_bwd"), along)
-        scales = {k: v for k, v in scales.items() if k in model.parameters}
-    force = posterior.force(arrays, scales=scales or None)[0] + NOISE * rng.standard_normal(
-        TIME.size
-    )
-    trace = Trace.from_arrays(TIME, motion, actuation, force)
+    names = [n for n in posterior.names if n in priors.parameters]
+    values = {n: priors.parameters[n].typical for n in names}
+    force = slip(blank.reference_actuation) * np.exp(luck)
+    values |= {"Fc_fwd": force, "Fc_bwd": 1.2 * force, "offset": 0.0, "noise_sd": NOISE}
+    values |= {"start": 0.5, "gamma1": 1.0}
+    computed = posterior.force({k: np.array([v]) for k, v in values.items()})[0]
+    measured = computed + NOISE * rng.standard_normal(TIME.size)
+    trace = Trace.from_arrays(TIME, MOTION, actuation, measured)
     near = {k: (v * 1.02 if k != "offset" else 0.01, v, v) for k, v in values.items()}
     own = Posterior(trace, priors, "iid", model, start="sample")
     return SimpleNamespace(trace=trace, posterior=own, intervals=near)
 
 
-LEVELS = (0.5, 0.5, 1.0, 1.0, 1.5, 1.5)
+def made_tests(priors, name, actuations, lucks=None):
+    """Results by name; they scatter, or have these deviations of log slip force."""
+    rng = np.random.default_rng(3)
+    tests = {}
+    for i, p in enumerate(actuations):
+        luck = SCATTER * rng.standard_normal() if lucks is None else lucks[i]
+        tests[f"t{i}"] = made_test(priors, name, p, rng, luck)
+    return tests
 
 
-@pytest.fixture
-def quickly(monkeypatch):
-    """Fewer steps, which are enough here."""
-    monkeypatch.setitem(inference.SWEEPS, "quick", 160)
-    monkeypatch.setattr(inference, "ALTERNATIVES", 60)
+def infer(priors, tests, laws=LAW, seed=(1, 2), **options):
+    settings = InferenceSettings(laws, "ksi", SHORT, seed, **options)
+    return infer_population(tests, priors, settings)
 
 
-def infer(priors, name, actuations, seed=3, laws=LAW, scatter=SCATTER):
-    rng = np.random.default_rng(seed)
-    tests = {
-        f"t{i}": made_test(priors, name, p, rng, scatter * rng.standard_normal())
-        for i, p in enumerate(actuations)
-    }
-    settings = InferenceSettings(laws, "ksi", "quick", (1, 2))
-    return tests, infer_population(tests, priors, settings)
-
-
-@pytest.mark.usefixtures("quickly")
 @pytest.mark.parametrize("name", ["lugre", "three_stage"])
 def test_the_law_that_records_are_made_with_is_found_and_predicts(priors, name):
-    _, found = infer(priors, name, LEVELS)
-    population, median = found.population, found.population.median("Fc_fwd", [0.5, 1.0, 1.5])
+    population = infer(priors, made_tests(priors, name, LEVELS)).population
+    median = population.median("Fc_fwd", [0.5, 1.0, 1.5])
     away = np.abs(np.median(median, axis=(0, 1)) - slip([0.5, 1.0, 1.5]))
     assert np.all(away < 4.0 * median.std(axis=(0, 1)) + 0.01)
     assert np.all(away < 0.15 * slip([0.5, 1.0, 1.5]))
@@ -95,51 +79,37 @@ def test_the_law_that_records_are_made_with_is_found_and_predicts(priors, name):
     assert np.mean(widths) < 0.35
 
 
-@pytest.mark.usefixtures("quickly")
 def test_the_same_seed_gives_the_same_population_however_many_processes(priors):
-    rng = np.random.default_rng(3)
-    tests = {f"t{p}": made_test(priors, "lugre", p, rng) for p in (0.5, 1.0, 1.5)}
+    tests = made_tests(priors, "lugre", (0.5, 1.0))
     one, two, other = (
-        infer_population(tests, priors, InferenceSettings(LAW, "ksi", "quick", seed, jobs=jobs))
+        infer(priors, tests, seed=seed, jobs=jobs)
         for seed, jobs in (((1, 2), 1), ((1, 2), 2), ((1, 3), 1))
     )
     np.testing.assert_array_equal(one.tests, two.tests)
     np.testing.assert_array_equal(one.population.draws.h, two.population.draws.h)
-    assert np.any(one.tests != other.tests)
+    assert one.tests.shape != other.tests.shape or np.any(one.tests != other.tests)
 
 
-@pytest.mark.usefixtures("quickly")
 def test_tests_without_actuation_inform_a_law_with_an_intercept_alone(priors):
-    levels = (1e-6, 0.5, 1.0, 1.5)
-    _, found = infer(priors, "lugre", levels)
-    at_zero = found.population.median("Fc_fwd", 0.0)
-    assert np.median(at_zero) == pytest.approx(0.4, rel=0.3)
-    proportional = dict.fromkeys(("Fc_fwd", "Fc_bwd"), "proportional")
-    _, without = infer(priors, "lugre", levels, laws=LAW | proportional)
-    assert np.all(np.isfinite(without.tests))
-    assert np.all(without.population.median("Fc_fwd", 0.0) == 0.0)
+    tests = made_tests(priors, "lugre", (1e-6, 0.5, 1.0, 1.5))
+    found = infer(priors, tests, LAW | {"Fc_fwd": "proportional"})
+    population, design = found.population, found.population.design
+    assert np.all(np.isfinite(found.tests))
+    assert np.median(population.median("Fc_bwd", 0.0)) == pytest.approx(1.2 * 0.4, rel=0.3)
+    assert np.all(population.median("Fc_fwd", 0.0) == 0.0)
     # it is known from its own record all the same
-    assert np.median(without.values(0)["Fc_fwd"]) == pytest.approx(0.4, rel=0.3)
-    informs = without.population.design.informs
-    assert not informs[0, without.population.design.names.index("Fc_fwd")]
+    assert np.median(found.values(0)["Fc_fwd"]) == pytest.approx(0.4, rel=0.3)
+    informs = design.informs[0, [design.names.index(name) for name in ("Fc_fwd", "Fc_bwd")]]
+    assert informs.tolist() == [False, True]
 
 
-@pytest.mark.usefixtures("quickly")
 def test_sessions_that_differ_are_told_from_scatter(priors):
-    rng = np.random.default_rng(5)
-    lucks = (0.15, 0.15, 0.15, -0.15, -0.15, -0.15)
-    tests = {
-        f"t{i}": made_test(priors, "lugre", p, rng, luck)
-        for i, (p, luck) in enumerate(zip((0.5, 1.0, 1.5) * 2, lucks, strict=True))
-    }
+    lucks = np.repeat([0.15, -0.15], 3)
+    tests = made_tests(priors, "lugre", (0.5, 1.0, 1.5) * 2, lucks)
     sessions = {f"t{i}": "ab"[i // 3] for i in range(6)}
-    settings = InferenceSettings(LAW, "ksi", "quick", (1, 2), sessions=sessions)
-    found = infer_population(tests, priors, settings).population
-    plain = infer_population(
-        tests, priors, InferenceSettings(LAW, "ksi", "quick", (1, 2))
-    ).population
-    assert np.median(found.effect_sds["session_friction"]) > 2.0 * np.median(
-        found.scatters["Fc_fwd"]
-    )
-    assert np.median(plain.scatters["Fc_fwd"]) > 2.0 * np.median(found.scatters["Fc_fwd"])
+    found = infer(priors, tests, sessions=sessions).population
+    plain = infer(priors, tests).population
+    scatter = np.median(found.scatters["Fc_fwd"])
+    assert np.median(found.effect_sds["session_friction"]) > 2.0 * scatter
+    assert np.median(plain.scatters["Fc_fwd"]) > 2.0 * scatter
     assert "session_friction" not in plain.effect_sds

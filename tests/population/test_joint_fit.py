@@ -6,7 +6,7 @@ import pytest
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.design import design_of
-from mfd_bayes.population.joint_fit import TestLikelihood, _Fit, fit_jointly
+from mfd_bayes.population.joint_fit import TestLikelihood, fit_jointly
 from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 
@@ -75,32 +75,3 @@ def test_planted_coordinates_are_found(priors, name):
     noise = [made.design.coordinates.values(m[None])["noise_sd"][0] for m in fit.mean]
     np.testing.assert_allclose(noise, NOISE, rtol=0.35)
     assert fit.residual.information > 0.5  # the noise is independent
-
-
-@pytest.mark.parametrize("damping", [0.0, 0.5])
-def test_the_eliminated_solution_is_that_of_the_dense_normal_equations(priors, damping):
-    made = Made(priors, "three_stage")
-    fit = _Fit(made.likelihoods, made.x + 0.1, made.common, None)
-    fit.learn()
-    weights = fit.weights()
-    found = fit.solved(weights, damping)
-    shared, own, count = fit.common, fit.free, len(LEVELS)
-    assert shared.size > 2
-    assert own.size > 2
-    size = shared.size + count * own.size
-    a, b = np.zeros((size, size)), np.zeros(size)
-    for j, w in enumerate(weights):
-        jacobian = np.zeros((w.size, size))
-        jacobian[:, : shared.size] = fit.slopes[j][:, shared] * w[:, None]
-        begin = shared.size + j * own.size
-        jacobian[:, begin : begin + own.size] = fit.slopes[j][:, own] * w[:, None]
-        a += jacobian.T @ jacobian
-        b += jacobian.T @ ((fit.left[j] - fit.discrepancy[j]) * w)
-    prior = np.concatenate([fit.x[0, shared], *(fit.x[j, own] for j in range(count))])
-    damped = a + np.eye(size)
-    damped[range(size), range(size)] += damping * np.diag(a)
-    step = np.linalg.solve(damped, b - prior)
-    new = fit.x.copy()
-    new[:, shared] += step[: shared.size]
-    new[:, own] += step[shared.size :].reshape(count, -1)
-    np.testing.assert_allclose(found, new, rtol=1e-6, atol=1e-7)

@@ -9,7 +9,7 @@ from scipy import linalg, special, stats
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.law_scores import TestGaussians, compare_laws, extrapolation_weights
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.mixed_model import MixedModel, marginalised
+from mfd_bayes.population.mixed_model import MixedModel
 from mfd_bayes.population.settings import Setting, levels_of
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
@@ -47,29 +47,28 @@ class Dense:
 
     def __init__(self, mixed, h):
         laid, d = mixed.design, len(mixed.design.names)
-        f, effects = laid.free, laid.effects
+        f, effects, count = laid.free, laid.effects, len(laid.settings)
         tau = np.zeros(d)
         tau[f] = np.exp(h[: f.size]) / laid.spread[f]
         omega = np.exp(h[f.size : f.size + len(effects)])
         shapes = dict(zip(laid.shapes, h[f.size + len(effects) :], strict=True))
-        p = np.array([s.actuation for s in laid.settings])
-        p0 = np.exp(np.log(np.unique(p)).mean()) if laid is None else laid.reference
-        sessions = list(dict.fromkeys(s.session for s in laid.settings))
-        cells = list(dict.fromkeys((s.session, s.actuation) for s in laid.settings))
-        rows, prior, law = [], [], np.zeros((p.size, d))
+        p, p0 = np.array([s.actuation for s in laid.settings]), laid.reference
+        columns, prior = [], []
+
+        def column(k, values):
+            full = np.zeros((count, d))
+            full[:, k] = values
+            columns.append(full.ravel())
+
         for k in range(d):
-            row = np.zeros((p.size, d))
-            row[:, k] = 1.0
-            rows.append(row)
+            column(k, 1.0)
             prior.append(np.eye(1))
         for name, those in laid.dependence.items():
             for c in those:
-                known = np.array([s.covariates[c] for s in laid.settings])
-                row = np.zeros((p.size, d))
-                k = laid.names.index(name)
-                row[:, k] = np.log(known / np.exp(np.log(known).mean())) / laid.spread[k]
-                rows.append(row)
+                logs, k = np.log([s.covariates[c] for s in laid.settings]), laid.names.index(name)
+                column(k, (logs - logs.mean()) / laid.spread[k])
                 prior.append(0.1**2 * np.eye(1))
+        cells = list(dict.fromkeys((s.session, s.actuation) for s in laid.settings))
         level = np.array([a for _, a in cells])
         apart = np.sqrt(3.0) * np.abs(np.log(level[:, None] / level)) / np.log(2.0)
         far = np.maximum(apart, 1e-9)  # Matérn of order 3/2 by Bessel's K, not by its closed form
@@ -77,31 +76,26 @@ class Dense:
         kernel *= np.array([[a[0] == b[0] for b in cells] for a in cells])
         size = np.clip(p0 / level, 0.5, 2.0)
         for e, effect in enumerate(effects):
+            leveled = effect.name == "level"
+            own = [(s.session, s.actuation) if leveled else s.session for s in laid.settings]
+            homes = list(dict.fromkeys(own))
             for k in effect.members:
-                homes = cells if effect.name == "level" else sessions
                 for home in homes:
-                    row = np.zeros((p.size, d))
-                    for j, s in enumerate(laid.settings):
-                        mine = (s.session, s.actuation) if effect.name == "level" else s.session
-                        row[j, k] = (mine == home) / laid.spread[k]
-                    rows.append(row)
-                block = np.outer(size, size) * kernel if effect.name == "level" else None
-                block = np.eye(len(sessions)) if block is None else block
+                    column(k, np.array([mine == home for mine in own]) / laid.spread[k])
+                block = np.outer(size, size) * kernel if leveled else np.eye(len(homes))
                 prior.append(omega[e] ** 2 * block)
+        law = np.zeros((count, d))
         for name, kind in laid.laws.items():
             k = laid.names.index(name)
-            share, exponent = {"affine": (None, 1.0), "power": (1.0, None)}.get(kind, (1.0, 1.0))
+            share, exponent = {"affine": (None, 1.0), "power": (1.0, None)}[kind]
             share = special.expit(shapes[name, "share"]) if share is None else share
             exponent = shapes[name, "exponent"] if exponent is None else exponent
             law[:, k] = np.log(share * (p / p0) ** exponent + 1.0 - share) / laid.spread[k]
-        self.a = np.array(rows).reshape(len(rows), -1).T
-        self.prior = linalg.block_diag(*prior)
-        self.law = law.ravel()
-        noise = linalg.block_diag(*np.linalg.inv(mixed.p))
-        scatter = np.tile(tau**2, (p.size, 1))
+        scatter = np.tile(tau**2, (count, 1))
         scatter[:, f] /= mixed.weight
-        self.scatter = np.diag(scatter.ravel())
-        self.covariance = self.a @ self.prior @ self.a.T + self.scatter + noise
+        self.a, self.prior, self.law = np.array(columns).T, linalg.block_diag(*prior), law.ravel()
+        noise = np.diag(scatter.ravel()) + linalg.block_diag(*np.linalg.inv(mixed.p))
+        self.covariance = self.a @ self.prior @ self.a.T + noise
         self.y, self.d, self.p = mixed.y.ravel(), d, mixed.p
 
     def log_density(self, tests):
@@ -154,21 +148,6 @@ def test_coefficients_given_h_are_those_of_the_dense_distribution(mixed):
     sd = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(z.mean(axis=0) - mean) < 4.5 * sd / np.sqrt(4000))
     np.testing.assert_allclose(z.std(axis=0), sd, rtol=4.5 / np.sqrt(2 * 4000))
-
-
-def test_deviations_given_the_rest_are_those_of_each_test(mixed):
-    h, choice = some_h(mixed, 1), choice_of(mixed)[None]
-    z = 0.3 * np.random.default_rng(5).standard_normal((1, mixed.design.quantity.size))
-    mean, factor = mixed.deviations(h, choice, z)
-    dense = Dense(mixed, h[0])
-    base = (dense.a @ z[0] + dense.law).reshape(mixed.y.shape)
-    scatter = np.diag(dense.scatter).reshape(mixed.y.shape)
-    for j, free in [(j, mixed.free) for j in range(len(SETTINGS))]:
-        prior, p = np.diag(1.0 / scatter[j][free]), mixed.p[j]
-        precision = p[np.ix_(free, free)] + prior
-        np.testing.assert_allclose(factor[0, j] @ factor[0, j].T, precision, rtol=1e-8)
-        expected = np.linalg.solve(precision, (p @ (mixed.y[j] - base[j]))[free])
-        np.testing.assert_allclose(mean[0, j], expected, atol=1e-8)
 
 
 def clean(priors, seed, count=10):
@@ -237,14 +216,8 @@ def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
         [p] * 2 for p in (0.5, 1, 2)
     ]
     log, h = tests.densities("Fc_fwd", "power", folds)
-    alone = replace(
-        laid,
-        names=("Fc_fwd",),
-        spread=laid.spread[:1],
-        scatter_sd=laid.scatter_sd[:1],
-        common=laid.common[:1],
-        leveled=False,
-    )
+    first = {n: getattr(laid, n)[:1] for n in ("names", "spread", "scatter_sd", "common")}
+    alone = replace(laid, **first, leveled=False)
     one = MixedModel(alone, tests.mean[:, [0]], 1.0 / tests.variance[:, [0], None])
     every = set(range(len(SETTINGS)))
     for i in (3, 500, 900):
@@ -281,30 +254,3 @@ def test_a_law_that_predicts_the_levels_left_out_is_preferred(priors):
     even = extrapolation_weights(two, ["Fc_fwd"], ["power", "affine"])
     np.testing.assert_allclose(even, 0.5)
     assert compare_laws(two) == ()
-
-
-def test_a_law_without_an_intercept_learns_nothing_from_a_test_at_zero(priors):
-    settings = [Setting(p) for p in (0.0, 0.5, 1.0)]
-    names = ("Fc_fwd", "Fc_bwd", "offset")
-    laws = {"Fc_fwd": "proportional", "Fc_bwd": "affine"}
-    laid = design(priors, settings, names, laws, {"": ()})
-    np.testing.assert_array_equal(laid.informs[0], [False, True, True])
-    assert np.all(laid.informs[1:])
-    y, precision = random_likelihoods(np.random.default_rng(6), 3, 3)
-    reduced = [marginalised(y[j], precision[j], ~laid.informs[j]) for j in range(3)]
-    other = y.copy()
-    other[0] += precision[0] @ np.zeros(3) + np.array([5.0, 0.0, 0.0])
-
-    def levels(values):
-        pairs = [marginalised(values[j], precision[j], ~laid.informs[j]) for j in range(3)]
-        mixed = MixedModel(laid, *(np.array(part) for part in zip(*pairs, strict=True)))
-        h = some_h(mixed, 1)
-        return mixed.marginal(h, choice_of(mixed)[None])[1].mean[0]
-
-    assert not np.any(reduced[0][1][0])  # zero precision
-    diagonal = precision.copy()
-    diagonal[0] = np.diag(np.diag(precision[0]))
-    precision = diagonal
-    np.testing.assert_allclose(levels(other), levels(y), atol=1e-9)
-    other[1, 0] += 0.5
-    assert np.abs(levels(other) - levels(y)).max() > 0.01  # the control

@@ -44,19 +44,12 @@ def drawn(motion, starts):
     return found.unshared["start"]
 
 
-def quake():
-    """A motion of the same stroke with few full strokes."""
-    rng = np.random.default_rng(3)
-    steps = np.cumsum(rng.standard_normal((2, 12)), axis=1)
-    x = np.interp(TIME, np.linspace(0.0, 6.0, 12), steps[0] - steps[0].mean())
-    x = x * np.exp(-((TIME - 2.0) ** 2) / 0.5) + 0.1 * np.sin(7.0 * TIME)
-    return Trace.from_arrays(TIME, 2.0 * x / np.ptp(x), 1.0)
-
+FADING = np.sin(np.pi * TIME) * np.exp(-0.6 * TIME)  # with few full strokes
 
 OTHERS = {
     "larger stroke": Trace.from_arrays(TIME, 1.3 * np.sin(np.pi * TIME), 1.0),
     "smaller stroke": Trace.from_arrays(TIME, 0.8 * np.sin(np.pi * TIME), 1.0),
-    "another kind": quake(),
+    "another kind": Trace.from_arrays(TIME, 2.0 * FADING / np.ptp(FADING), 1.0),
 }
 
 

@@ -120,18 +120,10 @@ def test_arviz_reads_the_file_by_the_papers_names(stored, population):
         assert data.posterior[name].dims == ("chain", "draw")
 
 
-def test_a_population_of_another_version_is_refused_in_one_sentence(path, priors):
-    change(path, format="mixed model 0")
-    with pytest.raises(
-        StoreError, match=r"population\.nc .*another version.*run mfd-bayes calibrate"
-    ) as raised:
-        load_population(path, priors)
-    assert "\n" not in str(raised.value)
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        ("format", "mixed model 0"),
         ("names", ["sigma0"]),
         ("settings", [{"weight": 1.0}]),
         ("laws", {"Fc_fwd": "cubic"}),
@@ -142,7 +134,8 @@ def test_a_population_of_another_version_is_refused_in_one_sentence(path, priors
 def test_facts_that_do_not_fit_together_are_refused(path, priors, key, value):
     load_population(path, priors)  # the control
     change(path, **{key: value})
-    with pytest.raises(StoreError, match=r"population\.nc is damaged"):
+    words = "another version.*run mfd-bayes calibrate" if key == "format" else "is damaged"
+    with pytest.raises(StoreError, match=rf"population\.nc.* {words}"):
         load_population(path, priors)
 
 

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
+from mfd_bayes.errors import RecordError
 from mfd_bayes.records.channels import Source
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -645,3 +646,14 @@ def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
     run("predict", out, *asked, "--actuation", "0.8 A")
     assert "in A" in run("predict", out, *asked, "--actuation", "500 psi", code=2)
     assert "mA, 0.25 Hz" in run("next", out, "-o", tmp_path / "n.csv")
+
+
+def test_words_below_the_numbers_are_a_footer_though_a_column_seems_to_go_on(tmp_path):
+    rows = [f"{0.05 * i:.2f},{20 * np.sin(0.02 * np.pi * i):.4f},{i % 3}" for i in range(100)]
+    text = "time_s,displacement_mm,force_kN\n" + "\n".join(rows) + "\nMean,0.0,1.0\nMax,20,2\n"
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    assert mb.read_record(path, actuation="5 MPa").time.size == 100
+    path.write_text(text.replace("\nMean,0.0", "\nMoon,0.0"))  # the control: a time that was lost
+    with pytest.raises(RecordError, match="line 102"):
+        mb.read_record(path, actuation="5 MPa")

@@ -364,6 +364,12 @@ def test_the_unit_of_the_times_may_stand_in_the_row_of_units(tmp_path):
         read(table(tmp_path, "time,acceleration_g", step=10.0))
 
 
+def test_times_may_be_rounded_to_a_quarter_of_the_step(tmp_path):
+    path = table(tmp_path, "time_s,acceleration_g", "{:.3f}", step=1 / 256)
+    assert read(path).step == pytest.approx(1 / 256, rel=5e-3)
+    assert read(f"{path}:0.00390625s").step == 1 / 256
+
+
 @pytest.mark.parametrize("form", ["{:.4f}", "{:.3f}", "{:.5g}", "{:.3g}", "{}"])
 def test_times_may_be_rounded(tmp_path, form):
     path = table(tmp_path, "time_s,acceleration_g", form, step=1 / 128)

@@ -19,13 +19,12 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.properties import design_rows
 from mfd_bayes.population.population import LawDraws
-from mfd_bayes.response.analysis import Analysis
+from mfd_bayes.response.analysis import Accuracy, Analysis
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.ground import Ground, read_ground
-from mfd_bayes.response.step_refinement import Accuracy
+from mfd_bayes.response.result import variance_shares
 from mfd_bayes.response.sweep import sweep_of
-from mfd_bayes.response.variance_shares import variance_shares
 from mfd_bayes.units import GRAVITY
 
 BUILDING = """

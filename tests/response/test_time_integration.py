@@ -10,11 +10,11 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.response.analysis import Accuracy, settle
 from mfd_bayes.response.building import building_of
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.schema import Content
-from mfd_bayes.response.step_refinement import Accuracy, settle
 from mfd_bayes.response.time_integration import integrate
 from tests.response.oscillators import compared
 

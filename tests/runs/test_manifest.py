@@ -40,9 +40,9 @@ def test_a_file_that_was_changed_or_is_missing_or_a_link_is_refused(out, tmp_pat
         read_all(out)
 
 
-def test_a_manifest_that_says_something_else_is_refused(out):
-    whole = (out / "manifest.json").read_bytes()
-    for keys, value, words in [
+@pytest.mark.parametrize(
+    ("keys", "value", "words"),
+    [
         *((("settings", "test", 0, "id"), i, "names a folder") for i in ("..", "/etc", "a\u202e")),
         (("tests",), {}, "tests"),
         (("tests", "a", "role"), "both", "role"),
@@ -61,15 +61,18 @@ def test_a_manifest_that_says_something_else_is_refused(out):
         (("comparison", "rows", 0, "cycles"), 1.5, "cycles"),
         (("format",), 1, "format 1.*reads format 2 only"),
         (("status",), "running", "not finished; finish it with: mfd-bayes calibrate"),
-    ]:
-        manifest = part = json.loads(whole)
+    ],
+)
+def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value, words):
+    def replace_value(part):
         for key in keys[:-1]:
             part = part[key]
         part[keys[-1]] = value
-        (out / "manifest.json").write_text(json.dumps(manifest))
-        with pytest.raises(StoreError, match=words) as caught:
-            open_run(out)
-        assert str(out) in str(caught.value)
+
+    change(out, replace_value)
+    with pytest.raises(StoreError, match=words) as caught:
+        open_run(out)
+    assert str(out) in str(caught.value)
 
 
 def test_an_id_leads_nowhere_else(out, change):

@@ -72,30 +72,34 @@ def test_tests_and_sessions_that_are_not_there_are_named(run, trace):
             run.tests[wrong]
 
 
-def test_options_are_checked(run, trace):
-    own = {"kind": "this_test", "test": "p500_f0.5"}
-    predict, respond, ask = run.predict, run.respond, run.next_test
-    for act, options, words in [
-        (predict, {"whole": "no"}, "whole"),
-        (predict, {"explain": None}, "explain"),
-        (predict, {"session": ["a"]}, "session"),
-        *((predict, own | {"test": t}, f"p1000_f0.5, got {t!r}") for t in ("", "zz", ("a",))),
-        (predict, own | {"test": "p800_f0.5"}, "got 'p800_f0.5', which was held out"),
-        (predict, own | {"kind": "new_test"}, "for the kind this_test, not for new_test"),
-        (predict, {"probability": "0.9"}, "probability must be a number .*, got '0.9'"),
-        (predict, own | {"session": "other"}, "session 'other' is for"),
-        (predict, {"given": (0.0, 1.0), "test": "p500_f0.5"}, "cannot .* with a calibrated test"),
-        *((ask, {"goal": goal}, "goal must be text") for goal in (5, b"band")),
-        *((ask, {"candidates": c}, "candidates must be") for c in ([None], Limits(1.0))),
-        (ask, {"limits": (10, 6, 20)}, "limits must be text"),
-        *((ask, {name: "zz zz"}, f"^{name}: ") for name in ("goal", "candidates", "limits")),
-        (respond, {"tolerance": "0.01"}, "tolerance must be a number between 0 and 1"),
-        (respond, {"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
-        (respond, {"observe": 5}, "observe must be a function"),
-    ]:
-        given = {predict: (trace,), respond: ("none.toml", "none.AT2")}.get(act, ())
-        with pytest.raises(mb.MfdError, match=words.replace("('a',)", r"\('a',\)")):
-            act(*given, **options)
+THIS = {"kind": "this_test", "test": "p500_f0.5"}
+
+
+@pytest.mark.parametrize(
+    ("act", "options", "words"),
+    [
+        ("predict", {"whole": "no"}, "whole"),
+        ("predict", {"explain": None}, "explain"),
+        ("predict", {"session": ["a"]}, "session"),
+        *(("predict", THIS | {"test": name}, f"p1000.*, got {name!r}") for name in ("", "zz", 5)),
+        ("predict", THIS | {"test": "p800_f0.5"}, "got 'p800_f0.5', which was held out"),
+        ("predict", THIS | {"kind": "new_test"}, "for the kind this_test, not for new_test"),
+        ("predict", THIS | {"given": (0.0, 1.0)}, "given cannot .* a calibrated test"),
+        ("predict", THIS | {"session": "other"}, "session 'other' is for"),
+        ("predict", {"probability": "0.9"}, "probability must be a number .*, got '0.9'"),
+        *(("next_test", {"goal": goal}, "goal must be text") for goal in (5, b"band")),
+        *(("next_test", {"candidates": c}, "candidates must") for c in ([None], Limits(1.0))),
+        ("next_test", {"limits": (10, 6, 20)}, "limits must be text"),
+        *(("next_test", {key: "zz zz"}, f"^{key}: ") for key in ("goal", "candidates", "limits")),
+        ("respond", {"tolerance": "0.01"}, "tolerance must be a number between 0 and 1"),
+        ("respond", {"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
+        ("respond", {"observe": 5}, "observe must be a function"),
+    ],
+)
+def test_options_are_checked(run, trace, act, options, words):
+    given = {"predict": (trace,), "respond": ("none.toml", "none.AT2")}.get(act, ())
+    with pytest.raises(mb.MfdError, match=words):
+        getattr(run, act)(*given, **options)
 
 
 def test_another_actuation_of_a_test_is_refused_in_the_units_asked_for(run, trace):

@@ -42,8 +42,9 @@ def test_the_range_holds_all_tests():
     assert RANGE[0].words(SI) == "25.4 to 50.8 mm"
 
 
-def test_what_lies_outside_is_said():
-    for motion, name, far in [
+@pytest.mark.parametrize(
+    ("motion", "name", "far"),
+    [
         ((1.5, 0.3, 1.0), "stroke", False),
         ((2.5, 0.25, 1.0), "stroke", True),
         ((0.1, 0.5, 1.0), "stroke", False),
@@ -55,12 +56,17 @@ def test_what_lies_outside_is_said():
         ((1.0, 0.5, 3.1), "actuation", True),
         ((1.0, 0.5, 0.4), "actuation", False),
         ((1.0, 0.5, 0.2), "actuation", True),
-    ]:
-        found = left(*motion)
-        assert found[name].far is far
-        words = f"lies {'far outside' if far else 'outside'} the tested range"
-        assert words in found[name].sentence(US)
-        assert (name in far_sentences(found.values(), US)) == far
+    ],
+)
+def test_what_lies_outside_is_said(motion, name, far):
+    found = left(*motion)
+    assert found[name].far is far
+    words = f"lies {'far outside' if far else 'outside'} the tested range"
+    assert words in found[name].sentence(US)
+    assert (name in far_sentences(found.values(), US)) == far
+
+
+def test_what_lies_inside_is_not_said():
     assert left(1.0, 0.5, 1.0) == {}
     assert left(0.5, 0.2, 1.0).keys() == {"frequency"}  # every test is slow near its turns
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import EFFORTS, Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities, load_priors
 from mfd_bayes.calibration.sampling import Draws, sample
@@ -18,25 +18,11 @@ from mfd_bayes.records.trace import Trace
 Array = NDArray[np.float64]
 
 TRUE, WRONG = "ou", "iid"
-MEDIANS = {
-    "sigma0": 25.0,  # kip/in
-    "sigma1": 0.02,  # kip·s/in
-    "sigma2": 0.01,
-    "Fc_fwd": 1.0,  # kip
-    "Fc_bwd": 1.2,
-    "k2": 0.8,  # kip/in
-    "k3": 20.0,
-    "d2": 0.10,  # in
-    "d3": 0.08,
-    "ell": 0.02,
-    "k_fwd": 30.0,  # kip/in
-    "k_bwd": 25.0,
-    "gap": 0.12,  # in
-    "k_0": 0.8,  # kip/in
-    "v_s": 0.4,  # in/s
-    "noise_sd": 0.04,  # kip
-    "noise_time": 0.1,  # s
-}
+MEDIANS = {  # kip, in, s
+    "sigma0": 25.0, "sigma1": 0.02, "sigma2": 0.01, "Fc_fwd": 1.0, "Fc_bwd": 1.2, "k2": 0.8,
+    "k3": 20.0, "d2": 0.10, "d3": 0.08, "ell": 0.02, "k_fwd": 30.0, "k_bwd": 25.0, "gap": 0.12,
+    "k_0": 0.8, "v_s": 0.4, "noise_sd": 0.04, "noise_time": 0.1,
+}  # fmt: skip
 SPREAD = 0.25  # of the logarithm
 DERIVED = {
     "Fs_fwd": ("Fc_fwd", "static_excess_fwd"),
@@ -51,35 +37,19 @@ QUANTITIES = tuple(name for name, q in known_quantities().items() if q.sampled)
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What the tests of a study share.
-
-    Attributes
-    ----------
-    priors : PriorFile
-        Of the truths and of the posteriors alike.
-    motion : Trace
-    effort : Effort
-    draws : int
-        L, taken of each posterior; ranks go from 0 to L.
-    seed : int
-    model : str
-        Of the truths and of the posteriors alike.
-    """
+    """What the tests of a study share; priors and model are those of truths and posteriors."""
 
     priors: PriorFile
     motion: Trace
     effort: Effort
-    draws: int
+    draws: int  # L, taken of each posterior; ranks go from 0 to L
     seed: int
     model: str = "three_stage"
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A test: ranks by quantity, and how its sampling went.
-
-    `error` says why there are no draws, where there are none.
-    """
+    """A test: ranks by quantity, and how its sampling went."""
 
     ranks: Mapping[str, int]
     converged: bool = False
@@ -87,19 +57,7 @@ class Ranked:
     r_hat: float = np.inf
     steps: int = 0
     seconds: float = 0.0
-    error: str = ""
-
-
-def full_study(seed: int, model: str = "three_stage") -> Study:
-    """All parameters of a model, on two and a half cycles and four small ones inside the gap."""
-    time = np.arange(320) / 32.0
-    fade = 1.0 / (1.0 + np.exp((time - 6.6) / 0.15))
-    large = 0.5 * np.sin(2 * np.pi * 0.4 * time)
-    small = 0.05 * np.sin(2 * np.pi * 1.2 * time)
-    motion = Trace.from_arrays(time, large * fade + small * (1.0 - fade))
-    # the effective sample size is three times the draws that are taken
-    effort = replace(EFFORTS["standard"], ess=200, limit=12000)
-    return Study(narrow_priors(), motion, effort, draws=63, seed=seed, model=model)
+    error: str = ""  # why there are no draws
 
 
 def narrow_priors(sampled: Iterable[str] = QUANTITIES, **medians: float) -> PriorFile:
@@ -172,9 +130,8 @@ def with_derived(values: Mapping[str, Array]) -> dict[str, Array]:
         derived["gap"] = values["d2"] + values["d3"]
         derived["gamma2"] = values["ell"] * values["gamma1"]
     for side in ("fwd", "bwd"):
-        excess = values[f"static_excess_{side}"]
-        derived[f"Fs_{side}"] = values[f"Fc_{side}"] * (1.0 + excess)
-    return dict(values) | derived
+        derived[f"Fs_{side}"] = values[f"Fc_{side}"] * (1.0 + values[f"static_excess_{side}"])
+    return {**values, **derived}
 
 
 def ranks_by_quantity(tests: Sequence[Ranked]) -> dict[str, list[int]]:

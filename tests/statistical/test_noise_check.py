@@ -5,9 +5,8 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noise import OU
-from mfd_bayes.calibration.noise_sensitivity import moves, quantiles_of
 from mfd_bayes.calibration.priors import load_priors
-from mfd_bayes.calibration.result import Task, calibrate_test
+from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_test
@@ -38,7 +37,7 @@ def decided(trace, folder):
     """Quantities that each other noise decides, of a test with this record."""
     settings = ("a", "a.nc", trace, load_priors("brfd"), "three_stage", "ou", "sample", SHORT)
     task = Task(*settings, (1, 1), checks_noise=True)
-    outcome = calibrate_test(task, folder, lambda _: None)
+    outcome = task.run(folder, lambda _: None)
     assert not outcome.error
     stored = load_test(folder / "a.nc")
     own = quantiles_of(task.posterior(), stored.values())

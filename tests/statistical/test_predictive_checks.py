@@ -23,25 +23,11 @@ def record() -> Trace:
     blank = Trace.from_arrays(time, plain.displacement, force=np.zeros(time.size))
     source = Posterior(blank, "mfd")
     truth = {
-        "sigma0": 30.0,
-        "sigma1": 0.02,
-        "sigma2": 0.01,
-        "Fc_fwd": 1.1,
-        "Fc_bwd": 1.4,
-        "static_excess_fwd": 0.15,
-        "static_excess_bwd": 0.15,
-        "k2": 0.6,
-        "k3": 20.0,
-        "d2": 0.09,
-        "d3": 0.07,
-        "ell": 0.02,
-        "gamma1": 1.0,
-        "v_s": 0.5,
-        "start": 0.4,
-        "offset": 0.02,
-        "noise_sd": 0.04,
-        "noise_time": 0.1,
-    }
+        "sigma0": 30.0, "sigma1": 0.02, "sigma2": 0.01, "Fc_fwd": 1.1, "Fc_bwd": 1.4,
+        "static_excess_fwd": 0.15, "static_excess_bwd": 0.15, "k2": 0.6, "k3": 20.0, "d2": 0.09,
+        "d3": 0.07, "ell": 0.02, "gamma1": 1.0, "v_s": 0.5, "start": 0.4, "offset": 0.02,
+        "noise_sd": 0.04, "noise_time": 0.1,
+    }  # fmt: skip
     values = {name: np.array([value]) for name, value in truth.items()}
     force = source.force(values) + values["offset"] + source.noise.draw(rng, time, values)
     return Trace.from_arrays(time, plain.displacement, force=force[0])
@@ -60,28 +46,11 @@ def extremes(found: dict[str, PredictiveCheck]) -> set[str]:
     return {n for n, c in found.items() if not EXTREME <= c.p_value <= 1.0 - EXTREME}
 
 
-@pytest.fixture(scope="module")
-def true_model() -> dict[str, PredictiveCheck]:
-    return checks("three_stage", "ou")
-
-
-def test_the_model_that_made_the_record_passes(true_model: dict[str, PredictiveCheck]) -> None:
-    assert extremes(true_model) == set()
-
-
-def test_every_statistic_of_the_texts_is_checked(true_model: dict[str, PredictiveCheck]) -> None:
-    names = " ".join(true_model)
-    for statistic in (
-        "residual rms",
-        "lag-one",
-        "energy per cycle",
-        "peak force forward",
-        "peak force backward",
-        "mid-gap",
-        "50 %",
-        "90 %",
-        "95 %",
-    ):
+def test_the_model_that_made_the_record_passes() -> None:
+    found = checks("three_stage", "ou")
+    assert extremes(found) == set()
+    names = " ".join(found)
+    for statistic in ("residual rms", "lag-one", "energy per cycle", "peak force", "mid-gap"):
         assert statistic in names
 
 

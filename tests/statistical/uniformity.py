@@ -65,11 +65,3 @@ def failures(ranks: Mapping[str, Sequence[int]], uniformity: Uniformity) -> dict
     """p-values of the quantities that are not uniform, familywise at `LEVEL` by Bonferroni."""
     found = {name: uniformity.p_value(values) for name, values in ranks.items()}
     return {name: p for name, p in found.items() if p < LEVEL / len(found)}
-
-
-def rank_cells(ranks: Sequence[int], uniformity: Uniformity) -> str:
-    """Cells of a table: p-value, z of the mean rank, and spread over that of uniform ranks."""
-    draws = uniformity.z.size
-    middle, sd = draws / 2.0, np.sqrt(((draws + 1) ** 2 - 1) / 12.0)
-    z = (np.mean(ranks) - middle) / sd * np.sqrt(len(ranks))
-    return f"{uniformity.p_value(ranks):10.2g}{z:8.2f}{np.std(ranks) / sd:9.2f}"

@@ -66,21 +66,16 @@ def session(values, tmp_path_factory):
     return done.stdout.splitlines(), folder
 
 
-def test_a_summary_has_every_quantity_by_name(session, values):
-    for name, line in zip(NAMES, session[0], strict=False):
+def test_a_user_reads_each_quantity_by_name_with_its_unit_and_draws_it(session, values):
+    printed, folder = session
+    for name, line in zip(NAMES, printed, strict=False):
         shown, mean, ess = line.split()
         assert shown == name
         assert float(mean) == pytest.approx(values[name].mean(), rel=1e-3)
         assert 200 < float(ess) < 1000  # of 480 independent draws
-
-
-def test_units_and_chains_are_there(session):
-    assert session[0][-1] == "kip ['chain', 'draw']"
-
-
-def test_its_plots_are_drawn(session):
+    assert printed[-1] == "kip ['chain', 'draw']"
     for picture in ["trace", "forest"]:
-        path = session[1] / f"look_{picture}.png"
+        path = folder / f"look_{picture}.png"
         assert path.read_bytes().startswith(b"\x89PNG")
         assert path.stat().st_size > 5000
 

@@ -203,6 +203,8 @@ class Table:
             shown += "; a number is written without a thousands separator"
         elif is_stamp(text):
             shown += ", which is a time stamp: expected a number, as in the first row"
+        elif re.fullmatch(r"[+-]?(inf\w*|over\w*|ovl\w*|ovf\w*|o\.l\.)", text, re.IGNORECASE):
+            shown += ", an overflow of the logger: take such rows out"
         return RecordError(
             f"{self.place(row)} of {self.path}, column {name!r}: expected a finite number, "
             f"found {shown}"
@@ -575,7 +577,7 @@ class Grid:
         notes = []
         for _, pairs in groupby(enumerate(words), lambda pair: pair[1] - pair[0]):
             group = [at for _, at in pairs]
-            if _goes_on(rows, group[0], data):
+            if _goes_on(rows, group[0], data) and not _STATISTIC.match(str(rows[group[0]][0])):
                 continue
             texts, end = [_cells(rows[at]) for at in group], group[-1] + 1
             again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
@@ -636,6 +638,9 @@ def _is_word(cell: Cell) -> bool:
     """Whether a cell holds words, and no mark of a number that is missing, nor a time stamp."""
     text = cell.strip().lower() if isinstance(cell, str) else ""
     return bool(re.match(r"[^\W\d_]|[*%]", text)) and text not in _MISSING and not is_stamp(text)
+
+
+_STATISTIC = re.compile(r"\s*(max|min|mean|avg|average|std|sum|total|count|peak|rms|mittel)", re.I)
 
 
 def _goes_on(rows: Sequence[Row], at: int, start: int) -> bool:
