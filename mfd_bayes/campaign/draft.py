@@ -328,28 +328,33 @@ def own_priors(draft: Draft) -> str | None:
 
 def doubts(draft: Draft) -> list[str]:
     """Sentences on what is not certain, each with the columns or tests that it is about."""
-    shared = _shared_columns(draft.tests)
-    pairs = [("columns", doubt) for guess in shared.values() for doubt in guess.doubts]
-    if draft.unit is None and _priors_of(draft)[0] != WRITTEN:
-        pairs.append(("priors", _PRIORS[None][1].removeprefix("unsure: ")))
+    pairs = []
     quake = 'its name is that of an earthquake; role = "validate" is suggested'
-    for test in draft.tests:
-        own = [doubt for _, guess in _own_columns(test, shared) for doubt in guess.doubts]
-        own += [*test.doubts, *[quake] * test.earthquake]
-        pairs += [(test.id, doubt) for doubt in own]
+    for name, test, columns in _parts(draft):
+        pairs += [(name, doubt) for _, guess in columns for doubt in guess.doubts]
+        if test is not None:
+            pairs += [(name, doubt) for doubt in (*test.doubts, *[quake] * test.earthquake)]
+        elif draft.unit is None and _priors_of(draft)[0] != WRITTEN:
+            pairs.append(("priors", _PRIORS[None][1].removeprefix("unsure: ")))
     return _grouped(pairs)
 
 
 def gaps(draft: Draft) -> list[str]:
     """Sentences on what is missing and must be added, each with its columns or tests."""
-    shared = _shared_columns(draft.tests)
-    pairs = [("columns", _no_unit(role, g)) for role, g in shared.items() if g.unit is None]
-    for test in draft.tests:
-        own = [_no_unit(role, g) for role, g in _own_columns(test, shared) if g.unit is None]
-        if test.actuation is None and draft.axes.actuated:
-            own.append(_no_actuation(test, draft))
-        pairs += [(test.id, sentence) for sentence in own]
+    pairs = []
+    for name, test, columns in _parts(draft):
+        pairs += [(name, _no_unit(role, guess)) for role, guess in columns if guess.unit is None]
+        if test is not None and test.actuation is None and draft.axes.actuated:
+            pairs.append((name, _no_actuation(test, draft)))
     return _grouped(pairs)
+
+
+def _parts(draft: Draft) -> Iterator[tuple[str, TestDraft | None, Iterable[tuple[str, Guess]]]]:
+    """The table of shared columns and each test, with its name and its columns."""
+    shared = _shared_columns(draft.tests)
+    yield "columns", None, shared.items()
+    for test in draft.tests:
+        yield test.id, test, _own_columns(test, shared)
 
 
 def _grouped(pairs: Iterable[tuple[str, str]]) -> list[str]:

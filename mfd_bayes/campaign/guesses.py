@@ -502,7 +502,7 @@ def prevailing_unit(files: Sequence[TestFile]) -> ActuationUnit | None:
     for file in files:
         certain = [level for level in file.levels if not level.doubt]
         units = {level.unit for level in certain or file.levels}
-        if file.column is not None and file.column.unit is not None:
+        if file.column and file.column.unit:
             units.add(actuation_factor(file.column.unit)[1])
         count.update(units)
     return max(count, key=lambda unit: (count[unit], unit == "ksi", unit == "kip"), default=None)
@@ -549,20 +549,19 @@ def _measured(
     table: Table, column: Guess, unit: ActuationUnit | None
 ) -> tuple[str | Guess | None, float, tuple[str, ...]]:
     """Level or history in the column of the actuation, its mean, and doubts; None without use."""
-    unusable = f"column {column.name!r} holds no actuation that can be used"
+    doubt, values = f"column {column.name!r} holds no actuation that can be used", None
     if column.lacking:
-        return None, 0.0, (f"{unusable}: {column.lacking}",)
-    if column.unit is None:
+        doubt += f": {column.lacking}"
+    elif column.unit is None:
         doubt = f"column {column.name!r} has no unit: name it, if it is the actuation"
+    elif actuation_factor(column.unit)[1] == unit:
+        values = numbers_of(table, column.name)
+    if column.unit is None or values is None or not np.mean(values) > 0:
         return None, 0.0, (doubt,)
-    values = numbers_of(table, column.name)
-    scale, internal = actuation_factor(column.unit)
-    if values is None or internal != unit or not np.mean(values) > 0:
-        return None, 0.0, (unusable,)
     mean = float(np.mean(values))
-    if np.std(values) <= CONSTANT * mean:
-        return f"{mean:.4g} {column.unit}", scale * mean, column.doubts
-    return replace(column, doubts=()), scale * mean, column.doubts
+    constant = np.std(values) <= CONSTANT * mean
+    found = f"{mean:.4g} {column.unit}" if constant else replace(column, doubts=())
+    return found, actuation_factor(column.unit)[0] * mean, column.doubts
 
 
 def _or(texts: Sequence[str]) -> str:

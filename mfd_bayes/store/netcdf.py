@@ -113,16 +113,15 @@ def save_test(path: Path, test: CalibratedTest) -> None:
 
 def load_test(path: Path) -> StoredTest:
     """Calibrated test of a file written by `save_test`."""
-    with _reading(path):
-        groups = _read_groups(path, _GROUPS)
-        facts = json.loads(groups["posterior"].attrs["facts"])
-        return StoredTest(groups["posterior"], groups["sample_stats"], _trace_of(groups), facts)
+    with _opened(path, *_GROUPS) as groups:
+        posterior = groups["posterior"]
+        facts = json.loads(posterior.attrs["facts"])
+        return StoredTest(posterior, groups["sample_stats"], _trace_of(groups), facts)
 
 
 def load_groups(path: Path) -> dict[str, xr.Dataset]:
     """Every group of a file written by `save_test`; errors as those of `load_test`."""
-    with _reading(path):
-        groups = _read_groups(path, ("posterior_predictive", *_GROUPS))
+    with _opened(path, "posterior_predictive", *_GROUPS) as groups:
         return {name: group.dataset for name, group in groups.items()}
 
 
@@ -144,8 +143,7 @@ def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
 
 def load_trace(path: Path) -> tuple[Trace, dict[str, Any]]:
     """Trace and facts written by `save_trace`; errors as those of `load_test`."""
-    with _reading(path):
-        groups = _read_groups(path, ("observed_data", "constant_data"))
+    with _opened(path, "observed_data", "constant_data") as groups:
         return _trace_of(groups), json.loads(groups["constant_data"].attrs["facts"])
 
 
@@ -161,9 +159,8 @@ def save_arrays(
 
 def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """Draws and facts written by `save_arrays`; errors as those of `load_test`."""
-    with _reading(path):
-        posterior = _read_groups(path, ("posterior",))["posterior"]
-        return posterior.arrays, json.loads(posterior.attrs["facts"])
+    with _opened(path, "posterior") as groups:
+        return groups["posterior"].arrays, json.loads(groups["posterior"].attrs["facts"])
 
 
 def _posterior(
@@ -229,25 +226,25 @@ def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Turn every error of reading a file into a `StoreError` that names the file."""
+def _opened(path: Path, *names: str) -> Iterator[dict[str, Group]]:
+    """Groups of a file, read by h5py in a third of the time of xarray's own reader.
+
+    Every error, also one of what is made of them, becomes a `StoreError` that names the file.
+    """
+    import h5py
+
     if not path.is_file():
         raise StoreError(f"{path} does not exist")
     try:
-        yield
+        with h5py.File(path, "r") as file:
+            _check_heaps(path)
+            members = {name: _member(file, name) for name in names}
+            most = path.stat().st_size
+            groups = {name: _read_group(group, most) for name, group in members.items()}
+        yield groups
     except Exception as error:  # h5py, h5netcdf and xarray raise a dozen kinds
         reason = " ".join(str(error).split())
         raise StoreError(f"{path} is damaged or not of this program: {reason}") from error
-
-
-def _read_groups(path: Path, names: tuple[str, ...]) -> dict[str, Group]:
-    """Groups of a file by h5py, which takes a third of the time of xarray's own reader."""
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        _check_heaps(path)
-        groups = {name: _member(file, name) for name in names}
-        return {name: _read_group(group, path.stat().st_size) for name, group in groups.items()}
 
 
 def _read_group(group: h5py.Group, most: int) -> Group:

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.io import savemat
 from typer.testing import CliRunner
 
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps, own_priors
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import CampaignError, MfdError
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.records.channels import Source
 
 HEADER = "time_s,displacement_in,force_kip"
@@ -97,28 +96,6 @@ def test_what_is_guessed_is_a_doubt(tmp_path, header, table, role, column, doubt
     assert any(doubt in sentence for sentence in said) if doubt else not said
     for sentence in said:
         assert sentence.split(": ", 1)[1] in campaign_text(draft)
-
-
-def test_a_matlab_file_and_a_row_of_units_are_read(tmp_path):
-    savemat(tmp_path / "p500.mat", {"time_s": TIME, "disp_mm": 25.4 * MOTION, "force_kN": FORCE})
-    rows = "".join(f"{t:.4f}\t{25.4 * x:.5f}\t{f:.5f}\n" for t, x, f in SIGNALS)
-    names = "Running Time\tAxial Displacement\tAxial Force\nSec\tmm\tkN\n"
-    (tmp_path / "800psi.txt").write_text(f"Station Name: Frame 4\n\n{names}{rows}")
-    second, first = accepted(tmp_path).tests
-    assert first.columns["displacement"] == Source("disp_mm", "mm")
-    assert second.columns["time"].unit == "Sec"
-    assert second.read().displacement.max() == pytest.approx(1.0, abs=1e-4)
-
-
-def test_units_that_nothing_tells_are_to_be_filled_in(tmp_path):
-    write(tmp_path / "500psi.csv", "t,disp,load")
-    draft, content = draft_of(tmp_path)
-    assert "unit" not in content["columns"]["displacement"]
-    assert "FIXME: the unit of displacement is unknown" in campaign_text(draft)
-    assert len(gaps(draft)) == 2
-    (tmp_path / "campaign.toml").write_text(campaign_text(draft))
-    with pytest.raises(MfdError, match=r"column 'disp' of .* give the unit of displacement"):
-        load_campaign(tmp_path / "campaign.toml").tests[0].read()
 
 
 # --- the actuation

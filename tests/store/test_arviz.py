@@ -94,17 +94,13 @@ print("numba" in sys.modules)
 """
 
 
-def measured(folder, *before):
-    """What a process prints that measures convergence, where `folder` has a numba."""
-    words = [sys.executable, "-c", "".join(before) + MEASURE]
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, env=env)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
-
-
 def test_numba_is_not_loaded_for_diagnostics(tmp_path):
     # it takes 100 MB of every process
     (tmp_path / "numba.py").write_text("def jit(*a, **k):\n    return lambda f: f\nvectorize = jit")
-    assert measured(tmp_path) == "False"
-    assert measured(tmp_path, "import numba\n") == "True"  # whoever has it keeps it
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    for before, loaded in (
+        ("", "False\n"),
+        ("import numba\n", "True\n"),
+    ):  # whoever has it keeps it
+        words = [sys.executable, "-c", before + MEASURE]
+        assert subprocess.check_output(words, text=True, timeout=300, env=env) == loaded
