@@ -285,9 +285,10 @@ class Model:
             raise FitError(message) from error
         finite = np.isfinite(values)
         if not finite.all():
-            at = int(np.argmin(finite.reshape(len(values), -1).all(axis=1)))
+            at = self.vectors(args[0])[np.argwhere(~finite)[0, 0]]
+            given = ", ".join(f"{n} = {v:.4g}" for n, v in zip(self.parameters, at, strict=True))
             of = f" of {self.where}" if self.own else ""
-            raise FitError(f"the {what}{of} of parameter vector {at} is no finite number")
+            raise FitError(f"the {what}{of} is no finite number with {given}")
         return values
 
     # --- what a model computes: columns (n,), place in the gap (n,), factors (T, n) or (T, 1)

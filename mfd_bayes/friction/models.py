@@ -127,7 +127,7 @@ def _made(cls: Any, where: str, source: str) -> Model:
         setattr(cls, "__reduce__", _reduced)  # noqa: B010  # another process reads the file again
     try:
         return cls()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         kind = type(error).__name__
         raise FitError(f"{where} cannot be made without arguments: {kind}: {error}") from error
 

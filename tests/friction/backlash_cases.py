@@ -9,20 +9,13 @@ from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.records.trace import Trace
 
 MODEL = BacklashLuGre()
-VALUES = {
-    "k_fwd": 50.0,
-    "k_bwd": 42.0,
-    "gap": 0.2,
-    "ell": 0.02,
-    "k_0": 0.4,
-    "Fc_fwd": 2.2,
-    "Fc_bwd": 1.8,
-    "n": 3.0,
-    "sigma2": 0.02,
-    "static_excess_fwd": 0.2,
-    "static_excess_bwd": 0.15,
-    "v_s": 0.5,
-}
+VALUES = dict(
+    zip(
+        MODEL.parameters,
+        (50.0, 42.0, 0.2, 0.02, 0.4, 2.2, 1.8, 3.0, 0.02, 0.2, 0.15, 0.5),
+        strict=True,
+    )
+)
 OMEGA = np.pi  # 0.5 Hz
 
 
@@ -85,15 +78,12 @@ def integrated(time, edges, velocity, p, level=lambda t: 1.0):
     for begin, end in itertools.pairwise(edges):
         inside = (time > begin) & (time <= end)
         middle = 0.5 * (begin + end)
+        options = {"rtol": 1e-8, "atol": 1e-10, "max_step": max((end - begin) / 20, 1e-4)}
         leg = solve_ivp(
             lambda t, z, m=middle: [rate(z[0], velocity(t, m), p, level(t))],
-            (begin, end),
-            state,
-            method="LSODA",
-            rtol=1e-8,
-            atol=1e-10,
+            *((begin, end), state, "LSODA"),
             dense_output=True,
-            max_step=max((end - begin) / 20, 1e-4),
+            **options,
         )
         z[inside], state = leg.sol(time[inside])[0], [leg.y[0, -1]]
     return spring(z, p)

@@ -6,15 +6,8 @@ from scipy.integrate import solve_ivp
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.records.trace import Trace
 
-VALUES = {
-    "k": 40.0,
-    "alpha": 0.02,
-    "Fy_fwd": 2.0,
-    "Fy_bwd": 1.4,
-    "beta": 0.7,
-    "exponent": 2.0,
-    "c": 0.02,
-}
+VALUES = {"k": 40.0, "alpha": 0.02, "Fy_fwd": 2.0, "Fy_bwd": 1.4, "beta": 0.7, "exponent": 2.0}
+VALUES |= {"c": 0.02}
 OMEGA = np.pi  # 0.5 Hz
 MODEL = BoucWen()
 

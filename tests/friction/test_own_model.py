@@ -217,6 +217,8 @@ def test_a_link_out_of_the_folder_is_not_followed(folder):
         ("def force", "deff force", ("line 13", "SyntaxError")),
         ('name = "viscous"', 'name = "viscous"; response = "stress, Mpaa"', ("response", "Mpaa")),
         ("class Viscous", "raise SystemExit\nclass Viscous", ("line 6", "SystemExit")),
+        ("def start(self, theta)", "def __init__(self)", ("without arguments", "NameError")),
+        ("def start(self, theta):", "def __init__(self):\n        exit()", ("SystemExit",)),
     ],
 )
 def test_a_class_that_is_no_model_is_named(folder, old, new, words):
@@ -231,7 +233,7 @@ def test_a_class_that_is_no_model_is_named(folder, old, new, words):
     [
         ("** alpha\n", "** alpha[0]\n", ()),  # the control
         ("return c * np.sign(trace", "return 1.0 or np.sign(trace", ("shape (1, 256)",)),
-        ("** alpha\n", "** (alpha * np.nan)\n", ("no finite number",)),
+        ("** alpha\n", "** (alpha * np.nan)\n", ("no finite", "c = 0.4496", "alpha = 0.6")),
         ("** alpha\n", "** trace.alpha\n", ("AttributeError", "alpha")),
         ("** alpha\n", "** exit()\n", ("SystemExit",)),
         ("return c * np.sign(trace", "return 'f' or np.sign(trace", ("real",)),
