@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
 from mfd_bayes.friction.lugre import PIECE, of_direction, solve
 from mfd_bayes.friction.model import Columns, Model, State, through_vertices
@@ -97,10 +98,9 @@ class Spring:
             force += self.k_0 * z
             slope = (self.k_fwd + self.k_bwd + self.k_0) - self.k_fwd / e - self.k_bwd / other
         if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
-            forward, forward_slope = _softplus(a - half)
-            backward, backward_slope = _softplus(-a - half)
-            force = fwd * forward - bwd * backward + self.k_0 * z
-            slope = self.k_fwd * forward_slope + self.k_bwd * backward_slope + self.k_0
+            ahead, back = a - half, -a - half
+            force = fwd * np.logaddexp(0.0, ahead) - bwd * np.logaddexp(0.0, back) + self.k_0 * z
+            slope = self.k_fwd * expit(ahead) + self.k_bwd * expit(back) + self.k_0
         return force, slope
 
     def deflection(self, force: Array, close: float | Array = 1e-13) -> Array:
@@ -132,10 +132,14 @@ class Spring:
         return z
 
 
-def _softplus(a: Array) -> tuple[Array, Array]:
-    """ln(1 + e^a) and its slope, of any a."""
-    e = np.exp(-np.abs(a))
-    return np.maximum(a, 0.0) + np.log1p(e), np.where(a > 0, 1.0, e) / (1.0 + e)
+def _softplus(a: Array) -> Array:
+    """ln(1 + e^a) of any a."""
+    e = np.abs(a)
+    np.exp(np.negative(e, out=e), out=e)
+    e += 1.0
+    np.log(e, out=e)
+    e += np.maximum(a, 0.0)
+    return e
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +219,8 @@ class Damper:
             share = np.where(backward, back, ahead)
             force *= share
             length = np.minimum(share, 1.0) * length
-        bound = sign * self.spring.deflection(sign * force, close=0.3)
+        # for a guess one step of Newton's is enough
+        bound = sign * self.spring.deflection(sign * force, close=1.0)
         return np.log(force), bound, length
 
     @cached_property
@@ -481,9 +486,10 @@ def guess(damper: Damper, steps: Steps, turns: Index, first: Array) -> Array:
         # a stretch that begins near slip has less of the corner ahead of it
         near = np.maximum((bound[begin] - held) * rate, 1e-300)
         offset[k] = held * rate - np.log(-np.expm1(-near))
-        last = sign[end] * (bound[end] - np.logaddexp(0.0, room[end] - offset[k]) / rate)
+        last = sign[end] * (bound[end] - _softplus(room[end] - offset[k]) / rate)
     room -= offset[stretch]
-    bent = _softplus(room)[0] / rate
+    bent = _softplus(room)
+    bent /= rate
     np.subtract(bound, bent, out=bent)
     bent *= sign
     return bent
