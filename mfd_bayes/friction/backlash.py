@@ -103,23 +103,32 @@ class Spring:
             slope = self.k_fwd * expit(ahead) + self.k_bwd * expit(back) + self.k_0
         return force, slope
 
-    def deflection(self, force: Array, close: float | Array = 1e-13) -> Array:
+    def about(self, force: Array, sign: Array) -> Array:
+        """About the deflection s z, (..., n), in, where s G is `force` ≥ 0.
+
+        The inverse of one side alone, where k_0 takes its share of the force as with a sharp
+        corner, and a step of Newton's method.
+        """
+        half, stiff = 0.5 * self.gap, np.where(sign > 0, self.k_fwd, self.k_bwd)
+        sharp = (half + force / stiff) / (1.0 + self.k_0 / stiff)
+        own = np.maximum((force - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
+        ahead: Array = half + self.ell * (own + np.log(-np.expm1(-own)))
+        now, slope = self.evaluate(sign * ahead)
+        ahead -= (sign * now - force) / np.maximum(slope, 1e-300)
+        return ahead
+
+    def deflection(self, force: Array, close: float = 1e-13) -> Array:
         """Deflection at which the force is G, (..., n), in: the inverse of G.
 
-        It begins at the inverse of one side alone, where k_0 takes its share of the force as with
-        a sharp corner. Newton's step is taken wherever it stays inside the bounds, else they are
-        bisected, until a step is below `close` times ℓ + |z|.
+        Newton's step is taken wherever it stays inside the bounds, else they are bisected, until a
+        step is below `close` times ℓ + |z|.
         """
-        sign, half, size = np.sign(force), 0.5 * self.gap, np.abs(force)
-        stiff = np.where(force > 0, self.k_fwd, self.k_bwd)
-        softest = np.minimum(self.k_fwd, self.k_bwd)
+        softest, size = np.minimum(self.k_fwd, self.k_bwd), np.abs(force)
         uneven = np.log1p(np.maximum(self.k_fwd, self.k_bwd) / softest)
-        high = half + self.ell * (2.0 + uneven) + size / softest
+        high = 0.5 * self.gap + self.ell * (2.0 + uneven) + size / softest
+        sign = np.sign(force)
+        z = sign * np.clip(self.about(size, sign), 0.0, high)
         low = -high
-        sharp = (half + size / stiff) / (1.0 + self.k_0 / stiff)
-        own = np.maximum((size - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
-        ahead = half + self.ell * (own + np.log(-np.expm1(-own)))
-        z: Array = sign * np.minimum(ahead, high)
         for _ in range(INVERSIONS):
             now, slope = self.evaluate(z)
             error = now - force
@@ -219,9 +228,7 @@ class Damper:
             share = np.where(backward, back, ahead)
             force *= share
             length = np.minimum(share, 1.0) * length
-        # for a guess one step of Newton's is enough
-        bound = sign * self.spring.deflection(sign * force, close=1.0)
-        return np.log(force), bound, length
+        return np.log(force), self.spring.about(force, sign), length
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
