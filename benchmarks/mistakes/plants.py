@@ -242,7 +242,9 @@ MISTAKES = (
     Mistake("displacement frozen", _held("displacement"), "displacement holds one value"),
     Mistake("force frozen", _held("force"), "force holds one value"),
     Mistake("zero of travel steps", _changed(_zero_stepped), "zero of the sensor"),
-    Mistake("half of the force", _scaled("force", 0.5), "force.*times too small"),
+    Mistake(
+        "half of the force", _scaled("force", 0.5), "tests at its actuation|force.*times too small"
+    ),
     Mistake(
         "travel and force swapped",
         _changed(lambda t: t.changed(displacement=t.table["force"], force=t.table["displacement"])),

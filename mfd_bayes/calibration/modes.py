@@ -45,7 +45,7 @@ class Mode:
 
 
 def find_modes(
-    posterior: Posterior, rng: np.random.Generator, *, starts: int = 24, candidates: int = 500
+    posterior: Posterior, rng: np.random.Generator, *, starts: int = 24
 ) -> tuple[Mode, ...]:
     """Distinct modes, best first.
 
@@ -54,7 +54,7 @@ def find_modes(
     """
     of_prior = posterior.coordinates(posterior.draw_prior(rng, 2000))
     mean, sd = of_prior.mean(axis=0), of_prior.std(axis=0)
-    begin = _starting_points(posterior, rng, starts, candidates)
+    begin = _starting_points(posterior, rng, starts)
     fits = _fit_residuals(posterior, begin, mean, sd)
     heights = posterior.log_prob(fits)
     ends: list[Array] = []
@@ -71,11 +71,9 @@ def find_modes(
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
 
-def _starting_points(
-    posterior: Posterior, rng: np.random.Generator, starts: int, candidates: int
-) -> Array:
+def _starting_points(posterior: Posterior, rng: np.random.Generator, starts: int) -> Array:
     """Prior draws whose loops fit well and that are far from each other, (starts, dim)."""
-    draws = posterior.coordinates(posterior.draw_prior(rng, candidates))
+    draws = posterior.coordinates(posterior.draw_prior(rng, 500))
     draws = draws[np.isfinite(posterior.log_prior(draws))]
     if len(draws) == 0:
         raise FitError("the prior has no mass at any start: widen the priors of this device")

@@ -184,28 +184,13 @@ def load_campaign(
                 axes,
             )
         )
-    _check_actuations(path, settings, force_model)
-    _check_tests(path, settings)
+    _check_tests(path, settings, force_model)
     _check_order(path, tests)
     names = [*force_model.laws, *([settings.goal.of] if settings.goal and replaced else [])]
     goal = goal_settings(settings.goal, settings.actuation_unit, path, names).goal
     learned = [test.session for test in tests if test.role == "calibrate"]
     check_session(goal.session, learned, of=f"goal.session in {path}")
     return Campaign(path, folder, settings, tuple(tests), force_model, replaced)
-
-
-def _check_actuations(path: Path, settings: CampaignFile, model: Model) -> None:
-    """Refuse tests without an actuation where something follows it, or others have one."""
-    without = [test.id for test in settings.test if test.actuation is None]
-    if not without:
-        return
-    where = f"test {without[0]!r}.actuation is missing in {path}"
-    if not model.source:
-        raise CampaignError(where)
-    if model.laws:
-        raise CampaignError(f"{where}: {' and '.join(model.laws)} of {model.where} follow it")
-    if len(without) < len(settings.test):
-        raise CampaignError(f"{where}: expected one in all tests or in none")
 
 
 def _check_own_names(path: Path, settings: CampaignFile, model: Model) -> None:
@@ -230,9 +215,8 @@ def _laws_of(settings: CampaignFile, model: Model) -> dict[str, str]:
     """Law of each quantity that follows the actuation, as the model that is used has them."""
     if model.name not in models.MODELS:
         return {name: settings.laws.get(name, law) for name, law in model.laws.items()}
-    if settings.model in models.MODELS:
-        return dict(settings.laws)
-    laws = complete_laws({})  # the file's own model is another one, and so are its laws
+    # if the file's own model is one of the user's, so are its laws
+    laws = complete_laws(settings.laws if settings.model in models.MODELS else {})
     return {name: laws[name] for name in default_laws()}
 
 
@@ -277,8 +261,16 @@ def _is_actuation(unit: str) -> bool:
     return True
 
 
-def _check_tests(path: Path, settings: CampaignFile) -> None:
-    """Refuse equal ids, actuations of several kinds, and a campaign with nothing to calibrate."""
+def _check_tests(path: Path, settings: CampaignFile, model: Model) -> None:
+    """Refuse actuations that lack or are of several kinds, equal ids, and nothing to calibrate."""
+    if without := [test.id for test in settings.test if test.actuation is None]:
+        where = f"test {without[0]!r}.actuation is missing in {path}"
+        if not model.source:
+            raise CampaignError(where)
+        if model.laws:
+            raise CampaignError(f"{where}: {' and '.join(model.laws)} of {model.where} follow it")
+        if len(without) < len(settings.test):
+            raise CampaignError(f"{where}: expected one in all tests or in none")
     seen: dict[str, str] = {}
     kinds: dict[ActuationUnit, str] = {}
     for test in settings.test:
@@ -423,8 +415,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return read_toml(path)
     except OSError as error:
         files = [] if path.exists() else [file.name for file in path.parent.glob("*.toml")]
-        hint = f"; {_nearest(path.name, files)}" if files else ""
-        raise CampaignError(f"cannot read {path}: {error.strerror or error}{hint}") from error
+        near = difflib.get_close_matches(path.name, files, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        why = error.strerror or str(error)
+        if not path.parent.is_dir():
+            why = f"there is no folder {path.parent}"
+        raise CampaignError(f"cannot read {path}: {why}{hint}") from error
     except TomlError as error:
         raise CampaignError(f"{path} {error}") from error
 

@@ -274,9 +274,11 @@ class Column(Table):
 
     @model_validator(mode="after")
     def _named_once(self) -> Self:
-        if (self.name is None) == (self.column is None):
+        ways = [getattr(self, way, None) for way in ("name", "column", "rate")]
+        if len(ways) - ways.count(None) != 1:
             raise ValueError(
-                "a column is given either by its name or, as column = 1, by its number"
+                "a column is given either by its name or, as column = 1, by its number, or a time "
+                "by its rate"
             )
         return self
 
@@ -302,14 +304,6 @@ class TimeColumn(Column):
     dates: Literal["day first", "month first"] | None = None
     """order in time stamps such as `05/03/2024 23:59:59`, where both orders are possible and
     the date changes"""
-
-    @model_validator(mode="after")
-    def _named_once(self) -> Self:
-        if self.rate is None:
-            Column(name=self.name, column=self.column, unit=self.unit)
-        elif self.name is not None or self.column is not None or self.dates is not None:
-            raise ValueError("a time is given either by its column or by a rate")
-        return self
 
 
 class SignedColumn(Column):

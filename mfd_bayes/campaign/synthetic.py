@@ -49,13 +49,11 @@ _MEDIANS = {
 """Medians over the tests; the value of each test is log-normal about them."""
 
 _SCATTER = {
-    ("Fc_fwd", "Fc_bwd"): 0.05,
-    ("static_excess_fwd", "static_excess_bwd"): 0.15,
-    ("sigma0",): 0.10,
-    ("sigma1", "sigma2", "v_s"): 0.10,
-    ("k2", "k3"): 0.05,
-    ("d2", "d3", "ell"): 0.05,
-    ("noise_sd", "noise_time"): 0.10,
+    **dict.fromkeys(("Fc_fwd", "Fc_bwd"), 0.05),
+    **dict.fromkeys(("static_excess_fwd", "static_excess_bwd"), 0.15),
+    **dict.fromkeys(("sigma0", "sigma1", "sigma2", "v_s"), 0.10),
+    **dict.fromkeys(("k2", "k3", "d2", "d3", "ell"), 0.05),
+    **dict.fromkeys(("noise_sd", "noise_time"), 0.10),
 }
 """Standard deviation of the logarithm of quantities between tests."""
 
@@ -106,16 +104,12 @@ class Matrix:
         return _LAWS | residual
 
 
-def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dict[str, Any]:
+def write_campaign(folder: Path, seed: int, matrix: Matrix = Matrix()) -> dict[str, Any]:
     """Write synthetic tests and their campaign file; returns the true values.
 
-    Returns
-    -------
-    dict
-        "population": value of each constant of the laws and the scatter, by name; "tests": for
-        each test's id, the values of its quantities by name.
+    They are in "population" the value of each constant of the laws and of the scatter, by name, in
+    the coordinates of the population, and in "tests" those of each test's quantities.
     """
-    matrix = matrix or Matrix()
     rng = np.random.default_rng([seed, 1])
     planned = [
         (pressure, frequency, count, "calibrate")
@@ -130,17 +124,25 @@ def write_campaign(folder: Path, seed: int, matrix: Matrix | None = None) -> dic
         rows = zip(*draw_record(values, frequency, count, rng), strict=True)
         lines = "".join(f"{t:.2f},{x:.6f},{f:.6f}\n" for t, x, f in rows)
         write_text(folder / f"{name}.csv", "time_s,displacement_in,force_kip\n" + lines)
-        tests[name] = _true_values(values)
+        tests[name] = {key: float(value[0]) for key, value in values.items() if key != "gamma1"}
         entries.append(
             f'[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{pressure:.0f} psi"\n'
             f'role = "{role}"\n'
         )
     head = _HEADER + (_AFFINE if 0.0 in matrix.pressures else "")
     write_text(folder / "campaign.toml", head + "\n".join(entries))
-    laws = {name: value for name, value in matrix.laws.items() if value}
+    known = {name: value for name, value in matrix.laws.items() if value}
+    # the slip force and d2 of the population are combinations of the values drawn here
+    combined = ("Fc_fwd", "Fc_bwd", "d2", "d3")
+    known |= {f"scatter_{name}": sd for name, sd in _SCATTER.items() if name not in combined}
+    known["scatter_d3"] = float(np.sqrt(2.0)) * _SCATTER["d3"]  # of d3/d2: both have this scatter
+    known["scatter_offset"] = _OFFSET
     for side in ("fwd", "bwd"):
-        laws[f"K_s_{side}"] = laws[f"K_c_{side}"] * (1 + _MEDIANS[f"static_excess_{side}"])
-    return {"population": laws | _true_scatter(), "tests": tests}
+        excess = f"static_excess_{side}"
+        known[f"K_s_{side}"] = known[f"K_c_{side}"] * (1 + _MEDIANS[excess])
+        for true in tests.values():
+            true[f"Fs_{side}"] = true[f"Fc_{side}"] * (1 + true[excess])
+    return {"population": known, "tests": tests}
 
 
 def draw_values(
@@ -153,9 +155,7 @@ def draw_values(
         "sigma0": laws["alpha_sigma0"] * pressure + laws["sigma0_0"],
     }
     values = {
-        name: median[name] * np.exp(scatter * rng.standard_normal(1))
-        for names, scatter in _SCATTER.items()
-        for name in names
+        name: median[name] * np.exp(sd * rng.standard_normal(1)) for name, sd in _SCATTER.items()
     }
     values["offset"] = _OFFSET * rng.standard_normal(1)
     values["start"] = rng.uniform(0.1, 0.9, 1)
@@ -163,41 +163,12 @@ def draw_values(
     return values
 
 
-def _true_values(values: Mapping[str, Array]) -> dict[str, float]:
-    """True values of a test by name, with F_s; without γ1 and γ2, of which only ℓ is given."""
-    true = {name: float(value[0]) for name, value in values.items() if name != "gamma1"}
-    for side in ("fwd", "bwd"):
-        true[f"Fs_{side}"] = true[f"Fc_{side}"] * (1 + true[f"static_excess_{side}"])
-    return true
-
-
-def _true_scatter() -> dict[str, float]:
-    """True values of the scatter by name, in the coordinates of the population.
-
-    That of the slip force and the gap (`Fc`, `d2`) is left out: there they are combinations of the
-    values drawn here.
-    """
-    each = {name: scatter for names, scatter in _SCATTER.items() for name in names}
-    combined = ("Fc_fwd", "Fc_bwd", "d2", "d3")
-    true = {f"scatter_{name}": each[name] for name in each if name not in combined}
-    ratio = float(np.sqrt(2.0)) * each["d3"]  # of d3/d2: both have this scatter
-    return true | {"scatter_d3": ratio, "scatter_offset": _OFFSET}
-
-
 def draw_record(
     values: Mapping[str, Array], frequency: float, cycles: int, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Time, displacement and force, with its noise, of a harmonic test, (n,) each.
 
-    Parameters
-    ----------
-    values : mapping of str to array
-        Quantities of the test, (1,) each.
-    frequency : float
-        Hz.
-    cycles : int
-    rng : numpy.random.Generator
-        Of the noise.
+    Its quantities are `values`, (1,) each.
     """
     time = np.arange(int(cycles / frequency * RATE) + 1) / RATE
     displacement = AMPLITUDE * np.sin(2 * np.pi * frequency * time)

@@ -46,7 +46,8 @@ UNITS = {
 }
 """Units that a column may be in instead of the one that it was read in."""
 FREE, ANYTHING = 4.0, 14.0  # penalties of a cause with a free factor, and of another device
-UNLIKE = 1.6  # slip forces at like actuation differ by less than this factor
+SAME_LEVEL = 0.05  # actuations that differ by less than this share are one level
+UNLIKE = 1.6  # slip forces at one level differ by less than this factor
 FAR_LEVEL = 4.0  # an actuation so many times the nearest one changes the slip force by `UNLIKE`
 
 
@@ -267,7 +268,7 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 why=why,
             ),
         )
-    yield from _far_levels(rest)
+    yield from _unlike(rest)
 
 
 def deviations(values: Array, levels: Array) -> tuple[Array, Array, Array]:
@@ -384,8 +385,8 @@ def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
     )
 
 
-def _far_levels(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
-    """Tests whose actuation is far from all others', where no law holds, and their force is not."""
+def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
+    """Tests whose slip force is that of a far actuation, or not that of others at their own."""
     loaded = [t for t in tests if t.level > 0.0 and t.plateau > 0.0]
     for test in loaded if len(loaded) > 2 else ():
         others = [t for t in loaded if t is not test]
@@ -403,5 +404,17 @@ def _far_levels(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 near=others[near].id,
                 slip=(test.plateau, "kip"),
                 why=_of_actuation(test, float(levels[like]), others),
+            )
+            yield test.id, fault
+            continue
+        same = forces[np.abs(levels) < SAME_LEVEL]
+        if same.size >= FEWEST and abs(ratio := float(np.median(same))) > np.log(UNLIKE):
+            fault = Fault.of(
+                "force",
+                f"its slip force, {{slip}}, is {np.exp(ratio):.2g} times the one of about "
+                "{expected} of the tests at its actuation: its load cell or its actuation is "
+                "probably wrong, or the file is that of another test",
+                slip=(test.plateau, "kip"),
+                expected=(test.plateau / float(np.exp(ratio)), "kip"),
             )
             yield test.id, fault

@@ -400,13 +400,12 @@ class MeasuredCycles:
         if missing := [f.name for f in fields(cls) if f.name not in content]:
             raise ValueError(f"{missing[0]} is missing")
         values: dict[str, Any] = {f.name: np.array(content[f.name]) for f in fields(cls)}
+        values["full_stroke"] = values["full_stroke"] > 0.0
         for f in fields(cls):
-            size = values["time"].size if f.type != "float" else 1
-            if values[f.name].size != size:
+            if values[f.name].size != (1 if f.type == "float" else values["time"].size):
                 raise ValueError(f"{f.name} has {values[f.name].size} values")
             if f.type == "float":
                 values[f.name] = float(values[f.name][0])
-        values["full_stroke"] = values["full_stroke"] > 0.0
         return cls(**values)
 
 

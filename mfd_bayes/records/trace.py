@@ -377,18 +377,12 @@ def check_size(name: str, role: str, values: Array) -> None:
 def _actuation(values: ArrayLike | None, size: int) -> float | Array:
     if values is None:
         return float("nan")
-    values = real_numbers("actuation", values)
-    if values.ndim == 0:
-        level = float(values)
-        if not np.isfinite(level) or level < 0:
-            raise RecordError(f"actuation must be finite and not negative, got {level}")
-        check_magnitude("actuation", np.array([level]))
-        return level
-    history = _column("actuation", values, size)
+    given = real_numbers("actuation", values)
+    history = _column("actuation", np.atleast_1d(given), size if given.ndim else None)
     if np.any(history < 0):
         at = int(np.argmax(history < 0))
         raise RecordError(f"actuation must not be negative; sample {at} is {history[at]:g}")
-    return history
+    return history if given.ndim else float(history[0])
 
 
 Samples = NDArray[np.intp]

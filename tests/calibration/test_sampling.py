@@ -61,7 +61,7 @@ def test_draws_have_the_moments_of_the_density(density):
 
 
 def test_the_seed_decides_and_what_is_reported_does_not():
-    effort = Effort(ess=1e6, limit=300, length=1.0, ensembles=2, walkers=20)
+    effort = Effort(ess=1e6, limit=150, length=1.0, ensembles=2, walkers=20)
     news = []
     first, again, other = (
         draws_of(normal, MEAN, seed=seed, effort=effort, report=report).q
@@ -131,9 +131,9 @@ def sampled(chains):
 @pytest.mark.parametrize(
     ("moves", "steps", "right"),
     [
-        ([(Independent(NARROW), 1.0)], 3000, True),
-        ([(Independent(LEARNED), JUMPS), *evolution(DIM, ENSEMBLES, 1.0 - JUMPS)], 2000, True),
-        ([(Forgetful(NARROW), 1.0)], 900, False),
+        ([(Independent(NARROW), 1.0)], 1500, True),
+        ([(Independent(LEARNED), JUMPS), *evolution(DIM, ENSEMBLES, 1.0 - JUMPS)], 800, True),
+        ([(Forgetful(NARROW), 1.0)], 400, False),
     ],
     ids=["independent, badly placed", "those of the sampler", "without the proposal's density"],
 )
@@ -142,7 +142,7 @@ def test_a_move_samples_a_correlated_normal(moves, steps, right):
 
 
 def test_the_harness_rejects_draws_that_are_slightly_too_wide_or_shifted():
-    chains = exact(ENSEMBLES * 2000 * WALKERS).reshape(ENSEMBLES, 2000, WALKERS, DIM)
+    chains = exact(ENSEMBLES * 1000 * WALKERS).reshape(ENSEMBLES, 1000, WALKERS, DIM)
     assert sampled(chains)
     assert not sampled(MEAN + 1.04 * (chains - MEAN))
     assert not sampled(chains + 0.08 * SD)

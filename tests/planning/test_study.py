@@ -13,7 +13,7 @@ from mfd_bayes.population.settings import setting_of
 
 SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
 AT_ONE = Candidate(1.0, 0.5, 1.0)
-EFFORT, FEW = Effort(1600), Effort(400)
+EFFORT, FEW = Effort(1600), Effort(200)
 
 
 def ask(situation, goal, *candidates, limits=None, effort=EFFORT):
@@ -66,7 +66,7 @@ def test_six_tests_that_tell_nothing_promise_nothing(make_situation):
     """Of many sets the best by chance must not be promised what chance gave it."""
     situation = make_situation(level=0.001, scatter=0.05, exponent=0.2)
     goal = parse_goal("exponent of Fc_fwd", "ksi")
-    nothing = [Candidate(1.0, f, a) for f in (0.1, 0.3, 0.5, 1.0) for a in (0.3, 1.0, 2.0)]
+    nothing = [Candidate(1.0, f, a) for f in (0.1, 0.5, 1.0) for a in (0.3, 2.0)]
     advice = ask(situation, goal, *nothing, effort=Effort(600))
     assert len(advice.together) == 6
     assert max(t.reduction for t in advice.together) <= 0.005
@@ -91,7 +91,9 @@ def test_a_repeat_is_worth_little_where_the_exponent_is_unknown(make_situation):
     far = parse_goal("slip at 1500 psi, 0.5 Hz, 1 in", "ksi")
     elsewhere = Candidate(1.5, 0.5, 1.0)
     situation = make_situation(level=0.002, scatter=0.002, exponent=0.1)
-    rows = {row.candidate: row for row in ask(situation, far, AT_ONE, elsewhere, effort=FEW)}
+    rows = {
+        row.candidate: row for row in ask(situation, far, AT_ONE, elsewhere, effort=Effort(400))
+    }
     assert rows[AT_ONE].reduction < 0.01
     assert rows[AT_ONE].repeat
     assert rows[elsewhere].reduction > 0.8

@@ -1,8 +1,6 @@
 """Loops and what is read off them: their definitions, and one number everywhere."""
 
-import csv
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -171,20 +169,3 @@ def test_inspect_shows_the_measured_values_of_shared_records(data_folder, tmp_pa
                 continue
             numbers = re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", line[1])[: len(names)]
             assert [float(n) for n in numbers] == [float(f"{own[n]:.4g}") for n in names], path
-
-
-@pytest.mark.slow
-def test_predict_compares_with_the_measured_values(data_folder, tmp_path, small_pictures):
-    """The run is of another device: only the measured column is looked at."""
-    run = Path(__file__).parents[1] / "data" / "run"
-    for path in sorted(data_folder.glob("20*.csv"))[:1]:
-        bands = tmp_path / f"{path.stem}.csv"
-        asked = ["--motion", path, "--actuation", "700 psi", "--extrapolate", "--compare"]
-        asked += ["--rate", "32 Hz", "--units", "us", "-o", bands]
-        CliRunner().invoke(app, ["predict", str(run), *map(str, asked)], catch_exceptions=False)
-        own = measured_cycles(read_record(path)).of_test()
-        text = bands.with_name(f"{bands.stem}_derived.csv").read_text().splitlines()
-        rows = csv.DictReader(line for line in text if not line.startswith("#"))
-        known = {row["quantity"]: row for row in rows}
-        for name in ("peak_fwd", "peak_bwd", "slip_fwd", "effective_stiffness", "gap"):
-            assert float(known[name]["measured"]) == pytest.approx(own[name], rel=1e-5), name

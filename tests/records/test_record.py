@@ -494,16 +494,3 @@ def test_the_record_in_metres_and_newtons_comes_out_in_inches_and_kips(data_fold
     assert np.max(np.abs(record.displacement)) == pytest.approx(1.0, abs=0.01)
     like = mb.read_record(data_folder / "2023_36lb_0.25Hz_1.0in.csv")
     assert np.ptp(record.force) == pytest.approx(np.ptp(like.force), rel=0.02)
-
-
-def test_a_real_record_is_decimated_without_delay_or_transient(data_folder):
-    record = mb.read_record(data_folder / "2022_80lb_0.50Hz_1.0in.csv", actuation="80 lb")
-    trace = record.trace(rate=64)
-    original = np.interp(trace.time, record.time, record.displacement)
-    np.testing.assert_allclose(trace.displacement, original, atol=2e-3)
-    force = record.force - record.force.mean()
-    low = np.interp(record.time, trace.time, trace.force - record.force.mean())
-    match = {lag: np.dot(np.roll(low, lag), force) for lag in range(-8, 9)}
-    assert max(match, key=match.get) == 0
-    assert np.max(np.abs(trace.force[:20] - record.force[:320:16])) < 0.05
-    assert record.trace(gap=0.2).turning_points.size == record.turning_points

@@ -19,37 +19,29 @@ THETA = np.array([[20, 0.02, 0.02, 2.2, 2.0, 1.9, 1.7, 2.5, 30, 0.2, 0.1, 1, 0.0
 SHORT = Effort(name="short", ess=60, limit=700, r_hat=1.1, length=1.5, ensembles=2, starts=4)
 
 
-def record(weakening, spike):
+def record():
     """Three stages with correlated noise, and what they do not have.
 
-    A slip force that falls by a share of itself along a stroke, and a spike, kip, after build-up.
+    A slip force that falls by 30 % along a stroke, and a spike of 0.5 kip after build-up.
     """
     quiet = Trace.from_arrays(TIME, MOTION, 0.03)
     force, travel = ThreeStage().force(THETA, quiet)[0], ThreeStage().travel(THETA, quiet)[0]
     values = {"noise_sd": np.array([0.1]), "noise_time": np.array([0.1])}
     noise = OU().draw(np.random.default_rng(1), TIME, values)[0]
-    noise -= weakening * force * np.clip(travel - 0.3, 0, 2) / 1.7
-    after = np.exp(-np.abs(travel - 0.35) / 0.03) * (travel > 0.2)
-    return Trace.from_arrays(TIME, MOTION, 0.03, force + noise + spike * np.sign(force) * after)
-
-
-def decided(trace, folder):
-    """Quantities that each other noise decides, of a test with this record."""
-    settings = ("a", "a.nc", trace, load_priors("brfd"), "three_stage", "ou", "sample", SHORT)
-    task = Task(*settings, (1, 1), checks_noise=True)
-    outcome = task.run(folder, lambda _: None)
-    assert not outcome.error
-    stored = load_test(folder / "a.nc")
-    own = quantiles_of(task.posterior(), stored.values())
-    fits = stored.facts["other_noises"]
-    assert not any(fit["error"] for fit in fits)
-    return {
-        fit["noise"]: {name for name in own if moves(own[name], fit["quantities"][name])}
-        for fit in fits
-    }
+    noise -= 0.3 * force * np.clip(travel - 0.3, 0, 2) / 1.7
+    spike = 0.5 * np.exp(-np.abs(travel - 0.35) / 0.03) * (travel > 0.2)
+    return Trace.from_arrays(TIME, MOTION, 0.03, force + noise + spike * np.sign(force))
 
 
 def test_noise_decides_slip_force_and_gap_where_the_model_cannot_follow(tmp_path):
-    found = decided(record(0.3, 0.5), tmp_path)
-    assert {"Fc_fwd", "Fc_bwd"} <= found["staged"]
-    assert {"Fc_fwd", "Fc_bwd", "k3", "gap"} <= found["iid"]
+    settings = ("a", "a.nc", record(), load_priors("brfd"), "three_stage", "ou", "sample", SHORT)
+    task = Task(*settings, (1, 1), checks_noise=True)
+    assert not task.run(tmp_path, lambda _: None).error
+    stored = load_test(tmp_path / "a.nc")
+    own, decided = quantiles_of(task.posterior(), stored.values()), {}
+    for fit in stored.facts["other_noises"]:
+        assert not fit["error"]
+        moved = {name for name in own if moves(own[name], fit["quantities"][name])}
+        decided[fit["noise"]] = moved
+    assert {"Fc_fwd", "Fc_bwd"} <= decided["staged"]
+    assert {"Fc_fwd", "Fc_bwd", "k3", "gap"} <= decided["iid"]

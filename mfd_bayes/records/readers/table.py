@@ -284,7 +284,7 @@ _MONTHS |= {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
 _CLOCK = re.compile(
     r"(?<![\d:.,])(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d):(?P<s>[0-5]\d)(?:[.,:](?P<f>\d{1,9}))?"
     r"|(?P<m2>\d{1,3}):(?P<s2>[0-5]\d)[.,](?P<f2>\d{1,9}))"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?(?=$|[,; ])"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?:Z|UTC|GMT|[+-]\d{2}:?\d{2})?(?=$|[,; ])"
 )
 _DATE = re.compile(
     r"|\d{8}|\d{4}([-/.])\d{1,2}\1\d{1,2}|\d{1,2}([-/.])\d{1,2}\2(?:\d{4}|\d\d)"
@@ -351,14 +351,11 @@ def _seconds(matches: Sequence[tuple[re.Match[str], str] | None], *, month_first
         if match is None or (day := days[match[1]]) is None:
             continue
         part = match[0].groupdict()
-        hour, half, zone = int(part["h"] or 0), part["half"], part["zone"] or ""
+        hour, half = int(part["h"] or 0), part["half"]
         twelve = twelve and part["h"] is not None and 1 <= hour <= 12 and not half
         if half:
             hour = hour % 12 + 12 * (half[0] in "Pp")
         minutes = 60 * hour + int(part["m"] or part["m2"])
-        if zone[:1] in ("+", "-"):
-            digits = zone[1:].replace(":", "")
-            minutes -= int(f"{zone[0]}1") * (60 * int(digits[:2]) + int(digits[2:]))
         seconds = 86_400 * day + 60 * minutes + int(part["s"] or part["s2"])
         rows.append(row)
         times.append(seconds * 10**9 + int((part["f"] or part["f2"] or "").ljust(9, "0")))
