@@ -24,10 +24,16 @@ from mfd_bayes.calibration.diagnostics import (
     intervals_of,
     measure,
 )
-from mfd_bayes.calibration.evidence import Evidence, log_evidence
 from mfd_bayes.calibration.modes import Density, Mode, Rows, find_modes
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.proposal import Mixture, Proposal, around_modes, learn
+from mfd_bayes.calibration.proposal import (
+    Evidence,
+    Mixture,
+    Proposal,
+    around_modes,
+    learn,
+    log_evidence,
+)
 from mfd_bayes.errors import FitError
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.records.inputs import whole_number

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
-from mfd_bayes.calibration.evidence import Evidence, join_evidence
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.proposal import fit_mixture
+from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models

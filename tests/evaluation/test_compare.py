@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.calibration.diagnostics import Effort, psis
-from mfd_bayes.calibration.evidence import Evidence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.proposal import Evidence
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, FitError
