@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import difflib
 import math
-import reprlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -37,10 +35,8 @@ from mfd_bayes.records.inputs import file_inside
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record, Window, read_record
-from mfd_bayes.store.toml import TomlError, read_toml
+from mfd_bayes.store.toml import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
-
-_MOST_FAULTS = 10  # that a message lists
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,15 +196,10 @@ def _check_own_names(path: Path, settings: CampaignFile, model: Model) -> None:
     for table, known in (("laws", model.laws), ("dependence", model.parameters)):
         for name in getattr(settings, table):
             if name not in known:
-                hint = _nearest(name, tuple(known)) if known else "it has none"
+                hint = nearest(name, tuple(known)) if known else "it has none"
                 raise CampaignError(
                     f"unknown key {name!r} in [{table}] of {path}, by {model.where}; {hint}"
                 )
-
-
-def _nearest(name: str, known: Collection[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(islice(known, 20))}"
 
 
 def _laws_of(settings: CampaignFile, model: Model) -> dict[str, str]:
@@ -314,7 +305,7 @@ def _check_order(path: Path, tests: Sequence[Test]) -> None:
         if test.after not in by_id:
             raise CampaignError(
                 f"{where} must be the id of another test, got {test.after!r}; "
-                f"{_nearest(test.after, by_id)}"
+                f"{nearest(test.after, by_id)}"
             )
         other = follower.setdefault(test.after, test.id)
         if other != test.id:
@@ -380,10 +371,13 @@ def _checked(path: Path, content: dict[str, Any], axes: Axes) -> CampaignFile:
     try:
         return CampaignFile.model_validate(content)
     except ValidationError as error:
-        faults = islice(_faults(path, content, error, axes), _MOST_FAULTS)
-        text = "; ".join(f"{fault:.400}" for fault in faults)
-        more = "; and more" if error.error_count() > _MOST_FAULTS else ""
-        raise CampaignError(text + more) from None
+        raise CampaignError(faults_text(path, content, error, _keys, axes.name)) from None
+
+
+def _keys(tables: list[str]) -> Collection[str]:
+    """Keys that a table may have."""
+    table = tables[-1] if tables else ""
+    return keys_of(table if table in TABLES or len(tables) == 1 else "actuation")
 
 
 def _in_roles(path: Path, content: dict[str, Any], axes: Axes) -> dict[str, Any]:
@@ -416,56 +410,10 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         files = [] if path.exists() else [file.name for file in path.parent.glob("*.toml")]
         near = difflib.get_close_matches(path.name, files, n=1)
-        hint = f"; did you mean {path.parent / near[0]}?" if near else ""
-        raise CampaignError(f"cannot read {path}: {error.strerror or error}{hint}") from error
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        why = error.strerror or str(error)
+        if not path.parent.is_dir():
+            why = f"there is no folder {path.parent}"
+        raise CampaignError(f"cannot read {path}: {why}{hint}") from error
     except TomlError as error:
         raise CampaignError(f"{path} {error}") from error
-
-
-def _faults(
-    path: Path, content: dict[str, Any], error: ValidationError, axes: Axes
-) -> Iterator[str]:
-    """A sentence for each fault: which key, what was expected, what came."""
-    for fault in error.errors(include_url=False):
-        loc = [part for part in fault["loc"] if not str(part).startswith((":", "[key]"))]
-        key, value = _dotted(content, loc), fault["input"]
-        key = ".".join(map(axes.name, key.split(".")))
-        came, message = reprlib.repr(value), fault["msg"].removeprefix("Value error, ")
-        if loc == ["test"] and isinstance(content.get("test"), dict):
-            yield f"a test in {path} begins with [[test]], in two brackets, not [test]"
-        elif fault["type"] == "too_short" and content.get("test"):
-            continue  # there are tests, but each has a fault of its own, which is reported
-        elif fault["type"] == "extra_forbidden" or "[key]" in fault["loc"]:
-            yield _unknown_key(path, content, loc)
-        elif fault["type"] == "missing":
-            yield f"{key} is missing in {path}"
-        elif fault["type"] == "tuple_type":
-            is_text = isinstance(value, str) and value.isprintable()
-            example = f' such as ["{value}"]' if is_text else ""
-            yield f"{key} in {path} should be a list{example}, got {came}"
-        elif message.startswith("Input should be"):
-            yield f"{key} in {path} {message.removeprefix('Input ')}, got {came}"
-        else:
-            yield f"{key} in {path}: {message}" + ("" if came in message else f", got {came}")
-
-
-def _unknown_key(path: Path, content: dict[str, Any], loc: list[int | str]) -> str:
-    """Sentence on an unknown key, with the nearest one that its table may have."""
-    tables = [part for part in loc[:-1] if isinstance(part, str)]
-    table = tables[-1] if tables else ""
-    known = keys_of(table if table in TABLES or len(tables) == 1 else "actuation")
-    section = f" in [{_dotted(content, loc[:-1])}]" if tables else ""
-    return f"unknown key {str(loc[-1])!r}{section} of {path}; {_nearest(str(loc[-1]), known)}"
-
-
-def _dotted(content: dict[str, Any], loc: list[int | str]) -> str:
-    """Key with its tables, joined by dots; a test by its id, or by its number from 1."""
-    text = ""
-    for part in loc:
-        if isinstance(part, int):
-            entry = content["test"][part] if text == "test" else None
-            name = entry.get("id") if isinstance(entry, dict) else None
-            text += f" {name!r}" if isinstance(name, str) else f" {part + 1}"
-        else:
-            text += f".{part}" if text else part
-    return text

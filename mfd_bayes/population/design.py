@@ -105,12 +105,19 @@ class Coordinates:
                 found.append((kinetic, np.log1p(values[excess] * stribeck)))
         return found
 
+    @cached_property
+    def _gap(self) -> tuple[int, int] | None:
+        """Columns of d2 and d3; None where they are not both there."""
+        d2, d3 = self._column("d2"), self._column("d3")
+        return None if d2 is None or d3 is None else (d2, d3)
+
     def _compared(self, own: Array) -> Array:
         """Compared coordinates, of those of the priors, (n, D)."""
-        q, d2, d3 = own.copy(), self._column("d2"), self._column("d3")
+        q = own.copy()
         for kinetic, shift in self._shifts(own):
             q[:, kinetic] += shift
-        if d2 is not None and d3 is not None:
+        if self._gap:
+            d2, d3 = self._gap
             q[:, d2] = np.logaddexp(own[:, d2], own[:, d3])
             q[:, d3] = own[:, d3] - own[:, d2]
         return q
@@ -118,10 +125,11 @@ class Coordinates:
     def of_priors(self, x: Array) -> Array:
         """Coordinates of the priors, (n, D), of x (n, D)."""
         q = self.centre + self.spread * x
-        own, d2, d3 = q.copy(), self._column("d2"), self._column("d3")
+        own = q.copy()
         for kinetic, shift in self._shifts(q):
             own[:, kinetic] -= shift
-        if d2 is not None and d3 is not None:
+        if self._gap:
+            d2, d3 = self._gap
             own[:, d2] = q[:, d2] - np.logaddexp(0.0, q[:, d3])
             own[:, d3] = own[:, d2] + q[:, d3]
         return own

@@ -138,14 +138,13 @@ class Population:
     @property
     def size(self) -> int:
         """Number of draws of all chains."""
-        return int(np.prod(self.draws.h.shape[:2]))
+        return int(np.prod(self.shape))
 
     @cached_property
     def _all(self) -> LawDraws:
         """All draws and those under other laws, (n, …)."""
-        own, other = vars(self.draws), vars(self.alternatives)
-        flat = {k: np.concatenate([v.reshape(self.size, -1), other[k]]) for k, v in own.items()}
-        return LawDraws(**flat)
+        pairs = zip(vars(self.draws).values(), vars(self.alternatives).values(), strict=True)
+        return LawDraws(*(np.concatenate([v.reshape(self.size, -1), o]) for v, o in pairs))
 
     # --- what tables show -------------------------------------------------------------------------
 
@@ -382,13 +381,12 @@ class Population:
 
     def repeats(self, setting: Setting) -> bool:
         """Whether a motion repeats those of the tests: of their kind and of their stroke."""
-        here = setting.covariates
-        for tested in (one.covariates for one in self.design.settings):
-            if {"amplitude", "full_strokes"} <= tested.keys() & here.keys():
-                stroke = abs(np.log(here["amplitude"] / tested["amplitude"])) <= np.log(LIKE)
-                if stroke and abs(here["full_strokes"] - tested["full_strokes"]) <= LIKE_STROKES:
-                    return True
-        return False
+        amplitude, full = (
+            np.array([s.covariates.get(name, np.nan) for s in (setting, *self.design.settings)])
+            for name in ("amplitude", "full_strokes")
+        )
+        stroke = np.abs(np.log(amplitude[0] / amplitude[1:])) <= np.log(LIKE)
+        return bool(np.any(stroke & (np.abs(full[0] - full[1:]) <= LIKE_STROKES)))
 
     def unshared(
         self,

@@ -1,23 +1,26 @@
-"""The keys of a building file, which values each may have, and one sentence for each mistake."""
+"""The keys of a building file, and which values each may have."""
 
 from __future__ import annotations
 
-import difflib
-import re
-import reprlib
-from collections.abc import Callable, Iterator
-from itertools import islice
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.response.ground import parse_acceleration
-from mfd_bayes.store.toml import TomlError, read_toml
+from mfd_bayes.store.toml import TomlError, faults_text, read_toml
 from mfd_bayes.units import GRAVITY, parse_actuation, parse_quantity
-
-MOST_SENTENCES = 8
 
 
 def _quantity(what: str) -> Callable[[str], float]:
@@ -130,13 +133,22 @@ class History(Part):
     unit: str
 
 
+def _kind(value: object) -> str:
+    return ":table" if isinstance(value, dict) else ":list" if isinstance(value, list) else ":text"
+
+
 class Damper(Part):
     """One damper, or several at one place."""
 
     storey: Positive | None = None
     between: tuple[Floor, Floor] | None = None
     count: Annotated[int, Field(ge=1, le=100)] = 1
-    actuation: Actuation | tuple[Actuation, ...] | History
+    actuation: Annotated[
+        Annotated[Actuation, Tag(":text")]
+        | Annotated[tuple[Actuation, ...], Tag(":list")]
+        | Annotated[History, Tag(":table")],
+        Discriminator(_kind),
+    ]
     geometry: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
     brace: Annotated[Stiffness | None, BeforeValidator(lambda v: None if v == "rigid" else v)] = (
         None
@@ -186,15 +198,18 @@ class Content(Part):
         return self
 
 
-TABLES: dict[str, type[Part]] = {
-    "building": About,
-    "damping": Damping,
-    "storey": Storey,
-    "matrices": Matrices,
-    "damper": Damper,
-    "actuation": History,
-    "limits": Limits,
+KEYS: dict[str, Collection[str]] = {
+    "": Content.model_fields,
+    "building": About.model_fields,
+    "damping": Damping.model_fields,
+    "storey": Storey.model_fields,
+    "matrices": Matrices.model_fields,
+    "units": ("mass", "stiffness", "damping"),
+    "damper": Damper.model_fields,
+    "actuation": History.model_fields,
+    "limits": Limits.model_fields,
 }
+"""Keys that each table may have; "" is the file itself."""
 
 
 def read_content(path: Path) -> Content:
@@ -208,53 +223,12 @@ def read_content(path: Path) -> Content:
     """
     try:
         raw = read_toml(path)
+        return Content.model_validate(raw)
     except OSError as error:
         raise BuildingError(f"cannot read {path}: {error.strerror or error}") from error
     except TomlError as error:
         raise BuildingError(f"{path} {error}") from error
-    try:
-        return Content.model_validate(raw)
     except ValidationError as error:
-        sentences = dict.fromkeys(_sentences(str(path), raw, error))
-        raise BuildingError("; ".join(islice(sentences, MOST_SENTENCES))) from None
-
-
-def _sentences(path: str, raw: dict[str, Any], error: ValidationError) -> Iterator[str]:
-    """What pydantic found, one sentence for each fault, with its key as the file has it."""
-    # pydantic puts the names of the kinds that were tried among the keys
-    kinds = re.compile(r"function-.*|tuple\[.*|constrained.*|nullable.*|str|float|History|none")
-    for fault in error.errors(include_url=False):
-        loc = [part for part in fault["loc"] if not kinds.fullmatch(str(part))]
-        key, came = _dotted(loc), reprlib.repr(fault["input"])
-        reason = fault["msg"].removeprefix("Value error, ")
-        if fault["type"] == "extra_forbidden":
-            tables = [part for part in loc[:-1] if isinstance(part, str)]
-            known = list(TABLES.get(tables[-1] if tables else "", Content).model_fields)
-            near = difflib.get_close_matches(str(loc[-1]), known, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
-            section = f" in [{_dotted(loc[:-1])}]" if tables else ""
-            yield f"unknown key {str(loc[-1])!r}{section} of {path}; {hint}"
-        elif fault["type"] == "missing":
-            yield f"{key} is missing in {path}"
-        elif loc and loc[0] in ("storey", "damper") and isinstance(raw.get(str(loc[0])), dict):
-            yield f"a {loc[0]} in {path} begins with [[{loc[0]}]], in two brackets"
-        elif fault["type"] == "value_error":
-            at = f"{key} in {path}" if key else path
-            yield f"{at}: {reason}" + ("" if came in reason or not loc else f", got {came}")
-        else:
-            value: Any = raw
-            for part in loc:
-                try:
-                    value = value[part]
-                except (KeyError, IndexError, TypeError):
-                    break
-            expected = reason.replace("Input should be", "it must be")
-            yield f"{key} in {path}: {expected}, got {value!r}"
-
-
-def _dotted(loc: list[Any]) -> str:
-    """Key with its tables, joined by dots; those of lists with their number from 1."""
-    text = ""
-    for part in loc:
-        text += f" {part + 1}" if isinstance(part, int) else (f".{part}" if text else part)
-    return text
+        raise BuildingError(
+            faults_text(path, raw, error, lambda tables: KEYS[("", *tables)[-1]])
+        ) from None

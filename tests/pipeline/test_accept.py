@@ -189,3 +189,36 @@ def test_conditions_of_a_record_are_read_as_in_a_campaign(
     ended = accept(finished_run.out, production("good.csv"), *told)
     assert ended.returncode == 2
     assert words[0] in ended.stderr
+
+
+def test_a_slope_is_read_off_as_many_samples_as_the_record_has(finished_run, tmp_path):
+    rng = np.random.default_rng(3)
+    values = draw_values(1.0, Matrix(pressures=(500.0,)).laws, rng)
+    time, x, force = draw_record(values, 1.0, 4, rng)  # a fast one, whose thinned slope is blunt
+    frame = pd.DataFrame(np.transpose([time, x, force]), columns=COLUMNS)
+    frame.to_csv(tmp_path / "fast.csv", index=False)
+    run = mb.open_run(finished_run.out)
+    record = mb.read_record(tmp_path / "fast.csv", actuation="1000 psi")
+    (judged,) = mb.accept(run, record, draws=400)
+    assert 0.5 < judged.rows.loc["build_up_slope", "percentile"] < 99.5
+    assert not any("scatters" in remark for remark in judged.remarks)
+
+
+def test_tests_that_scatter_more_than_the_population_says_widen_the_intervals(
+    finished_run, production
+):
+    run = mb.open_run(finished_run.out)
+    record = mb.read_record(production("good.csv"), actuation="1000 psi")
+    entries = dict(run.manifest.tests)
+    for name, by in zip(run.tests, (0.6, 1.5, 0.7, 1.4, 0.6, 1.5) * 9, strict=False):
+        measured = dict(entries[name].measured)
+        measured["slip_fwd"] = [by * value for value in measured["slip_fwd"]]
+        entries[name] = entries[name].model_copy(update={"measured": measured})
+    wild = replace(run, manifest=run.manifest.model_copy(update={"tests": entries}))
+    (usual,), (wide,) = (mb.accept(one, record, draws=400) for one in (run, wild))
+    widths = [
+        float(np.log(d.rows.loc["slip_fwd", "upper"] / d.rows.loc["slip_fwd", "lower"]))
+        for d in (usual, wide)
+    ]
+    assert widths[1] > 2.0 * widths[0]
+    assert any("slip force forward" in remark for remark in wide.remarks)
