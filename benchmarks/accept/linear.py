@@ -92,7 +92,7 @@ def main() -> None:
         rows = np.transpose(production_test(rng, {}))
         pd.DataFrame(rows, columns=columns).to_csv(path, index=False)
         record = mb.read_record(path, actuation="1 ksi")
-        expected, alarms = expect(run, trace_of(run, record), "", draws=2000), 0
+        expected, alarms = expect(run, trace_of(run, record), "", rate=record.rate, draws=2000), 0
         for _ in range(DEVICES):
             made = replace(record, force=production_test(rng, {})[2])
             group = [compare_record(made, trace_of(run, made), expected)]

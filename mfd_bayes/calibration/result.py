@@ -47,7 +47,7 @@ QUANTILES = (0.025, 0.5, 0.975)
 FORMAL = frozenset({"gamma1", "gamma2", "start"})  # quantities that say nothing about the damper
 # enough for a median and an interval, not for their digits
 ROUGH = Effort(
-    name="other noise", ess=50, limit=800, r_hat=1.15, length=2.0, ensembles=2, kept=1200, starts=16
+    name="other noise", ess=50, limit=1200, r_hat=1.1, length=1.0, ensembles=2, kept=1200, starts=16
 )
 
 

@@ -54,7 +54,7 @@ ALPHA = 0.05  # stated rate of false alarms, and of each of the two one-sided te
 DRAWS = 1000
 FEW = 200  # draws of a prediction of each calibrated test
 RESOLVED = ("build_up_slope", "gap")  # read off a line through few samples: depends on their rate
-FINER = 8  # samples of a motion at which these are predicted, for each of the trace
+FINEST = 16  # most samples at which these are predicted, for each one of the trace
 DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
 """Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
 
@@ -216,7 +216,7 @@ def accept(
     groups: dict[str, list[Comparison]] = {}
     for name, record in zip(names, records, strict=True):
         trace = trace_of(run, record)
-        expected = expect(run, trace, name, place, draws=draws, seed=seed)
+        expected = expect(run, trace, name, place, rate=record.rate, draws=draws, seed=seed)
         groups.setdefault(name, []).append(compare_record(record, trace, expected))
     independent = not any(run.manifest.settings.sessions.values())
     levels = [Level.of(group, independent=independent) for group in groups.values()]
@@ -263,15 +263,16 @@ def expect(
     device: str,
     place: Mapping[str, Any] | None = None,
     *,
+    rate: float,
     draws: int = DRAWS,
     seed: int = 0,
 ) -> Expected:
     """What the population expects of a record of a device under a motion and an actuation.
 
-    `place` has the session and the conditions of the record.
+    `place` has the session and the conditions of the record, `rate` is that of its samples, Hz.
     """
     motion, peaks = replace(trace, force=None), peaks_of(run)
-    resolution = finer_over_coarse(run, motion, {**(place or {}), "device": device})
+    resolution = at_rate(run, motion, {**(place or {}), "device": device}, rate)
 
     def resolved(values: dict[str, Array]) -> dict[str, Array]:
         return {name: value * resolution.get(name, 1.0) for name, value in values.items()}
@@ -310,12 +311,16 @@ def expect(
     return Expected(nominal, own, among, fan, tuple(dict.fromkeys(remarks)))
 
 
-def finer_over_coarse(run: Run, motion: Trace, place: Mapping[str, Any]) -> dict[str, float]:
-    """Factor of what is read off few samples: of a finer motion over this one, by quantity.
+def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> dict[str, float]:
+    """Factor of what is read off few samples: at the rate of a record over that of a motion.
 
-    A record has many more samples than the traces of calibrated tests.
+    A record has more samples than the traces of calibrated tests.
     """
-    time = np.linspace(motion.time[0], motion.time[-1], FINER * (motion.samples - 1) + 1)
+    step = float(np.median(np.diff(motion.time)))
+    more = int(np.clip(round(rate * step), 1, FINEST))
+    if more == 1:
+        return {}
+    time = np.linspace(motion.time[0], motion.time[-1], more * (motion.samples - 1) + 1)
     path = interpolate.CubicSpline(motion.time, motion.displacement)(time)
     actuation = motion.actuation
     if motion.varying:
@@ -344,7 +349,7 @@ def birge_ratios(run: Run) -> dict[str, float]:
         motion = replace(trace, force=None)
         seen, smooth = (run.predict(motion, kind, **place) for kind in ("observation", "new_test"))
         measured = measured_properties(measured_of(run.manifest, name))
-        resolution = finer_over_coarse(run, motion, run.place(name))
+        resolution = at_rate(run, motion, run.place(name), run.manifest.tests[name].record_rate)
         for quantity, values in _quantities(motion, seen, smooth, peaks).items():
             logs = np.log(values[np.isfinite(values)]) + np.log(resolution.get(quantity, 1.0))
             value = measured.get(quantity, np.nan)

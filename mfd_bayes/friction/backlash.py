@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
 from mfd_bayes.friction.lugre import PIECE, of_direction, solve
 from mfd_bayes.friction.model import Columns, Model, State, through_vertices
@@ -97,29 +98,37 @@ class Spring:
             force += self.k_0 * z
             slope = (self.k_fwd + self.k_bwd + self.k_0) - self.k_fwd / e - self.k_bwd / other
         if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
-            forward, forward_slope = _softplus(a - half)
-            backward, backward_slope = _softplus(-a - half)
-            force = fwd * forward - bwd * backward + self.k_0 * z
-            slope = self.k_fwd * forward_slope + self.k_bwd * backward_slope + self.k_0
+            ahead, back = a - half, -a - half
+            force = fwd * np.logaddexp(0.0, ahead) - bwd * np.logaddexp(0.0, back) + self.k_0 * z
+            slope = self.k_fwd * expit(ahead) + self.k_bwd * expit(back) + self.k_0
         return force, slope
 
-    def deflection(self, force: Array, close: float | Array = 1e-13) -> Array:
+    def about(self, force: Array, sign: Array) -> Array:
+        """About the deflection s z, (..., n), in, where s G is `force` ≥ 0.
+
+        The inverse of one side alone, where k_0 takes its share of the force as with a sharp
+        corner, and a step of Newton's method.
+        """
+        half, stiff = 0.5 * self.gap, np.where(sign > 0, self.k_fwd, self.k_bwd)
+        sharp = (half + force / stiff) / (1.0 + self.k_0 / stiff)
+        own = np.maximum((force - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
+        ahead: Array = half + self.ell * (own + np.log(-np.expm1(-own)))
+        now, slope = self.evaluate(sign * ahead)
+        ahead -= (sign * now - force) / np.maximum(slope, 1e-300)
+        return ahead
+
+    def deflection(self, force: Array, close: float = 1e-13) -> Array:
         """Deflection at which the force is G, (..., n), in: the inverse of G.
 
-        It begins at the inverse of one side alone, where k_0 takes its share of the force as with
-        a sharp corner. Newton's step is taken wherever it stays inside the bounds, else they are
-        bisected, until a step is below `close` times ℓ + |z|.
+        Newton's step is taken wherever it stays inside the bounds, else they are bisected, until a
+        step is below `close` times ℓ + |z|.
         """
-        sign, half, size = np.sign(force), 0.5 * self.gap, np.abs(force)
-        stiff = np.where(force > 0, self.k_fwd, self.k_bwd)
-        softest = np.minimum(self.k_fwd, self.k_bwd)
+        softest, size = np.minimum(self.k_fwd, self.k_bwd), np.abs(force)
         uneven = np.log1p(np.maximum(self.k_fwd, self.k_bwd) / softest)
-        high = half + self.ell * (2.0 + uneven) + size / softest
+        high = 0.5 * self.gap + self.ell * (2.0 + uneven) + size / softest
+        sign = np.sign(force)
+        z = sign * np.clip(self.about(size, sign), 0.0, high)
         low = -high
-        sharp = (half + size / stiff) / (1.0 + self.k_0 / stiff)
-        own = np.maximum((size - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
-        ahead = half + self.ell * (own + np.log(-np.expm1(-own)))
-        z: Array = sign * np.minimum(ahead, high)
         for _ in range(INVERSIONS):
             now, slope = self.evaluate(z)
             error = now - force
@@ -132,10 +141,14 @@ class Spring:
         return z
 
 
-def _softplus(a: Array) -> tuple[Array, Array]:
-    """ln(1 + e^a) and its slope, of any a."""
-    e = np.exp(-np.abs(a))
-    return np.maximum(a, 0.0) + np.log1p(e), np.where(a > 0, 1.0, e) / (1.0 + e)
+def _softplus(a: Array) -> Array:
+    """ln(1 + e^a) of any a."""
+    e = np.abs(a)
+    np.exp(np.negative(e, out=e), out=e)
+    e += 1.0
+    np.log(e, out=e)
+    e += np.maximum(a, 0.0)
+    return e
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +228,7 @@ class Damper:
             share = np.where(backward, back, ahead)
             force *= share
             length = np.minimum(share, 1.0) * length
-        bound = sign * self.spring.deflection(sign * force, close=0.3)
-        return np.log(force), bound, length
+        return np.log(force), self.spring.about(force, sign), length
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
@@ -481,9 +493,10 @@ def guess(damper: Damper, steps: Steps, turns: Index, first: Array) -> Array:
         # a stretch that begins near slip has less of the corner ahead of it
         near = np.maximum((bound[begin] - held) * rate, 1e-300)
         offset[k] = held * rate - np.log(-np.expm1(-near))
-        last = sign[end] * (bound[end] - np.logaddexp(0.0, room[end] - offset[k]) / rate)
+        last = sign[end] * (bound[end] - _softplus(room[end] - offset[k]) / rate)
     room -= offset[stretch]
-    bent = _softplus(room)[0] / rate
+    bent = _softplus(room)
+    bent /= rate
     np.subtract(bound, bent, out=bent)
     bent *= sign
     return bent

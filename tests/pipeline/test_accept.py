@@ -11,6 +11,8 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
+from mfd_bayes.evaluation.properties import properties_of
+from mfd_bayes.records.loops import measured_cycles
 
 COLUMNS = ("time_s", "displacement_in", "force_kip")
 
@@ -191,17 +193,23 @@ def test_conditions_of_a_record_are_read_as_in_a_campaign(
     assert words[0] in ended.stderr
 
 
-def test_a_slope_is_read_off_as_many_samples_as_the_record_has(finished_run, tmp_path):
+def test_slope_and_gap_are_those_of_the_record_and_its_rate(finished_run, tmp_path):
+    """A record that is thinned to the rate of the calibrated tests has a blunt build-up."""
     rng = np.random.default_rng(3)
     values = draw_values(1.0, Matrix(pressures=(500.0,)).laws, rng)
-    time, x, force = draw_record(values, 1.0, 4, rng)  # a fast one, whose thinned slope is blunt
-    frame = pd.DataFrame(np.transpose([time, x, force]), columns=COLUMNS)
+    frame = pd.DataFrame(np.transpose(draw_record(values, 1.0, 4, rng)), columns=COLUMNS)
     frame.to_csv(tmp_path / "fast.csv", index=False)
     run = mb.open_run(finished_run.out)
     record = mb.read_record(tmp_path / "fast.csv", actuation="1000 psi")
     (judged,) = mb.accept(run, record, draws=400)
-    assert 0.5 < judged.rows.loc["build_up_slope", "percentile"] < 99.5
-    assert not any("scatters" in remark for remark in judged.remarks)
+    whole, thin = replace(record.trace(), force=None), record.trace(50.0)
+    band, own = run.predict(whole, "device", draws=400), measured_cycles(record).of_test()
+    for name in ("build_up_slope", "gap"):
+        assert judged.rows.loc[name, "measured"] == pytest.approx(own[name])
+        fine = np.median(properties_of(whole, band.draws)[name])
+        assert judged.rows.loc[name, "nominal"] == pytest.approx(fine, rel=0.03)
+    blunt = measured_cycles(thin).of_test()["build_up_slope"]
+    assert blunt < 0.95 * own["build_up_slope"]  # the control
 
 
 def test_tests_that_scatter_more_than_the_population_says_widen_the_intervals(
