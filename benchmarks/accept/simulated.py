@@ -27,9 +27,9 @@ ACTUATION, FREQUENCY, CYCLES = 1.0, 0.5, 3  # ksi and Hz of a production test
 def set_scatter(scatter: float) -> None:
     """Tests of a device scatter by so much in slip force, and half of it in the gap."""
     wide = synthetic._SCATTER
-    wide["Fc_fwd", "Fc_bwd"] = scatter
-    wide["d2", "d3", "ell"] = wide["k2", "k3"] = wide["sigma0",] = scatter
-    wide["static_excess_fwd", "static_excess_bwd"] = 2.0 * scatter
+    names = ("Fc_fwd", "Fc_bwd", "d2", "d3", "ell", "k2", "k3", "sigma0")
+    wide |= dict.fromkeys(names, scatter)
+    wide |= dict.fromkeys(("static_excess_fwd", "static_excess_bwd"), 2.0 * scatter)
 
 
 def production_test(rng: np.random.Generator, fault: Mapping[str, float]) -> tuple[Array, ...]:

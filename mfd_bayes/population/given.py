@@ -610,13 +610,18 @@ class Forecaster:
 
     @property
     def is_misfit(self) -> bool:
-        """Whether the noise has to be larger than in 99 % of new tests of this device.
+        """Whether noise, or deviations of all quantities, are larger than in 99 % of new tests.
 
-        Then the force is not that of such a test, and neither estimates nor bands are reliable.
+        Then the force is not that of such a test of this device, and neither estimates nor bands
+        are reliable. A priori the deviations are standard normal.
         """
-        (middle,) = quantiles(self._values["noise_sd"], np.exp(self._weights()[0]), (0.5,))
+        weights = np.exp(self._weights()[0])
+        (noise,) = quantiles(self._values["noise_sd"], weights, (0.5,))
         most = np.quantile(self._values_of(self._new_tests)["noise_sd"], 0.99)
-        return bool(middle > most)
+        active = self._predictor.population.active(self._test.setting, self._test.grid)
+        squares = np.sum(self._particles.numbers.flat[:, active] ** 2, axis=1)
+        (away,) = quantiles(squares, weights, (0.5,))
+        return bool(noise > most or away > stats.chi2.ppf(0.99, active.size))
 
     @cached_property
     def _stopping(self) -> Stopping:

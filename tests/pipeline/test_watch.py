@@ -125,7 +125,7 @@ def after_cycles(run, motion, force):
 
 def test_the_force_of_a_stronger_device_does_not_fit(run, tests, tmp_path):
     motion, forces, _ = tests
-    stronger = watch(run, write(tmp_path / "a.csv", motion, 1.5 * forces[0]), "--wait", "0 s")
+    stronger = watch(run, write(tmp_path / "a.csv", motion, 2.0 * forces[0]), "--wait", "0 s")
     assert "does not fit this device" in stronger.stdout.splitlines()[-1]
     assert "enough" not in stronger.stdout
 
