@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, optimize, stats
+from scipy import linalg, special
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.priors import units
@@ -258,7 +258,9 @@ class PartialTest:
     def _effective(self, p: Particles, part: Trace) -> float:
         """Effective number of draws of the worst quantity, by the means of islands' ranks."""
         values = self.predictor.values(self.drawn(p, part))
-        ranks = stats.rankdata(np.column_stack([*values.values()]), axis=0)
+        from scipy.stats import rankdata  # which takes long to import
+
+        ranks = rankdata(np.column_stack([*values.values()]), axis=0)
         islands = ranks.reshape(ISLANDS, -1, ranks.shape[1])
         between = islands.mean(axis=1).var(axis=0, ddof=1)
         within = islands.var(axis=1, ddof=1).mean(axis=0)
@@ -274,7 +276,9 @@ def next_power(log: Array, power: float) -> float:
 
     if share(1.0) >= LEAST_EFFECTIVE:
         return 1.0
-    return float(optimize.brentq(lambda after: share(after) - LEAST_EFFECTIVE, power, 1.0))
+    from scipy.optimize import brentq  # which takes long to import
+
+    return float(brentq(lambda after: share(after) - LEAST_EFFECTIVE, power, 1.0))
 
 
 def resampled(
@@ -621,7 +625,7 @@ class Forecaster:
         active = self._predictor.population.active(self._test.setting, self._test.grid)
         squares = np.sum(self._particles.numbers.flat[:, active] ** 2, axis=1)
         (away,) = quantiles(squares, weights, (0.5,))
-        return bool(noise > most or away > stats.chi2.ppf(0.99, active.size))
+        return bool(noise > most or away > special.chdtri(active.size, 0.01))
 
     @cached_property
     def _stopping(self) -> Stopping:

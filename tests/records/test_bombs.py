@@ -124,7 +124,7 @@ BOMBS = {
     "campaign:keys.toml": (text("a" + ".a" * 100_000 + " = 1"), "200 dots"),
     "campaign:exponent.toml": (text("[campaign]\narea = 1e999\n" + TEST), "finite"),
     "campaign:large.toml": (text("#" * 2**21), "larger than 1 MB"),
-    "campaign:tests.toml": (text('[[test]]\nid = "."\n' * 50_000), "and more"),
+    "campaign:tests.toml": (text('[[test]]\nid = "."\n' * 50_000), "names a folder"),
     "priors:arrays.toml": (text("a = " + "[" * 100_000), "not valid TOML"),
     "priors:integer.toml": (
         text(
