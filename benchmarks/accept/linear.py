@@ -20,7 +20,7 @@ from benchmarks.accept.simulated import MATRIX, production_test, set_scatter
 from mfd_bayes.calibration.diagnostics import intervals_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.campaign.synthetic import write_campaign
-from mfd_bayes.evaluation.acceptance import Level, compare_record, expect, trace_of
+from mfd_bayes.evaluation.acceptance import Level, birge_ratios, compare_record, expect, trace_of
 from mfd_bayes.evaluation.properties import stored_peaks
 from mfd_bayes.population import inference
 from mfd_bayes.population.exact import CHAINS, Draws
@@ -92,7 +92,17 @@ def main() -> None:
         rows = np.transpose(production_test(rng, {}))
         pd.DataFrame(rows, columns=columns).to_csv(path, index=False)
         record = mb.read_record(path, actuation="1 ksi")
-        expected, alarms = expect(run, trace_of(run, record), "", rate=record.rate, draws=2000), 0
+        expected, alarms = (
+            expect(
+                run,
+                trace_of(run, record),
+                "",
+                rate=record.rate,
+                ratios=birge_ratios(run),
+                draws=2000,
+            ),
+            0,
+        )
         for _ in range(DEVICES):
             made = replace(record, force=production_test(rng, {})[2])
             group = [compare_record(made, trace_of(run, made), expected)]

@@ -27,6 +27,7 @@ from mfd_bayes.evaluation.acceptance import (
     Acceptance,
     Level,
     accept,
+    birge_ratios,
     compare_record,
     complete_limits,
     expect,
@@ -90,7 +91,9 @@ def good(folder: Path) -> None:
         columns = ("time_s", "displacement_in", "force_kip")
         pd.DataFrame(np.transpose([time_s, x, force]), columns=columns).to_csv(path, index=False)
         record = mb.read_record(path, actuation="1 ksi")
-        expected = expect(run, trace_of(run, record), "", rate=record.rate, draws=4000)
+        expected = expect(
+            run, trace_of(run, record), "", rate=record.rate, ratios=birge_ratios(run), draws=4000
+        )
         pool.append((run, record, expected))
 
     def judged(number: int, fault: dict[str, float]) -> list[Acceptance]:

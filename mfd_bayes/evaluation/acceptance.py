@@ -214,9 +214,11 @@ def accept(
             )
     place: dict[str, Any] = {"session": session, "conditions": conditions}
     groups: dict[str, list[Comparison]] = {}
+    ratios = birge_ratios(run)
     for name, record in zip(names, records, strict=True):
         trace = trace_of(run, record)
-        expected = expect(run, trace, name, place, rate=record.rate, draws=draws, seed=seed)
+        how: dict[str, Any] = {"rate": record.rate, "ratios": ratios, "draws": draws, "seed": seed}
+        expected = expect(run, trace, name, place, **how)
         groups.setdefault(name, []).append(compare_record(record, trace, expected))
     independent = not any(run.manifest.settings.sessions.values())
     levels = [Level.of(group, independent=independent) for group in groups.values()]
@@ -264,12 +266,14 @@ def expect(
     place: Mapping[str, Any] | None = None,
     *,
     rate: float,
+    ratios: Mapping[str, float],
     draws: int = DRAWS,
     seed: int = 0,
 ) -> Expected:
     """What the population expects of a record of a device under a motion and an actuation.
 
-    `place` has the session and the conditions of the record, `rate` is that of its samples, Hz.
+    `place` has the session and the conditions of the record, `rate` is that of its samples, Hz, and
+    `ratios` are those of `birge_ratios`.
     """
     motion, peaks = replace(trace, force=None), peaks_of(run)
     resolution = at_rate(run, motion, {**(place or {}), "device": device}, rate)
@@ -298,7 +302,7 @@ def expect(
     band = Interval(1.0 - ALPHA, seen.lower, seen.upper)
     nominal, own, among = (kept(values, run.system.axes) for values in (nominal, own, among))
     remarks = list(seen.remarks)
-    for name, ratio in birge_ratios(run).items():
+    for name, ratio in ratios.items():
         if name in nominal and ratio > 1.0:
             for values in (own, among):
                 values[name] = nominal[name] * (values[name] / nominal[name]) ** ratio
@@ -339,10 +343,8 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
 def birge_ratios(run: Run) -> dict[str, float]:
     """Scatter of the calibrated tests' measured quantities over that which is predicted, by name.
 
-    1 where chance explains it, by a chi-squared test at 5 %. Computed once for a run.
+    1 where chance explains it, by a chi-squared test at 5 %.
     """
-    if (known := run.__dict__.get("birge_ratios")) is not None:
-        return dict(known)
     peaks, sizes = peaks_of(run), dict[str, list[float]]()
     for name, test in run.tests.items():
         trace, place = test.trace, {**run.place(name), "draws": FEW}
@@ -360,8 +362,7 @@ def birge_ratios(run: Run) -> dict[str, float]:
         squares = float(np.sum(np.square(some)))
         chance = special.chdtrc(len(some), squares) >= ALPHA
         ratios[quantity] = 1.0 if chance else float(np.sqrt(squares / len(some)))
-    run.__dict__["birge_ratios"] = ratios
-    return dict(ratios)
+    return ratios
 
 
 def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparison:
@@ -542,7 +543,7 @@ def judge(
     size = dict(zip(level.names, level.sizes, strict=True))
     # where something differs, slip forces are named before what is read off at shares of them
     slips = [n for n in size if differing and n.startswith("slip") and size[n] > ALONE]
-    others = [n for n in differing if n in ("build_up_slope", "gap")]
+    others = [n for n in differing if n in RESOLVED]
     first = slips or others or differing
     named = max(first, key=lambda name: size[name], default="")
     verdict = _verdict(rows)

@@ -181,25 +181,23 @@ class PartialTest:
         """Particles given the counted samples of a part, n or some more, with log weights."""
         p = self.draw(n + -n % ISLANDS, rng)
         log, power, stages, beta = self.log_likelihood(p, part, counted), 0.0, 0, 1.0
-        while True:
-            step = next_power(log, power) - power
-            log_weights, k = smoothed(step * log)
-            power += step
-            effective = float(effective_draws(log_weights[:, None])[0])
-            if power == 1.0 and not stages:  # weights alone
-                break
-            gaussian = self._gaussian(p, step * log)
-            p, log = resampled(p, log, step * log, rng)
+        while power < 1.0:
+            before, power = power, next_power(log, power)
+            weights = (power - before) * log
+            if power == 1.0:
+                log_weights, k = smoothed(weights)
+                effective = float(effective_draws(log_weights[:, None])[0])
+                if not stages:  # weights alone
+                    break
+            gaussian = self._gaussian(p, weights)
+            p, log = resampled(p, log, weights, rng)
+            stages, log_weights = stages + 1, np.zeros(len(log))
             for moves in range(1, MOST + 1):
                 p, log, beta = self._move(p, log, part, counted, power, gaussian, beta, rng)
-                if moves % MOVES == 0:
-                    effective = self._effective(p, part)
-                    if power < 1.0 or effective >= 2 * FEWEST:
-                        break
-            stages += 1
-            if power == 1.0:
-                log_weights = np.zeros(len(log))
-                break
+                if moves % MOVES:
+                    continue
+                if power < 1.0 or (effective := self._effective(p, part)) >= 2 * FEWEST:
+                    break
         conditioned = Conditioned(
             window=(float(part.time[counted][0]), float(part.time[counted][-1])),
             samples=int(counted.sum()),
@@ -257,9 +255,9 @@ class PartialTest:
 
     def _effective(self, p: Particles, part: Trace) -> float:
         """Effective number of draws of the worst quantity, by the means of islands' ranks."""
-        values = self.predictor.values(self.drawn(p, part))
         from scipy.stats import rankdata  # which takes long to import
 
+        values = self.predictor.values(self.drawn(p, part))
         ranks = rankdata(np.column_stack([*values.values()]), axis=0)
         islands = ranks.reshape(ISLANDS, -1, ranks.shape[1])
         between = islands.mean(axis=1).var(axis=0, ddof=1)
