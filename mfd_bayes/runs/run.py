@@ -537,8 +537,12 @@ class Run:
         draws : int
             Draws that are stepped along; the time of an update is in proportion.
         seed : int
-        session, device, conditions
+        session : str
             As in `predict`.
+        device : str
+            Likewise.
+        conditions : mapping of str to float, optional
+            Likewise.
         refresh : bool
             Whether a band may take some seconds to sample the draws anew.
 
