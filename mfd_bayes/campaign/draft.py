@@ -8,15 +8,14 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.priors import WRITTEN
-from mfd_bayes.campaign.draft_priors import knows, priors_of_model, priors_text
 from mfd_bayes.campaign.guesses import (
     ESSENTIAL,
     Guess,
@@ -31,7 +30,6 @@ from mfd_bayes.campaign.guesses import (
 )
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.data_quality import contradictions, force_sign, length_in_name
 from mfd_bayes.records.loops import Scales, channels_swapped, scales_of
@@ -40,6 +38,11 @@ from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import without_spikes
 from mfd_bayes.store.toml import commented, quoted
 from mfd_bayes.units import ActuationUnit, actuation_factor, convert
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from mfd_bayes.friction.model import Model
 
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip"}
 _BANDS = {"lower", "median", "upper"}  # first words of columns of a prediction

@@ -6,7 +6,6 @@ The reader, the manifest of a run and the reference page of the documentation ar
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -28,8 +27,8 @@ from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.records.channels import NO_ACTUATION, Source, Subtracted, step_of
-from mfd_bayes.records.readers.table import COLUMNS, NAME
+from mfd_bayes.records.record import NO_ACTUATION, Source, Subtracted, step_of
+from mfd_bayes.records.table import COLUMNS, NAME
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,
@@ -39,6 +38,8 @@ from mfd_bayes.units import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
     from mfd_bayes.population.inference import InferenceSettings
 
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]

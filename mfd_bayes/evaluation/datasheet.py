@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,13 +22,16 @@ from mfd_bayes.evaluation.properties import (
     sessions_of,
 )
 from mfd_bayes.messages import Message
-from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
-from mfd_bayes.records.sine import Harmonic, parse_sine
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.run import Run
+from mfd_bayes.records.record import NO_ACTUATION
+from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import actuation_kind, parse_actuation
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

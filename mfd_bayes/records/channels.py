@@ -9,20 +9,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from itertools import pairwise
 from math import ceil, inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from unicodedata import normalize
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.inputs import real_number
-from mfd_bayes.records.readers import Table
-from mfd_bayes.records.readers.table import bare_unit, own_name
+from mfd_bayes.records.table import bare_unit, own_name
 from mfd_bayes.records.trace import Array, check_size, smallest_turn, turning_points
 from mfd_bayes.units import (
     UNREAD,
@@ -35,6 +32,13 @@ from mfd_bayes.units import (
     same_unit,
     split_quantity,
 )
+
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+    from numpy.typing import NDArray
+
+    from mfd_bayes.records.readers import Table
 
 SAMPLES = 20  # fewest samples that a record, or a window of it, may have
 GAP = 10.0  # a step longer than this many median steps is a gap in time

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.records.channels import ROLES, crossing_times, header_unit, stated_unit
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops, loop_estimate
-from mfd_bayes.records.readers.table import own_name
-from mfd_bayes.records.record import Record
+from mfd_bayes.records.record import ROLES, Record, crossing_times, header_unit, stated_unit
+from mfd_bayes.records.table import own_name
 from mfd_bayes.records.trace import (
     Array,
     Trace,
@@ -33,6 +32,9 @@ from mfd_bayes.units import (
     parse_actuation,
     same_unit,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
 
 Samples = NDArray[np.intp]
 Value = tuple[float, str]  # with its internal unit

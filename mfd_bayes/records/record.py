@@ -3,39 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.channels import (
-    JITTER,
-    ROLES,
-    SAMPLES,
-    Clock,
-    Source,
-    check_increasing,
-    checked_window,
-    clock_of,
-    decimate,
-    default_rate,
-    longest_piece,
-    parse_window,
-    part_for,
-    signals_of,
-    sources_of,
-    used_columns,
-)
 from mfd_bayes.records.inputs import hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.trace import Array, Trace, check_trace, mended, smallest_turn, turning_points
 from mfd_bayes.units import ActuationUnit, parse_actuation
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
 
 Window = tuple[float, float]
 

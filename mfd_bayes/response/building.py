@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from os import PathLike
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from mfd_bayes.errors import BuildingError, MfdError, UnitError
-from mfd_bayes.records.channels import header_unit
 from mfd_bayes.records.inputs import file_inside, path_of, real_number, real_numbers, why_no_file
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.response.schema import (
-    Content,
-    Damper,
-    Damping,
-    History,
-    Limits,
-    Matrices,
-    read_content,
-)
+from mfd_bayes.records.record import header_unit
 from mfd_bayes.units import actuation_factor, convert, factor, parse_actuation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from os import PathLike
+    from pathlib import Path
 
 Array = NDArray[np.float64]
 

@@ -10,20 +10,22 @@ bend: where they do so too much, the step is halved, for each draw by itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from mfd_bayes.friction.elastoplastic import ElastoPlastic
-from mfd_bayes.response.building import Building
-from mfd_bayes.response.device_draws import Dampers
-from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.recorder import Piece, Recorder
 from mfd_bayes.response.result import Response
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from mfd_bayes.response.building import Building
+    from mfd_bayes.response.device_draws import Dampers
+    from mfd_bayes.response.ground import Ground
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

@@ -5,15 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.inputs import why_invalid
-from mfd_bayes.records.readers.table import (
+from mfd_bayes.records.table import (
     SEARCHED,
     SURELY_DECIMAL,
     Array,
@@ -29,6 +27,10 @@ from mfd_bayes.records.readers.table import (
     kinds,
     labels,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
 
 SIZE, LINE = 256, 2**17  # largest file, MB, and most characters of a line
 JSON_SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
