@@ -335,7 +335,7 @@ def cross_validate(
     scores = []
     for column in given.T:
         ess = measure_draws(column.reshape(chains, -1), walkers).ess_bulk[0]
-        scores.append(leave_out(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
+        scores.append(psis_loo(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
     elpd, lppd, psis_k = np.transpose(scores)
     k, failed = psis_k.copy(), np.flatnonzero(~(psis_k <= LARGEST_K)).tolist()
     if failed:
@@ -360,7 +360,7 @@ def cross_validate(
     return pd.DataFrame({"elpd": elpd, "lppd": lppd, "psis_k": psis_k, "k": k})
 
 
-def leave_out(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, float, float]:
+def psis_loo(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, float, float]:
     """Elpd, lppd and Pareto k of one cycle, from its log density under each draw, (n,).
 
     The posterior without the cycle is the full one divided by p(y_c | y_-c, θ): the draws are

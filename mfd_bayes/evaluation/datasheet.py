@@ -24,7 +24,8 @@ from mfd_bayes.evaluation.properties import (
 )
 from mfd_bayes.messages import Message
 from mfd_bayes.records.channels import NO_ACTUATION
-from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
+from mfd_bayes.records.loops import FORMULAS, MeasuredCycles
+from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
@@ -227,7 +228,7 @@ def _rows(
             outside = (seen < row["lower"]) | (seen > row["upper"])
             rows.append(
                 head
-                | {"quantity": quantity, "direction": direction, "unit": UNITS[name]}
+                | {"quantity": quantity, "direction": direction, "unit": CYCLE_UNITS[name]}
                 | {"cycle": cycle, "measured_low": low, "measured": middle, "measured_high": high}
                 | {"n_cycles": seen.size}
                 | {"n_outside": int(outside.sum()), **row}
@@ -255,7 +256,7 @@ def _predicted(
         with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
         bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
     first, second = (
-        {name: np.concatenate([part[name] for part in parts]) for name in UNITS}
+        {name: np.concatenate([part[name] for part in parts]) for name in CYCLE_UNITS}
         for parts in (nominal, bounded)
     )
     return first, second
