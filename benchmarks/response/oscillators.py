@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,12 @@ from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.response.analysis import Accuracy, settle
-from mfd_bayes.response.building import Building, Device
+from mfd_bayes.response.building import Building, Device, Limits
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.result import Response
-from mfd_bayes.response.schema import Limits
+
+if TYPE_CHECKING:
+    from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
 RTOL = 1e-9

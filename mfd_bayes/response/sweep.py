@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, UnitError
-from mfd_bayes.response.result import Response
-from mfd_bayes.response.schema import Limits
 from mfd_bayes.units import parse_actuation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mfd_bayes.response.building import Limits
+    from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
 

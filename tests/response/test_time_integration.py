@@ -14,10 +14,9 @@ from mfd_bayes.friction.quantity import Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.analysis import Accuracy, settle
-from mfd_bayes.response.building import building_of
+from mfd_bayes.response.building import Content, building_of
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.schema import Content
 from mfd_bayes.response.time_integration import integrate
 
 RATIO = 0.05
