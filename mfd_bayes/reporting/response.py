@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,15 +12,17 @@ from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.reporting.page import Picture, Units, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex
-from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row, Shares
-from mfd_bayes.response.sweep import Sweep
-from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.response.result import PROBABILITIES, Passing, Response, Row, Shares, Sweep
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.store.files import json_text
 from mfd_bayes.units import GRAVITY, percent
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
     import pandas as pd
+
+    from mfd_bayes.runs.tested_range import Span
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from mfd_bayes.reporting.response import (
     sweep_sentence,
 )
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.response.result import Passing, Row
-from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.response.result import Passing, Row, Sweep
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.units import GRAVITY

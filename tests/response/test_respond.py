@@ -22,8 +22,7 @@ from mfd_bayes.population.population import LawDraws
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.ground import Ground, read_ground
-from mfd_bayes.response.result import variance_shares
-from mfd_bayes.response.sweep import sweep_of
+from mfd_bayes.response.result import sweep_of, variance_shares
 from mfd_bayes.response.time_integration import Accuracy, Analysis
 from mfd_bayes.units import GRAVITY
 

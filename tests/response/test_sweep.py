@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.response.building import Limits
-from mfd_bayes.response.sweep import sweep_of
+from mfd_bayes.response.result import sweep_of
 
 LEVELS = np.array([3.0, 4.0, 5.0, 6.0])
 
