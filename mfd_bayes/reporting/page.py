@@ -12,7 +12,6 @@ import hashlib
 import math
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
@@ -43,7 +42,9 @@ from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import in_digits
 
 if TYPE_CHECKING:
-    from mfd_bayes.evaluation.datasheet import Datasheet
+    from collections.abc import Callable, Mapping, Sequence
+
+    from mfd_bayes.evaluation.properties import Datasheet
 
 Pair = tuple[System, System]
 """Customary and metric system of units."""
