@@ -16,7 +16,7 @@ from mfd_bayes.calibration.proposal import Evidence
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.evaluation.compare import (
+from mfd_bayes.evaluation.crossvalidate import (
     ALL,
     LARGEST_K,
     Validation,
@@ -25,8 +25,8 @@ from mfd_bayes.evaluation.compare import (
     comparison_of,
     cross_validate,
     difference,
-    psis_loo,
     log_evidence,
+    psis_loo,
     standard_error,
 )
 from mfd_bayes.friction.bouc_wen import BoucWen
