@@ -1,13 +1,17 @@
-"""Checks of one test or of the population: what is observed, what is expected, and the verdict."""
+"""Checks of one test or of the population, and tests that differ from the others."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.identifiability import Directions
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import COVERAGES, Replicas, check_predictive
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances
@@ -27,17 +31,10 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.settings import Setting
+from mfd_bayes.records.loops import MeasuredCycles
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Finding, Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from mfd_bayes.calibration.diagnostics import Effort
-    from mfd_bayes.calibration.identifiability import Directions
-    from mfd_bayes.calibration.posterior import Posterior
-    from mfd_bayes.population.settings import Setting
-    from mfd_bayes.records.loops import MeasuredCycles
-    from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 
@@ -272,6 +269,8 @@ def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
         checks.append(Check("population", FREE_EXPONENT, name, middle, 1.0, status, note=note))
     return checks
 
+
+# --- tests that differ from the others, and device values that few tests have
 
 FEWEST = 5
 """Fewest tests among which one can stand out."""

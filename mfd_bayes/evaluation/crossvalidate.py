@@ -1,16 +1,23 @@
-"""Cross-validation of a calibrated campaign: each part is predicted from all others.
+"""What was left out, predicted from the rest: tests of a campaign, and cycles of a record.
 
-The tests' stored posteriors are used; only the population is inferred again without the part
-that is held out.
+Of a campaign, each part is predicted from all others: the tests' stored posteriors are used; only
+the population is inferred again without the part that is held out.
+
+To compare models, whole cycles are left out, since neighbouring samples of a record depend on each
+other (Vehtari, Gelman and Gabry 2017, with the log density of a cycle given all others). Where the
+importance weights of a cycle cannot be trusted, its density is computed from the evidence with and
+without it.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, get_args
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -19,8 +26,10 @@ from scipy import special
 
 from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
 from mfd_bayes.calibration.noise import NOISES
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
+from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
 from mfd_bayes.evaluation.scores import score, score_record
 from mfd_bayes.evaluation.views import LeftOutView, Row
@@ -30,6 +39,7 @@ from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.inference import Inference, infer_population
 from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
 from mfd_bayes.runs.manifest import (
     CampaignCrossValidation,
@@ -44,14 +54,6 @@ from mfd_bayes.runs.test_sequence import TestSequence
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.files import read_json, write_json
 from mfd_bayes.store.schema import AtLeastOne, Part, check
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from mfd_bayes.calibration.posterior import Posterior
-    from mfd_bayes.calibration.result import Task, TestResult
-    from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -303,6 +305,8 @@ def left_out_view(scores: CampaignCrossValidation | None) -> LeftOutView | None:
     )
     return LeftOutView(scores.by, tuple(rows), {"part": "", "test": "mean"} | mean, sentence)
 
+
+# === models compared by leaving out one cycle at a time
 
 FEWEST_CYCLES = 3
 """Least number of cycles of a record from which one can be left out."""

@@ -1,10 +1,11 @@
-"""The laws of a run: Table II, each quantity against actuation, and which law predicts best."""
+"""The laws of a run: Table II, bands against actuation, which predicts best, and drift."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +19,9 @@ from mfd_bayes.evaluation.scores import fan_of, spread_of
 from mfd_bayes.evaluation.views import Fan, LawView, Row, Rows
 from mfd_bayes.population.law_scores import LARGEST_K, LawScore
 from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit, shapes_of
+from mfd_bayes.population.population import Population
 from mfd_bayes.population.settings import CONDITIONS, Setting
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.population.population import Population
-    from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 
@@ -284,6 +281,8 @@ def law_label(law: str, weights: Mapping[str, float]) -> str:
     held = sorted(((name, w) for name, w in weights.items() if w > 0), key=lambda it: -it[1])
     return "compared: " + ", ".join(f"{name} {weight:.2g}" for name, weight in held)
 
+
+# --- change with age, cycles or temperature, and when it is too much
 
 UNITS = {"date": (1.0, "year"), "cycles": (1000.0, "1000 cycles"), "temperature": (10.0, "10 °C")}
 """For how much of a condition a change is said, and its words."""

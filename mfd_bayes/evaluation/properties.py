@@ -1,11 +1,11 @@
-"""Properties of a device from its force: by the same rules as they are measured, and for design."""
+"""Properties of a device from its force: measured, for design, and on its data sheet."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.predictive import derive_from_parameters
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.scores import spread_of
+from mfd_bayes.evaluation.views import Rows
+from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
+from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
 from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
 from mfd_bayes.records.channels import NO_ACTUATION
@@ -29,19 +33,13 @@ from mfd_bayes.records.loops import (
     measured_cycles,
 )
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
+from mfd_bayes.records.record import Record
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import actuation_kind, parse_actuation
-
-if TYPE_CHECKING:
-    from mfd_bayes.calibration.result import TestResult
-    from mfd_bayes.evaluation.views import Rows
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.bands import Band
-    from mfd_bayes.records.record import Record
-    from mfd_bayes.runs.manifest import Manifest
 
 Array = NDArray[np.float64]
 
@@ -469,6 +467,8 @@ def sessions_of(run: Run) -> tuple[str, ...]:
     """Sessions of the calibrated tests; "" where none are declared."""
     return tuple(dict.fromkeys(run.session(name) for name in run.tests))
 
+
+# --- the data sheet: measured values, nominal ones and bounds, at each condition
 
 PROBABILITY = 0.95
 """Of the interval between lower and upper bound."""

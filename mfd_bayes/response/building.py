@@ -1,11 +1,14 @@
-"""A building: masses, stiffness, damping, and where its dampers are."""
+"""A building file: its keys, and the building with its dampers that it describes."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import TYPE_CHECKING, Annotated, Literal
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +39,7 @@ from mfd_bayes.units import (
     parse_quantity,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-    from os import PathLike
-    from pathlib import Path
+# --- the keys of a building file, and which values each may have
 
 
 def _quantity(what: str) -> Callable[[str], float]:
@@ -257,6 +257,9 @@ Array = NDArray[np.float64]
 
 LARGEST = 500  # most degrees of freedom
 LARGEST_FILE = 64 * 2**20  # largest text file of a matrix, bytes
+
+
+# --- the building
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,26 +1,21 @@
-"""The response of a building with dampers: draws of its peaks, their bands, and its histories."""
+"""The response of a building with dampers: peaks and bands, shares of variance, and sweeps."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, NotThereError, UnitError
+from mfd_bayes.response.building import Building, Limits
+from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.ground import Ground
 from mfd_bayes.units import GRAVITY, parse_actuation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from mfd_bayes.response.building import Building, Limits
-    from mfd_bayes.response.device_draws import Dampers
-    from mfd_bayes.response.ground import Ground
-
 
 Array = NDArray[np.float64]
 
@@ -381,6 +376,8 @@ def variance_shares(
             before = after
     return {**gains, REST: max(0.0, 1.0 - sum(gains.values()))}
 
+
+# --- against the actuation of the dampers, and which is best
 
 STEPS = 8  # steps of a sweep that does not say how many
 MOST_STEPS = 100

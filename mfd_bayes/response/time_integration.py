@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +33,30 @@ from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import Response, combined
 from mfd_bayes.store.files import write_bytes
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
-    from mfd_bayes.response.building import Building
-    from mfd_bayes.response.device_draws import Dampers
-    from mfd_bayes.response.ground import Ground
+LONGEST = 0.02  # longest step, s
+HALVINGS = 6  # most halvings of a step
+CLOSE = 1e-4  # A force is in equilibrium when it is answered within this share of the slip force
+NEWTON = 3  # iterations by Newton's method alone; from then on each force is held in a bracket
+ITERATIONS = (8, 30)
+"""Most iterations of a step; one that needs more is halved. Of the shortest step: more."""
 
+JUMP = 30.0
+"""Width, in tolerances, at which a bracket has closed on a jump: the force is in equilibrium."""
 
+EASY = 1 / 8  # share of the largest bend below which the next step is twice as long
+RUNAWAY = 1e5  # travel, in, beyond which a draw diverged
+BEND = 2.0  # largest bend of the forces at first (see `integrate`), over the tolerance
+LARGEST_BEND = 0.1
+SHARPER = 0.25  # share of this for the draws that are computed again
+ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
 BOOLE = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # weights of Boole's rule
 CHUNK = 128  # steps of draws that are taken in together, at least
+
+
+# --- what is kept of histories: peaks, residuals, energies, samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,21 +223,7 @@ class Recorder:
         }
 
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
-
-LONGEST = 0.02  # longest step, s
-HALVINGS = 6  # most halvings of a step
-CLOSE = 1e-4  # A force is in equilibrium when it is answered within this share of the slip force
-NEWTON = 3  # iterations by Newton's method alone; from then on each force is held in a bracket
-ITERATIONS = (8, 30)
-"""Most iterations of a step; one that needs more is halved. Of the shortest step: more."""
-
-JUMP = 30.0
-"""Width, in tolerances, at which a bracket has closed on a jump: the force is in equilibrium."""
-
-EASY = 1 / 8  # share of the largest bend below which the next step is twice as long
-RUNAWAY = 1e5  # travel, in, beyond which a draw diverged
+# --- the integration
 
 
 @dataclass(frozen=True, eq=False)
@@ -614,10 +614,7 @@ def integrate(
     return Response.of_ground(building, ground, dampers, found)
 
 
-BEND = 2.0  # largest bend of the forces at first (see `integrate`), over the tolerance
-LARGEST_BEND = 0.1
-SHARPER = 0.25  # share of this for the draws that are computed again
-ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
+# --- blocks of draws, here or in processes
 
 
 @dataclass(frozen=True)
