@@ -16,7 +16,6 @@ import numpy as np
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.priors import WRITTEN
-from mfd_bayes.campaign.draft_priors import knows, priors_of_model, priors_text
 from mfd_bayes.campaign.guesses import (
     ESSENTIAL,
     Guess,

@@ -23,7 +23,6 @@ from mfd_bayes.messages import Message
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
 from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
-from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.loops import (
     FORMULAS,
     MeasuredCycles,
@@ -33,9 +32,8 @@ from mfd_bayes.records.loops import (
     measured_cycles,
 )
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
-from mfd_bayes.records.record import Record
-from mfd_bayes.records.sine import Harmonic, parse_sine
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.record import NO_ACTUATION, Record
+from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.runs.verdict import Use

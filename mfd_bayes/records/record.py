@@ -14,24 +14,6 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.channels import (
-    JITTER,
-    ROLES,
-    SAMPLES,
-    Clock,
-    Source,
-    check_increasing,
-    checked_window,
-    clock_of,
-    decimate,
-    default_rate,
-    longest_piece,
-    parse_window,
-    part_for,
-    signals_of,
-    sources_of,
-    used_columns,
-)
 from mfd_bayes.records.inputs import hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.trace import Array, Trace, check_trace, mended, smallest_turn, turning_points
