@@ -22,7 +22,7 @@ from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.readers import Table
-from mfd_bayes.records.readers.table import bare_unit, own_name
+from mfd_bayes.records.table import bare_unit, own_name
 from mfd_bayes.records.trace import Array, check_size, smallest_turn, turning_points
 from mfd_bayes.units import (
     UNREAD,

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.readers.table import (
+from mfd_bayes.records.table import (
     COLUMNS,
     Cell,
     Column,

@@ -13,7 +13,7 @@ import numpy as np
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.inputs import why_invalid
-from mfd_bayes.records.readers.table import (
+from mfd_bayes.records.table import (
     SEARCHED,
     SURELY_DECIMAL,
     Array,
