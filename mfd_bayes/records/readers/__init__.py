@@ -8,8 +8,13 @@ from types import MappingProxyType
 
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.inputs import why_no_file
-from mfd_bayes.records.readers.binary import read_excel, read_matlab, read_tdms
-from mfd_bayes.records.readers.text import read_json, read_text
+from mfd_bayes.records.readers.binary import (
+    read_excel,
+    read_json,
+    read_matlab,
+    read_tdms,
+    read_text,
+)
 from mfd_bayes.records.table import Table
 
 __all__ = ["SUFFIXES", "Table", "read_table"]
