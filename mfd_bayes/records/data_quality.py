@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.records.channels import ROLES, crossing_times, header_unit, stated_unit
 from mfd_bayes.records.loops import FEWEST, channels_swapped, find_loops, loop_estimate
-from mfd_bayes.records.record import Record
+from mfd_bayes.records.record import ROLES, Record, crossing_times, header_unit, stated_unit
 from mfd_bayes.records.table import own_name
 from mfd_bayes.records.trace import (
     Array,

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
 from mfd_bayes.records.loops import Loops, find_loops, measured_cycles
-from mfd_bayes.records.record import Record
+from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Array, Trace, without_spikes
 
 
