@@ -1,4 +1,4 @@
-"""Faults of a record: of its sensors, clock and units, and what contradicts its file's name."""
+"""What a record shows before a fit, and its faults: of sensors, clock, units and file name."""
 
 from __future__ import annotations
 

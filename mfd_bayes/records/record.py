@@ -1,4 +1,9 @@
-"""A test file, checked and in internal units, and the traces cut from it."""
+"""A test file, checked and in internal units, and the traces cut from it.
+
+Its signals are columns less what is taken off them. Nothing is evaluated: each key has one meaning.
+``{ name = "load", minus = { name = "pressure", times = "518.7 mm^2" }, minus_mass = "3 kg" }`` is
+F = load - pressure x area - mass x acceleration.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +25,8 @@ from numpy.typing import NDArray
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.inputs import hash_file, path_of, real_number
-from mfd_bayes.records.readers import Table, read_table
-from mfd_bayes.records.table import bare_unit, own_name
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.table import Table, bare_unit, own_name
 from mfd_bayes.records.trace import (
     Array,
     Trace,

@@ -1,4 +1,7 @@
-"""The input of a friction model: a sampled motion, its turns, its actuation and its force."""
+"""The input of a friction model: a sampled motion, its turns, its actuation and its force.
+
+From arrays, or a harmonic motion from a text.
+"""
 
 from __future__ import annotations
 
@@ -484,7 +487,7 @@ def _over(values: Array) -> Samples:
     return np.concatenate(spikes)
 
 
-SAMPLES = 400
+CYCLE_SAMPLES = 400
 """Samples of a cycle."""
 
 MOST_CYCLES = 100
@@ -513,8 +516,8 @@ class Harmonic:
 
     def trace(self, actuation: ArrayLike) -> Trace:
         """The sampled motion at an actuation, ksi or kip; back at rest after whole half cycles."""
-        step = 2.0 * np.pi / SAMPLES
-        angle, half = step * np.arange(round(SAMPLES * self.cycles) + 1), SAMPLES // 2
+        step = 2.0 * np.pi / CYCLE_SAMPLES
+        angle, half = step * np.arange(round(CYCLE_SAMPLES * self.cycles) + 1), CYCLE_SAMPLES // 2
         into = step * np.arange(half)
         x = np.concatenate([0.5 * (1.0 - np.cos(into)), np.cos(angle)])
         v = np.concatenate([0.5 * np.sin(into), -np.sin(angle)])
@@ -526,7 +529,7 @@ class Harmonic:
         if not self.timed:
             return Trace.from_arrays(None, self.amplitude * x, actuation)
         return Trace.from_arrays(
-            np.arange(x.size) / (SAMPLES * self.frequency),
+            np.arange(x.size) / (CYCLE_SAMPLES * self.frequency),
             self.amplitude * x,
             actuation,
             velocity=2.0 * np.pi * self.frequency * self.amplitude * v,
