@@ -477,7 +477,7 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
     }
 
     def quantity(value: float, kind: str) -> str:
-        return f"{in_digits(value * convert(_INTERNAL[kind], units[kind]), 3)} {units[kind]}"
+        return f"{in_digits(value * convert(_INTERNAL_UNITS[kind], units[kind]), 3)} {units[kind]}"
 
     def lognormal(value: float, kind: str, spread: float, reason: str) -> dict[str, object]:
         reason = f"{reason}; spread a factor of {np.exp(spread):.2g}"
@@ -509,7 +509,7 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
             "reason": "a third of the slip force, or twice the middle of the loops if that is more",
         },
     }
-    content, text = read_toml(find_priors("any")), f"{_HEAD}title = "
+    content, text = read_toml(find_priors("any")), f"{_PRIORS_HEAD}title = "
     text += quoted(f"{SCALED}: {_names(scales)}") + "\n"
     for section, own in (("parameters", read_off), ("scatter", {})):
         for name, table in (content[section] | own).items():
