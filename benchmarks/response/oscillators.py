@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,8 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.response.building import Building, Device, Limits
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.result import Response
 from mfd_bayes.response.time_integration import Accuracy, settle
-
-if TYPE_CHECKING:
-    from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
 RTOL = 1e-9

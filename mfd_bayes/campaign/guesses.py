@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
-from typing import TYPE_CHECKING
+from pathlib import Path
 from unicodedata import normalize
 
 import numpy as np
@@ -16,7 +17,7 @@ from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.record import Source, header_unit, stated_unit, step_of
-from mfd_bayes.records.table import own_name
+from mfd_bayes.records.table import Table, own_name
 from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
     ActuationUnit,
@@ -26,12 +27,6 @@ from mfd_bayes.units import (
     force_meant,
     parse_actuation,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from mfd_bayes.records.readers import Table
 
 ESSENTIAL = ("time", "displacement", "force")
 _WORDS: Mapping[str, Mapping[str, int]] = {

@@ -6,6 +6,7 @@ The reader, the manifest of a run and the reference page of the documentation ar
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -38,8 +39,6 @@ from mfd_bayes.units import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
     from mfd_bayes.population.inference import InferenceSettings
 
 LawName = Literal["proportional", "affine", "power", "constant", "residual_power", "compare"]

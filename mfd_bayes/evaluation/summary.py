@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import identify
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
@@ -51,16 +53,11 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.jobs.parallel import in_turn, several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, US, both_systems
 from mfd_bayes.runs.verdict import Use, Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mfd_bayes.calibration.posterior import Posterior
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.manifest import Manifest
-    from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

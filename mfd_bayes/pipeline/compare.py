@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.crossvalidate import Candidate, candidates, check_cycles, compare_runs
+from mfd_bayes.evaluation.views import LeftOutView
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibrate import Observe, calibrate_locked, working_in
 from mfd_bayes.pipeline.crossvalidate import check_parts, leave_out_parts
@@ -16,15 +18,9 @@ from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import left_out_shown, write_report
 from mfd_bayes.reporting.tables import comparison_csv
 from mfd_bayes.runs.folder import alone_in
+from mfd_bayes.runs.manifest import Comparison
+from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from mfd_bayes.evaluation.views import LeftOutView
-    from mfd_bayes.runs.manifest import Comparison
-    from mfd_bayes.runs.run import Run
 
 
 def compare(

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from pathlib import Path
 
 from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors, priors_text
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.records.loops import scales_of
+from mfd_bayes.records.record import Record
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground
 from mfd_bayes.store.files import write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from mfd_bayes.records.record import Record
 
 
 def init(folder: Path, model: str = "", *, force: bool = False) -> tuple[Path, Draft, bool]:

@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,8 +28,6 @@ from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.files import write_bytes
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import pandas as pd
 
 Observe = Callable[[Step], None]

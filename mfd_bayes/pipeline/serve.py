@@ -7,28 +7,25 @@ machine alone, and in valid JSON.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, MfdError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.units import parse_actuation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mfd_bayes.calibration.posterior import Posterior
-    from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.records.inputs import real_numbers
 from mfd_bayes.runs import run as runs
+from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.run import Run
     from mfd_bayes.runs.unit_system import System
 
 

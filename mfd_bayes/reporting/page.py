@@ -12,6 +12,7 @@ import hashlib
 import math
 import re
 import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
@@ -42,8 +43,6 @@ from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import in_digits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from mfd_bayes.evaluation.properties import Datasheet
 
 Pair = tuple[System, System]

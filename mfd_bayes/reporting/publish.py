@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.views import CampaignView, TestView
+from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.jobs.parallel import in_turn, meanwhile, several_processes
 from mfd_bayes.reporting.page import render
@@ -31,15 +34,11 @@ from mfd_bayes.reporting.tables import (
     to_latex,
     to_word,
 )
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes, write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from mfd_bayes.evaluation.properties import Datasheet
-    from mfd_bayes.evaluation.views import CampaignView, TestView
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.runs.unit_system import System
 
 ALL_DRAWN = 12
 """In a run of more tests, the pictures of single tests are drawn only where asked for."""

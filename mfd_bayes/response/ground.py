@@ -5,23 +5,21 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, MfdError, UnitError
 from mfd_bayes.records.inputs import path_of, real_number, real_numbers, why_no_file
-from mfd_bayes.records.readers import Table, read_table
+from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import header_unit
+from mfd_bayes.records.table import Table
 from mfd_bayes.units import GRAVITY, convert, factor, split_quantity
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 Array = NDArray[np.float64]
 
