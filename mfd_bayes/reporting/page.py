@@ -30,7 +30,7 @@ from mfd_bayes.evaluation.scores import width_sentence
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.colours import BANDS, DATA, SKY
+from mfd_bayes.reporting.symbols import BANDS, DATA, SKY
 from mfd_bayes.reporting.tables import (
     ACTUATION,
     Line,

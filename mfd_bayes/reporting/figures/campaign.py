@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from mfd_bayes.evaluation.views import Array, CampaignView, LawView, TestView
-from mfd_bayes.friction.model import Model
-from mfd_bayes.planning.study import Advice
-from mfd_bayes.reporting import colours
+from mfd_bayes.reporting import symbols as colours
 from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
@@ -26,8 +20,18 @@ from mfd_bayes.reporting.figures.posteriors import (
     draw_truth,
 )
 from mfd_bayes.reporting.symbols import Symbols, plain
-from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from mfd_bayes.evaluation.views import Array, CampaignView, LawView, TestView
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.planning.study import Advice
+    from mfd_bayes.runs.unit_system import System
 
 OF_TEST = ("loops", "history", "residuals", "marginals", "corner", "ranks")
 """Figures of a test by the names of their files; one with nothing to show is left out."""

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import cycle
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from mfd_bayes.evaluation.views import Array
-from mfd_bayes.records.data_quality import Fault
-from mfd_bayes.records.loops import Loops
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting import colours
+from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.figures.loops import POINTS, clock, thinned
 from mfd_bayes.runs.unit_system import US, System
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from mfd_bayes.evaluation.views import Array
+    from mfd_bayes.records.data_quality import Fault
+    from mfd_bayes.records.loops import Loops
+    from mfd_bayes.records.trace import Trace
+
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
 _COLOURS = (
-    *(colours.VERMILLION, colours.BLUE, colours.GREEN),
-    *(colours.PURPLE, colours.ORANGE, colours.SKY),
+    *(symbols.VERMILLION, symbols.BLUE, symbols.GREEN),
+    *(symbols.PURPLE, symbols.ORANGE, symbols.SKY),
 )
 _MARKS = 60  # more of one kind would hide the curve
 
@@ -51,11 +55,11 @@ def draw_inspection(
         loop, place, history = (panels[name] for name in ("loop", "displacement", "force"))
         curves = [(loop, x, trace.force), (place, time, x), (history, time, trace.force)]
         step = max(1, trace.samples // (2 * POINTS))
-        loop.plot(x[::step], trace.force[::step], color=colours.DATA, linewidth=0.5)
+        loop.plot(x[::step], trace.force[::step], color=symbols.DATA, linewidth=0.5)
         loop.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
         loop.set_title(system.text("Force–displacement"))
         history.sharex(place)
-        history.plot(*thinned(time, trace.force), color=colours.DATA, linewidth=0.6)
+        history.plot(*thinned(time, trace.force), color=symbols.DATA, linewidth=0.6)
         history.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
         history.set_title("Force")
         _draw_energy(panels["energy"], loops, system)
@@ -67,7 +71,7 @@ def draw_inspection(
     place.margins(x=0.01, y=0.12)  # space for the marks at the turns
     handles, looks = [], zip(cycle(_SIGNS), cycle(_COLOURS), strict=False)
     for fault in faults:  # one without samples has no mark
-        sign, colour = next(looks) if fault.samples.size else ("", colours.DATA)
+        sign, colour = next(looks) if fault.samples.size else ("", symbols.DATA)
         at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
         mark: dict[str, Any] = {
             "marker": sign,
@@ -95,6 +99,6 @@ def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
         return
     number = np.arange(1, loops.energy.size + 1)
     axes.plot(number, loops.energy, color="#bbbbbb", linewidth=0.7)
-    faces = [colours.BLUE if strong else "white" for strong in loops.strong]
-    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=colours.BLUE, linewidths=0.8)
+    faces = [symbols.BLUE if strong else "white" for strong in loops.strong]
+    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=symbols.BLUE, linewidths=0.8)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))

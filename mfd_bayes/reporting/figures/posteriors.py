@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from mfd_bayes.evaluation.checks import INFORMED
-from mfd_bayes.evaluation.views import Array, Marginal, Rows, TestView
-from mfd_bayes.reporting import colours
+from mfd_bayes.reporting import symbols as colours
 from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import Symbols
-from mfd_bayes.runs.unit_system import System
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from mfd_bayes.evaluation.views import Array, Marginal, Rows, TestView
+    from mfd_bayes.reporting.symbols import Symbols
+    from mfd_bayes.runs.unit_system import System
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
 RANKS = 10

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
 
-from mfd_bayes.evaluation.views import Fan, Interval
-from mfd_bayes.reporting.colours import BANDS
-from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.reporting.symbols import BANDS, plain
 from mfd_bayes.units import percent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from mfd_bayes.evaluation.views import Fan, Interval
 
 DPI = 105
 
