@@ -14,6 +14,7 @@ from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.figures import draw_inspection, loops
+from mfd_bayes.reporting.figures.agg import to_png
 from mfd_bayes.reporting.figures.campaign import (
     draw_laws,
     figures_of_test,
@@ -33,7 +34,6 @@ from mfd_bayes.reporting.figures.posteriors import (
     draw_residuals,
     draw_truth,
 )
-from mfd_bayes.reporting.figures.style import to_png
 from mfd_bayes.reporting.symbols import BANDS, Symbols
 from mfd_bayes.runs.unit_system import US
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.reporting.figures import style, to_png
+from mfd_bayes.reporting.figures import agg, to_png
 from mfd_bayes.reporting.response import (
     ResponseView,
     peaks_frame,
@@ -93,7 +93,7 @@ def test_a_page_without_a_draw_that_stayed_and_without_a_sweep_is_refused():
 
 
 def test_a_page_of_a_response_has_both_systems_of_units():
-    dot = to_png(style.new_figure(1, 1))
+    dot = to_png(agg.new_figure(1, 1))
     names = ("profile", "building", "history_1", "history_2", "loops_1", "loops_2")
     images = {f"{name}_{system}": dot for name in names for system in ("us", "si")}
     text = render_response(view((ROW,)), images)

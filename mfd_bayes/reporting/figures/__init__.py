@@ -1,10 +1,9 @@
 """Every figure. Only these files import matplotlib and corner, so import them late."""
 
-from mfd_bayes.reporting.figures.agg import mpl
+from mfd_bayes.reporting.figures.agg import mpl, to_png
 from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_next, draw_shared, draw_test
 from mfd_bayes.reporting.figures.inspection import draw_inspection
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops
-from mfd_bayes.reporting.figures.style import to_png
 
 __all__ = [
     "OF_TEST",

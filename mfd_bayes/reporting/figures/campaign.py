@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from mfd_bayes.reporting import symbols as colours
 from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test
-from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.figures.posteriors import (
     draw_corner,

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import POINTS, clock, thinned
 from mfd_bayes.runs.unit_system import US, System
 

@@ -17,7 +17,7 @@ from mfd_bayes.errors import ReportError
 from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.reporting import symbols as colours
-from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System

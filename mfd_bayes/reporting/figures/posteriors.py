@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from mfd_bayes.evaluation.checks import INFORMED
 from mfd_bayes.reporting import symbols as colours
-from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures import agg as look
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.symbols import plain
 from mfd_bayes.units import GRAVITY
 
