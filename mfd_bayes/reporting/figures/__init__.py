@@ -2,8 +2,7 @@
 
 from mfd_bayes.reporting.figures.agg import mpl, to_png
 from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_next, draw_shared, draw_test
-from mfd_bayes.reporting.figures.inspection import draw_inspection
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops
+from mfd_bayes.reporting.figures.loops import draw_history, draw_inspection, draw_loops
 
 __all__ = [
     "OF_TEST",
