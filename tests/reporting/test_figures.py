@@ -16,7 +16,12 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.figures import draw_inspection, loops
 from mfd_bayes.reporting.figures.agg import to_png
 from mfd_bayes.reporting.figures.campaign import (
+    draw_corner,
     draw_laws,
+    draw_marginals,
+    draw_ranks,
+    draw_residuals,
+    draw_truth,
     figures_of_test,
     shared_figures,
     spread,
@@ -26,13 +31,6 @@ from mfd_bayes.reporting.figures.loops import (
     draw_loops,
     draw_overview,
     stretches,
-)
-from mfd_bayes.reporting.figures.posteriors import (
-    draw_corner,
-    draw_marginals,
-    draw_ranks,
-    draw_residuals,
-    draw_truth,
 )
 from mfd_bayes.reporting.symbols import BANDS, Symbols
 from mfd_bayes.runs.unit_system import US
