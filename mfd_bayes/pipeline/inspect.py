@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
@@ -14,10 +13,14 @@ from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.summary import Inspection, inspect_record
-from mfd_bayes.reporting.conversion import convert_trace
+from mfd_bayes.reporting.tables import convert_trace
 from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.units import split_quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
 
 
 def inspect(

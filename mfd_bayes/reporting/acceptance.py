@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from mfd_bayes.reporting.conversion import convert_fan, convert_trace, to_units
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_loops
 from mfd_bayes.reporting.page import environment, policy_of
 from mfd_bayes.reporting.symbols import plain, unit_text
+from mfd_bayes.reporting.tables import convert_fan, convert_trace, to_units
 from mfd_bayes.units import in_digits
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormat
 
 from mfd_bayes.evaluation.checks import INFORMED
 from mfd_bayes.reporting import symbols as colours
-from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.symbols import Symbols, plain
+from mfd_bayes.reporting.tables import convert_law, convert_rows, convert_test
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
