@@ -1,4 +1,4 @@
-"""How quantities, units and numbers are written in figures, on the page and in tables."""
+"""How quantities, units and numbers are written, and the colours of figures."""
 
 from __future__ import annotations
 
@@ -18,8 +18,6 @@ from mfd_bayes.friction.quantity import html_of
 from mfd_bayes.population.settings import KIND_NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from mfd_bayes.friction.model import Model
     from mfd_bayes.runs.unit_system import System
 

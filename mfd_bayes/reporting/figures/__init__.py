@@ -1,6 +1,6 @@
 """Every figure. Only these files import matplotlib and corner, so import them late."""
 
-from mfd_bayes.reporting.figures.agg import mpl, to_png
+from mfd_bayes.reporting.figures.agg import to_png
 from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_next, draw_shared, draw_test
 from mfd_bayes.reporting.figures.loops import draw_history, draw_inspection, draw_loops
 
@@ -12,6 +12,5 @@ __all__ = [
     "draw_next",
     "draw_shared",
     "draw_test",
-    "mpl",
     "to_png",
 ]

@@ -1,4 +1,4 @@
-"""Matplotlib, imported so that neither the environment's backend nor its home matters.
+"""Matplotlib with its backend Agg, the look of every figure, and how one becomes a PNG.
 
 A notebook gives its programs a backend that other environments do not have, and Matplotlib writes
 to stderr where it cannot write to its home. Figures here are drawn by Agg and need neither.
@@ -12,23 +12,15 @@ import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from PIL import Image
 
+from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.reporting.symbols import BANDS, plain
 from mfd_bayes.units import percent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from mfd_bayes.evaluation.views import Fan, Interval
 
 
 @contextmanager
@@ -48,11 +40,10 @@ def _quiet_agg() -> Iterator[None]:
 
 
 with _quiet_agg():
-    import matplotlib as mpl
-    import matplotlib.font_manager as fonts  # which may have to be made first
-
-__all__ = ["fonts", "mpl"]
-
+    import matplotlib
+    import matplotlib.font_manager  # which may have to be made first
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
 DPI = 105
 

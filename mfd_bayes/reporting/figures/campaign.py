@@ -1,4 +1,4 @@
-"""The figures of a report, by their keys; and those that show all tests together."""
+"""The figures of a report, by their keys: the draws of each test, the truth, laws, next test."""
 
 from __future__ import annotations
 
@@ -12,10 +12,21 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
 
 from mfd_bayes.evaluation.checks import INFORMED
-from mfd_bayes.reporting import symbols as colours
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
-from mfd_bayes.reporting.symbols import Symbols, plain
+from mfd_bayes.reporting.symbols import (
+    BAND_NAMES,
+    BANDS,
+    BLUE,
+    CHAINS,
+    DATA,
+    POSTERIOR,
+    PRIOR,
+    TRUTH,
+    VERMILLION,
+    Symbols,
+    plain,
+)
 from mfd_bayes.reporting.tables import convert_law, convert_rows, convert_test
 from mfd_bayes.units import percent
 
@@ -38,7 +49,7 @@ STAGES = {2: "stick", 4: "gap", 3: "build-up", 1: "slip"}
 """Stages in their order within a stroke."""
 
 _PLAIN = "{x:.4g}"  # of tick labels
-_BLUE = colours.BANDS["observation"][1]
+_BLUE = BANDS["observation"][1]
 
 
 def _small_panels(title: str, number: int) -> tuple[Figure, list[Axes]]:
@@ -72,8 +83,8 @@ def draw_ranks(
         ranks = marginal.posterior.argsort(kind="stable").argsort() / marginal.posterior.size
         for chain, own in enumerate(np.array_split(ranks, chains)):
             heights, edges = np.histogram(own, RANKS, (0.0, 1.0), density=True)
-            axes.stairs(heights, edges, color=colours.CHAINS[chain % len(colours.CHAINS)])
-        axes.axhline(1.0, color=colours.DATA, linewidth=0.6)
+            axes.stairs(heights, edges, color=CHAINS[chain % len(CHAINS)])
+        axes.axhline(1.0, color=DATA, linewidth=0.6)
         axes.set_title(symbols.in_figure(marginal.name), fontsize=8)
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, max(2.0, axes.get_ylim()[1])))
     figure.supxlabel("rank among the draws of all chains, as a share", fontsize=8, y=0.01)
@@ -89,7 +100,7 @@ def draw_marginals(title: str, marginals: Sequence[Marginal], symbols: Symbols) 
     if not marginals:
         return None
     figure, panels = _small_panels(title, len(marginals))
-    looks = ("#dddddd", colours.PRIOR), (_BLUE, colours.POSTERIOR)
+    looks = ("#dddddd", PRIOR), (_BLUE, POSTERIOR)
     for axes, marginal in zip(panels, marginals, strict=True):
         both = marginal.prior, marginal.posterior
         low, high = np.quantile(marginal.prior, [0.005, 0.995])
@@ -118,7 +129,7 @@ def draw_marginals(title: str, marginals: Sequence[Marginal], symbols: Symbols) 
         axes.xaxis.set_major_formatter(_PLAIN)
         axes.set_xlabel(symbols.label(marginal.name, marginal.unit), fontsize=8)
         if marginal.contraction < INFORMED:
-            axes.set_title("not informed by the data", fontsize=7.5, color=colours.VERMILLION)
+            axes.set_title("not informed by the data", fontsize=7.5, color=VERMILLION)
     names = zip(looks, ("prior", "posterior"), strict=True)
     handles = [Patch(facecolor=face, edgecolor=edge, label=name) for (face, edge), name in names]
     figure.legend(handles=handles, loc="upper right", ncols=2)
@@ -151,7 +162,7 @@ def draw_corner(
         np.column_stack([m.posterior[::stride] for m in chosen]),
         bins=16,
         smooth=0.8,
-        color=colours.POSTERIOR,
+        color=POSTERIOR,
         labels=[symbols.label(m.name, m.unit) for m in chosen],
         label_kwargs={"fontsize": 8},
         labelpad=0.12,
@@ -195,7 +206,7 @@ def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols)
     middle.set(xlabel=below, ylabel=residual_label)
     lags, bound = min(60, len(residual) // 4), 1.96 / np.sqrt(len(residual))
     right.axhspan(-bound, bound, color="#e6e6e6")
-    right.acorr(residual - residual.mean(), maxlags=lags - 1, color=colours.BLUE, linewidth=1.0)
+    right.acorr(residual - residual.mean(), maxlags=lags - 1, color=BLUE, linewidth=1.0)
     right.set(xlabel="lag, samples", xlim=(-1, lags))
     right.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
     for axes in (left, middle):
@@ -214,25 +225,25 @@ def _draw_by_stage(axes: Axes, residual: Array, half: Array, stage: Any) -> None
         showfliers=False,
         patch_artist=True,
         widths=0.5,
-        medianprops={"color": colours.DATA},
-        boxprops={"facecolor": _BLUE, "edgecolor": colours.BLUE},
+        medianprops={"color": DATA},
+        boxprops={"facecolor": _BLUE, "edgecolor": BLUE},
     )
     for at, there in enumerate(parts.values(), start=1):
         width = float(half[there].mean())
-        axes.hlines([-width, width], at - 0.4, at + 0.4, color=colours.VERMILLION, linestyle="--")
+        axes.hlines([-width, width], at - 0.4, at + 0.4, color=VERMILLION, linestyle="--")
     axes.set_title("By stage: box 50 %, whiskers 95 %\ndashed: 95 % band", fontsize=8)
 
 
 def _draw_along(axes: Axes, where: Array, residual: Array, half: Array) -> None:
     """Residuals against travel, with the mean half width of the 95 % band in forty bins."""
     step = max(1, len(where) // 3000)
-    axes.plot(where[::step], residual[::step], ".", color=colours.DATA, markersize=1.6, alpha=0.6)
+    axes.plot(where[::step], residual[::step], ".", color=DATA, markersize=1.6, alpha=0.6)
     edges = np.unique(np.quantile(where, np.linspace(0, 1, 41)))
     if edges.size > 1:
         sums = np.histogram(where, edges, weights=half)[0]
         mean = sums / np.maximum(np.histogram(where, edges)[0], 1)
         lines = np.column_stack([-mean, mean])
-        axes.plot(0.5 * (edges[1:] + edges[:-1]), lines, color=colours.VERMILLION, linestyle="--")
+        axes.plot(0.5 * (edges[1:] + edges[:-1]), lines, color=VERMILLION, linestyle="--")
     axes.set_title("Along the gap", fontsize=8)
 
 
@@ -247,10 +258,10 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     if not kept:
         return None
     kinds = {
-        (True, True): (colours.POSTERIOR, "o", 3, "interval holds the truth"),
-        (True, False): (colours.TRUTH, "X", 6, "interval misses the truth"),
-        (False, True): (colours.PRIOR, "o", 3, "not informed by the data"),
-        (False, False): (colours.PRIOR, "X", 6, ""),
+        (True, True): (POSTERIOR, "o", 3, "interval holds the truth"),
+        (True, False): (TRUTH, "X", 6, "interval misses the truth"),
+        (False, True): (PRIOR, "o", 3, "not informed by the data"),
+        (False, False): (PRIOR, "X", 6, ""),
     }
     names = list(dict.fromkeys(row["name"] for row in kept))
     heights = [1.0 + 0.25 * sum(row["name"] == name for row in kept) for name in names]
@@ -266,7 +277,7 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
             lower, median, upper = (row[k] / row["truth"] for k in ("lower", "median", "upper"))
             axes.plot([lower, upper], [y, y], color=colour, lw=1.2)
             axes.plot([median], [y], marker, color=colour, ms=size)
-    axes.axvline(1.0, color=colours.DATA, linewidth=1.2, zorder=1)
+    axes.axvline(1.0, color=DATA, linewidth=1.2, zorder=1)
     middles = ends - 0.5 * np.array(heights)
     axes.set_yticks(middles, [symbols.in_figure(name) for name in names], fontsize=9)
     axes.set_ylim(ends[-1], 0.0)
@@ -386,16 +397,16 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str, symbols:
 
 
 def _draw_law(axes: Axes, law: LawView, symbols: Symbols) -> None:
-    wide, _, dark = colours.BANDS["new_test"]
+    wide, _, dark = BANDS["new_test"]
     for fan, colour in ((law.new_test, wide), (law.device, _MEDIAN)):
         edges = fan.widest.lower, fan.widest.upper
-        name = f"{colours.BAND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
+        name = f"{BAND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
         axes.fill_between(law.actuation, *edges, color=colour, linewidth=0, label=name)
     axes.plot(law.actuation, law.device.median, color=dark, label="best estimate")
     if law.tested:
         _, at, lower, median, upper = (np.asarray(part) for part in zip(*law.tested, strict=True))
         arms = np.maximum(0.0, [median - lower, upper - median])
-        shown: dict[str, Any] = {"fmt": "o", "color": colours.DATA, "markersize": 3}
+        shown: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 3}
         axes.errorbar(spread(at), median, arms, label="tests, 95 %", linewidth=0.9, **shown)
     axes.set_title(f"{symbols.in_figure(law.name)}: {plain(law.law)}")
     axes.set_ylabel(symbols.label(law.name, law.unit))
@@ -448,7 +459,7 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     places = np.array(list(gains)).T
     shown = left.scatter(*places, c=list(gains.values()), linewidths=0.5, **look_of)
     first = advice[0].candidate
-    ring: dict[str, Any] = {"mfc": "none", "mec": colours.DATA, "mew": 1.6, "ms": 15}
+    ring: dict[str, Any] = {"mfc": "none", "mec": DATA, "mew": 1.6, "ms": 15}
     left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
     made = [(test.actuation * by, test.frequency) for test in advice.tests]
     left.plot(*np.reshape(made, (-1, 2)).T, "x", color="#c0392b", ms=5, label="tests made")
@@ -463,7 +474,7 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     curve = advice.curve * system.factor(advice.unit)
     arms = curve[0] * np.array([0.0, *(1.96 * t.error for t in advice.together)])
     steps = np.arange(curve.size)
-    right.errorbar(steps, curve, arms, fmt="o-", color=colours.DATA, markersize=4, capsize=2)
+    right.errorbar(steps, curve, arms, fmt="o-", color=DATA, markersize=4, capsize=2)
     right.set_ylim(0.0, 1.1 * float(np.max(curve + arms)))
     right.xaxis.set_major_locator(MaxNLocator(integer=True))
     right.set_xlabel("further tests, the best together")

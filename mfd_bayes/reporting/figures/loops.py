@@ -1,4 +1,4 @@
-"""Force against displacement, velocity and time."""
+"""Force against displacement, velocity and time: of tests, of bands, and of a record as read."""
 
 from __future__ import annotations
 
@@ -16,10 +16,21 @@ from matplotlib.ticker import MaxNLocator
 from mfd_bayes.errors import ReportError
 from mfd_bayes.population.settings import SAME_LEVEL
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
-from mfd_bayes.reporting import symbols
-from mfd_bayes.reporting import symbols as colours
 from mfd_bayes.reporting.figures import agg as look
-from mfd_bayes.reporting.symbols import Symbols, plain
+from mfd_bayes.reporting.symbols import (
+    BAND_NAMES,
+    BANDS,
+    BLUE,
+    DATA,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VALIDATE,
+    VERMILLION,
+    Symbols,
+    plain,
+)
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System
 
@@ -32,8 +43,6 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.views import Array, Fan, TestView
     from mfd_bayes.records.data_quality import Fault
     from mfd_bayes.records.loops import Loops
-    from mfd_bayes.records.trace import Trace
-
 
 POINTS = 4000
 """Most points of a line: a screen cannot show more."""
@@ -100,19 +109,19 @@ def draw_history(
         for fan in fans:
             _draw_bands(column[1], time, fan, window)
         if trace.force is not None:
-            column[1].plot(*thinned(time, trace.force[window]), color=colours.DATA, linewidth=0.6)
+            column[1].plot(*thinned(time, trace.force[window]), color=DATA, linewidth=0.6)
             if rows == 3:
                 residual = (trace.force - fans[0].median)[window]
                 _draw_bands(column[2], time, fans[0], window, fans[0].median)
-                column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
-                column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
+                column[2].plot(*thinned(time, residual), color=DATA, linewidth=0.6)
+                column[2].axhline(0.0, color=BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
             begin, end = float(time[0]), float(time[-1])
             if trace.time[first] > begin:
                 axes.axvspan(begin, float(trace.time[first]), color=_NOT_FITTED, zorder=0)
             if given is not None and max(given[0], begin) < min(given[1], end):
                 axes.axvspan(max(given[0], begin), min(given[1], end), color=_GIVEN, zorder=0)
-                axes.axvline(min(given[1], end), color=colours.DATA, lw=0.8, linestyle="--")
+                axes.axvline(min(given[1], end), color=DATA, lw=0.8, linestyle="--")
         column[-1].set_xlabel(clock(trace))
         column[-1].margins(x=0.005)
     below = symbols.response(system), symbols.response(system, "residual")
@@ -187,7 +196,7 @@ def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]]
 
 def _draw_panel(axes: Axes, test: TestView) -> None:
     held_out = test.role == "validate"
-    colour = colours.VALIDATE if held_out else colours.DATA
+    colour = VALIDATE if held_out else DATA
     trace = test.trace
     _draw_loop(axes, [test.observation], trace.displacement, trace.turning_points, trace.force)
     axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -219,14 +228,14 @@ def draw_band(
         raise ReportError(f"axes must be axes of Matplotlib, got {axes!r}")
     if displacement is None:
         _draw_bands(axes, time, fan)
-        axes.plot(*thinned(time, fan.median), color=colours.BANDS[fan.kind][2], lw=0.9)
+        axes.plot(*thinned(time, fan.median), color=BANDS[fan.kind][2], lw=0.9)
         axes.set_xlabel("time, s" if system.axes.timed else "sample")
     else:
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
         _draw_loop(axes, [fan], displacement, turns, force)
         axes.set_xlabel(NAMES.motion(system))
     axes.set_ylabel(NAMES.response(system))
-    axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
+    axes.set_title(f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
 
 
@@ -265,9 +274,9 @@ def _draw_loop(
             bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
             axes.add_collection(bands)
             axes.autoscale_view()
-    colour = colours.DATA
+    colour = DATA
     if force is None and fans:
-        force, colour = fans[0].median, colours.BANDS[fans[0].kind][2]
+        force, colour = fans[0].median, BANDS[fans[0].kind][2]
     if force is not None:
         axes.plot(abscissa[::step], force[::step], color=colour, linewidth=0.6)
 
@@ -311,10 +320,10 @@ def _legend(
 ) -> None:
     handles: list[Line2D | Patch] = []
     if measured:
-        handles.append(Line2D([], [], color=colours.DATA, linewidth=0.9, label="measured"))
+        handles.append(Line2D([], [], color=DATA, linewidth=0.9, label="measured"))
     for fan in fans:
-        wide, narrow, _ = colours.BANDS[fan.kind]
-        text = f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}"
+        wide, narrow, _ = BANDS[fan.kind]
+        text = f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}"
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
     handles += [Patch(facecolor=colour, label=name) for name, colour in (shades or {}).items()]
     if handles:
@@ -323,8 +332,8 @@ def _legend(
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
 _COLOURS = (
-    *(symbols.VERMILLION, symbols.BLUE, symbols.GREEN),
-    *(symbols.PURPLE, symbols.ORANGE, symbols.SKY),
+    *(VERMILLION, BLUE, GREEN),
+    *(PURPLE, ORANGE, SKY),
 )
 _MARKS = 60  # more of one kind would hide the curve
 
@@ -351,11 +360,11 @@ def draw_inspection(
         loop, place, history = (panels[name] for name in ("loop", "displacement", "force"))
         curves = [(loop, x, trace.force), (place, time, x), (history, time, trace.force)]
         step = max(1, trace.samples // (2 * POINTS))
-        loop.plot(x[::step], trace.force[::step], color=symbols.DATA, linewidth=0.5)
+        loop.plot(x[::step], trace.force[::step], color=DATA, linewidth=0.5)
         loop.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
         loop.set_title(system.text("Force–displacement"))
         history.sharex(place)
-        history.plot(*thinned(time, trace.force), color=symbols.DATA, linewidth=0.6)
+        history.plot(*thinned(time, trace.force), color=DATA, linewidth=0.6)
         history.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
         history.set_title("Force")
         _draw_energy(panels["energy"], loops, system)
@@ -367,7 +376,7 @@ def draw_inspection(
     place.margins(x=0.01, y=0.12)  # space for the marks at the turns
     handles, looks = [], zip(cycle(_SIGNS), cycle(_COLOURS), strict=False)
     for fault in faults:  # one without samples has no mark
-        sign, colour = next(looks) if fault.samples.size else ("", symbols.DATA)
+        sign, colour = next(looks) if fault.samples.size else ("", DATA)
         at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
         mark: dict[str, Any] = {
             "marker": sign,
@@ -395,6 +404,6 @@ def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
         return
     number = np.arange(1, loops.energy.size + 1)
     axes.plot(number, loops.energy, color="#bbbbbb", linewidth=0.7)
-    faces = [symbols.BLUE if strong else "white" for strong in loops.strong]
-    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=symbols.BLUE, linewidths=0.8)
+    faces = [BLUE if strong else "white" for strong in loops.strong]
+    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=BLUE, linewidths=0.8)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
