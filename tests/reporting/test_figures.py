@@ -15,7 +15,13 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.figures import draw_inspection, loops
 from mfd_bayes.reporting.figures.agg import to_png
-from mfd_bayes.reporting.figures.campaign import (
+from mfd_bayes.reporting.figures.loops import (
+    draw_history,
+    draw_loops,
+    draw_overview,
+    stretches,
+)
+from mfd_bayes.reporting.figures.report import (
     draw_corner,
     draw_laws,
     draw_marginals,
@@ -25,12 +31,6 @@ from mfd_bayes.reporting.figures.campaign import (
     figures_of_test,
     shared_figures,
     spread,
-)
-from mfd_bayes.reporting.figures.loops import (
-    draw_history,
-    draw_loops,
-    draw_overview,
-    stretches,
 )
 from mfd_bayes.reporting.symbols import BANDS, Symbols
 from mfd_bayes.runs.unit_system import US
