@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Effort, contraction, log_if_positive
 from mfd_bayes.calibration.identifiability import identify
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.priors import SCALED, units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
-from mfd_bayes.evaluation.checks import INFORMED, SCALE_NOTE, convergence_checks, exponent_checks
+from mfd_bayes.evaluation.checks import (
+    INFORMED,
+    SCALE_NOTE,
+    contradicted_order,
+    convergence_checks,
+    exponent_checks,
+    outlying_tests,
+    uncommon_device_values,
+)
 from mfd_bayes.evaluation.crossvalidate import left_out_view
-from mfd_bayes.evaluation.drift import drift_rows
-from mfd_bayes.evaluation.laws import law_choices, law_rows, law_score_rows, law_views
-from mfd_bayes.evaluation.outliers import contradicted_order, outlying_tests, uncommon_device_values
+from mfd_bayes.evaluation.laws import drift_rows, law_choices, law_rows, law_score_rows, law_views
 from mfd_bayes.evaluation.properties import (
     Peaks,
     device_properties,
@@ -54,17 +62,12 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.jobs.parallel import in_turn, several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.design import Design
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, US, both_systems
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from mfd_bayes.calibration.posterior import Posterior
-    from mfd_bayes.population.design import Design
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.manifest import Manifest
-    from mfd_bayes.runs.run import Run
 
 MILD = 3.0
 """Misfit, in tolerances, of a fault of a record that does not spoil it."""

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from mfd_bayes.calibration.priors import PriorFile
+from mfd_bayes.campaign.campaign import Campaign, Test
 from mfd_bayes.evaluation.summary import zero_pressure_sentences
+from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
+from mfd_bayes.population.design import Design
 from mfd_bayes.population.inference import swings
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
+from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace, without_spikes
 from mfd_bayes.runs.verdict import Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from mfd_bayes.calibration.priors import PriorFile
-    from mfd_bayes.campaign.campaign import Campaign, Test
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.design import Design
-    from mfd_bayes.records.record import Record
 
 WIDE, NARROW = 6.0, 1.0 / 12.0
 """A gap wider or narrower than the priors' typical one by these factors is in another unit."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
@@ -17,10 +18,6 @@ from mfd_bayes.reporting.tables import convert_trace
 from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.units import split_quantity
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 
 def inspect(

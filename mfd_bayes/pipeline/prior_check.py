@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -12,21 +13,16 @@ from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.campaign.campaign import Campaign, load_campaign
 from mfd_bayes.errors import RecordError
 from mfd_bayes.evaluation.scores import fan_of
+from mfd_bayes.evaluation.views import Fan
+from mfd_bayes.friction.model import Model
 from mfd_bayes.pipeline.findings import gap_of
 from mfd_bayes.pipeline.inspect import system_of_records
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.loops import Scales, scales_of
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import convert_fan, convert_trace
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from mfd_bayes.evaluation.views import Fan
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.unit_system import System
 
 PRIOR_DRAWS = 400
 

@@ -6,13 +6,13 @@ import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mfd_bayes.errors import MfdError, ReportError
-from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
-from mfd_bayes.evaluation.properties import stored_peaks
+from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_peaks
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
@@ -27,8 +27,6 @@ from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.files import write_bytes
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import pandas as pd
 
 Observe = Callable[[Step], None]

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import base64
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
+from mfd_bayes.evaluation.acceptance import Acceptance
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_loops
 from mfd_bayes.reporting.page import environment, policy_of
 from mfd_bayes.reporting.symbols import plain, unit_text
 from mfd_bayes.reporting.tables import convert_fan, convert_trace, to_units
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import in_digits
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from matplotlib.figure import Figure
-
-    from mfd_bayes.evaluation.acceptance import Acceptance
-    from mfd_bayes.runs.unit_system import System
 
 LOOPS = 2  # most loops on the page of a device
 _MARKS = {"accepted": "#2e7d32", "rejected": "#c62828", "cannot tell": "#b8860b"}

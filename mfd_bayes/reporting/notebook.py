@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.records.inputs import real_numbers
 from mfd_bayes.runs import run as runs
+from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.run import Run
     from mfd_bayes.runs.unit_system import System
 
 
@@ -106,7 +104,7 @@ def _of_cycles(test: TestResult) -> Any:
     """Log density of each cycle given all others, (chain, draw, cycle)."""
     import xarray as xr
 
-    from mfd_bayes.evaluation.compare import cycle_log_likelihood, find_cycles
+    from mfd_bayes.evaluation.crossvalidate import cycle_log_likelihood, find_cycles
 
     stored, posterior = test.stored, test.posterior
     shape = stored.stats["lp"].shape

@@ -13,6 +13,7 @@ import json
 import math
 import re
 import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
@@ -44,9 +45,7 @@ from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import in_digits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mfd_bayes.evaluation.datasheet import Datasheet
+    from mfd_bayes.evaluation.properties import Datasheet
 
 
 FEWEST, MOST, ALL = 300, 1500, 250_000

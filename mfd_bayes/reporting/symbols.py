@@ -8,19 +8,15 @@ import unicodedata
 from collections.abc import Mapping
 from html import unescape
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import html_of
 from mfd_bayes.population.settings import KIND_NAMES
-
-if TYPE_CHECKING:
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.runs.unit_system import System
-
+from mfd_bayes.runs.unit_system import System
 
 _SYMBOLS = {
     "gap_width": (r"D_\mathrm{slip}", "travel from slip to slip"),

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import gc
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
 
 from mfd_bayes.evaluation.checks import INFORMED
+from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, Rows, TestView
+from mfd_bayes.friction.model import Model
+from mfd_bayes.planning.study import Advice
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
 from mfd_bayes.reporting.symbols import (
@@ -28,19 +34,8 @@ from mfd_bayes.reporting.symbols import (
     plain,
 )
 from mfd_bayes.reporting.tables import convert_law, convert_rows, convert_test
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, Rows, TestView
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.planning.study import Advice
-    from mfd_bayes.runs.unit_system import System
-
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
 RANKS = 10
