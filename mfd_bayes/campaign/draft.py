@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.draft_priors import knows, priors_of_model, priors_text
 from mfd_bayes.campaign.guesses import (
@@ -39,7 +38,7 @@ from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import without_spikes
 from mfd_bayes.store.toml import commented, quoted
-from mfd_bayes.units import ActuationUnit, actuation_factor, convert
+from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, convert
 
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip"}
 _BANDS = {"lower", "median", "upper"}  # first words of columns of a prediction

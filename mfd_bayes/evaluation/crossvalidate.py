@@ -17,7 +17,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.calibration.posterior import replicate
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.evaluation.scores import score, score_record

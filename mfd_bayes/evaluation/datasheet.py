@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.properties import (
     NEW,
@@ -29,7 +28,7 @@ from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Use
-from mfd_bayes.units import actuation_kind, parse_actuation
+from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]
 

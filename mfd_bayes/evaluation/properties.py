@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import Axes
-from mfd_bayes.calibration.predictive import derive_from_parameters
+from mfd_bayes.calibration.posterior import derive_from_parameters
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.evaluation.scores import spread_of
@@ -31,6 +30,7 @@ from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import ModelAverage, Run
+from mfd_bayes.units import Axes
 
 Array = NDArray[np.float64]
 

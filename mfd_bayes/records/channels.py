@@ -18,15 +18,16 @@ from unicodedata import normalize
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.readers import Table
 from mfd_bayes.records.readers.table import bare_unit, own_name
 from mfd_bayes.records.trace import Array, check_size, smallest_turn, turning_points
 from mfd_bayes.units import (
+    DAMPER,
     UNREAD,
     ActuationUnit,
+    Axes,
     actuation_factor,
     factor,
     measure,

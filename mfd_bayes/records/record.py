@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import RecordError
 from mfd_bayes.records.channels import (
     JITTER,
@@ -35,7 +34,7 @@ from mfd_bayes.records.channels import (
 from mfd_bayes.records.inputs import hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.trace import Array, Trace, check_trace, mended, smallest_turn, turning_points
-from mfd_bayes.units import ActuationUnit, parse_actuation
+from mfd_bayes.units import DAMPER, ActuationUnit, Axes, parse_actuation
 
 Window = tuple[float, float]
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import parse_quantity, split_quantity
+from mfd_bayes.units import DAMPER, Axes, parse_quantity, split_quantity
 
 SAMPLES = 400
 """Samples of a cycle."""

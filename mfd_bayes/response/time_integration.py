@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.response.building import Building
-from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.device_draws import Dampers, ElastoPlastic
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.recorder import Piece, Recorder
 from mfd_bayes.response.result import Response
