@@ -22,10 +22,9 @@ from mfd_bayes.evaluation.properties import (
     sessions_of,
 )
 from mfd_bayes.messages import Message
-from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
-from mfd_bayes.records.sine import Harmonic, parse_sine
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.record import NO_ACTUATION
+from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation

@@ -17,7 +17,6 @@ from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.response.building import Building
 
-
 KINDS = ("new_test", "device")
 """With each damper's own scatter from test to test, or the mean property alone."""
 
