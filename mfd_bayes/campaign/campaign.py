@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pydantic import ValidationError
 
@@ -25,11 +24,10 @@ from mfd_bayes.campaign.schema import (
 )
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.friction import models
-from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
 from mfd_bayes.planning.goal import Goal, check_goal, check_session
+from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.population.settings import CONDITIONS
 from mfd_bayes.records.inputs import file_inside
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import (
@@ -44,6 +42,11 @@ from mfd_bayes.records.record import (
 from mfd_bayes.records.table import own_name
 from mfd_bayes.store.toml import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from mfd_bayes.friction.model import Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, UnitError
-from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
+from mfd_bayes.population.design import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import MOST_CYCLES, Trace
@@ -22,6 +21,9 @@ from mfd_bayes.units import (
     parse_actuation,
     parse_quantity,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 SETUP = 0.25  # time on the frame besides the motion itself, h
 NEW_DEVICE = "a new device"  # of a candidate

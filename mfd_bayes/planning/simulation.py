@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.noise import Noise
-from mfd_bayes.friction.model import Model
-from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.population.bands import Drawn, Predictor
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import Setting, setting_of
+from mfd_bayes.population.design import Setting, setting_of
 from mfd_bayes.records.trace import Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mfd_bayes.calibration.noise import Noise
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.planning.candidate import Candidate
+    from mfd_bayes.population.population import Population
 
 Array = NDArray[np.float64]
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
-from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of
 from mfd_bayes.planning.goal import GAP, OF_LAWS, Goal
 from mfd_bayes.planning.information_gain import (
@@ -24,10 +22,14 @@ from mfd_bayes.planning.information_gain import (
     greedy,
 )
 from mfd_bayes.planning.simulation import Devices, Loop
+from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.discrepancy import slip_force_of
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
+
+if TYPE_CHECKING:
+    from mfd_bayes.calibration.noise import Noise
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.population.population import Population
 
 Array = NDArray[np.float64]
 

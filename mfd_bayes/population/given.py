@@ -10,10 +10,9 @@ costs the same however long the test has run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,14 +22,17 @@ from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
+from mfd_bayes.population.design import ZERO, Setting
 from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
-from mfd_bayes.population.settings import ZERO, Setting
 from mfd_bayes.population.stopping import Estimate, Stopping, properties, quantiles
 from mfd_bayes.records.inputs import real_numbers
 from mfd_bayes.records.record import checked_window
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, check_trace
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

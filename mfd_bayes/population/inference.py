@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,19 @@ from threadpoolctl import threadpool_limits
 
 from mfd_bayes.calibration.diagnostics import Convergence, Effort, find_effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import Prior, PriorFile
-from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.parallel import several_processes
-from mfd_bayes.population.design import LEVELS, TESTS, Design, design_of
+from mfd_bayes.population.design import (
+    CONDITIONS,
+    LEVELS,
+    TESTS,
+    Design,
+    Setting,
+    design_of,
+    levels_of,
+    setting_of,
+    varies,
+)
 from mfd_bayes.population.exact import CHAINS, ExactSampler
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
 from mfd_bayes.population.law_scores import (
@@ -32,9 +39,15 @@ from mfd_bayes.population.law_scores import (
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import MixedModel
 from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import CONDITIONS, Setting, levels_of, setting_of, varies
 from mfd_bayes.population.starts import Starts, place_left, without_load
-from mfd_bayes.records.trace import Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from mfd_bayes.calibration.priors import Prior, PriorFile
+    from mfd_bayes.calibration.result import TestResult
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.errors import FitError, NotThereError
-from mfd_bayes.friction.model import Model
-from mfd_bayes.population.design import WIDER, Design
-from mfd_bayes.population.discrepancy import Residual
+from mfd_bayes.population.design import WIDER, Design, Setting, folds_beyond, same_level
 from mfd_bayes.population.laws import INTERCEPTS, TIED, ratio
-from mfd_bayes.population.settings import Setting, folds_beyond, same_level
 from mfd_bayes.population.starts import Starts, place_left, without_load
-from mfd_bayes.records.trace import Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mfd_bayes.calibration.diagnostics import Convergence
+    from mfd_bayes.calibration.priors import Prior
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.population.discrepancy import Residual
+    from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.friction.model import Model
-from mfd_bayes.population.design import design_of
+from mfd_bayes.population.design import Setting, design_of
 from mfd_bayes.population.discrepancy import Residual, TravelBasis
 from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import Setting
 from mfd_bayes.population.starts import Starts
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from mfd_bayes.calibration.priors import PriorFile
+    from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 

@@ -11,27 +11,29 @@ import io
 import json
 import math
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.axes import Axes
 from mfd_bayes.evaluation.next_test import advice_rows
-from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
-from mfd_bayes.planning.study import Advice
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.settings import KIND_NAMES
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.population.design import KIND_NAMES
 from mfd_bayes.reporting.conversion import to_units
 from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
-from mfd_bayes.runs.manifest import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
     import pandas as pd
+
+    from mfd_bayes.axes import Axes
+    from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
+    from mfd_bayes.planning.study import Advice
+    from mfd_bayes.population.bands import Band
+    from mfd_bayes.records.trace import Trace
+    from mfd_bayes.runs.manifest import ComparisonRow
 
 CROSSVALIDATION = "crossvalidation.csv"
 

@@ -9,7 +9,7 @@ from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.simulation import Devices, Loop
 from mfd_bayes.planning.study import Effort, advise, goals_of
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.settings import setting_of
+from mfd_bayes.population.design import setting_of
 
 SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
 AT_ONE = Candidate(1.0, 0.5, 1.0)
