@@ -23,7 +23,7 @@ from mfd_bayes.planning.information_gain import (
 )
 from mfd_bayes.planning.simulation import Devices, Loop
 from mfd_bayes.population.design import setting_of
-from mfd_bayes.population.discrepancy import slip_force_of
+from mfd_bayes.population.joint_fit import slip_force_of
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.calibration.result import Extras, needed
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.design import KIND_NAMES, KINDS, Design, Setting, setting_of
-from mfd_bayes.population.discrepancy import slip_force_of
+from mfd_bayes.population.joint_fit import slip_force_of
 from mfd_bayes.population.population import Particles, Parts, Population
 from mfd_bayes.records.inputs import MOST_DRAWS, real_number, whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude

@@ -23,7 +23,7 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import ZERO, Setting
-from mfd_bayes.population.discrepancy import Residual, slip_force_of, strokes_of
+from mfd_bayes.population.joint_fit import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
 from mfd_bayes.records.inputs import real_numbers

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mfd_bayes.calibration.diagnostics import Convergence
     from mfd_bayes.calibration.priors import Prior
     from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.discrepancy import Residual
+    from mfd_bayes.population.joint_fit import Residual
     from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]

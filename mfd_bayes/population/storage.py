@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.population.design import Setting, design_of
-from mfd_bayes.population.discrepancy import Residual, TravelBasis
+from mfd_bayes.population.joint_fit import Residual, TravelBasis
 from mfd_bayes.population.population import LawDraws, Population
 from mfd_bayes.population.starts import Starts
 from mfd_bayes.store.files import json_text

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.population.design import Setting
-from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis, slip_force_of
+from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 
 if TYPE_CHECKING:

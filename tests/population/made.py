@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.population.design import Setting, design_of
-from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
+from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES, usual_shapes
 from mfd_bayes.population.population import LawDraws, Population
 from mfd_bayes.population.starts import Starts

@@ -10,7 +10,7 @@ from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.design import Setting, design_of, setting_of
-from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis, knot_covariance
+from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis, knot_covariance
 from mfd_bayes.population.laws import LAW_NAMES
 from mfd_bayes.population.population import LawDraws, Population
 from mfd_bayes.population.starts import Starts
