@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from mfd_bayes.calibration.noise import Noise
     from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.starts import Ending
+    from mfd_bayes.population.population import Ending
 
 Array = NDArray[np.float64]
 

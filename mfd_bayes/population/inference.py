@@ -44,8 +44,7 @@ from mfd_bayes.population.law_scores import (
 )
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
-from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.starts import Starts, place_left, without_load
+from mfd_bayes.population.population import LawDraws, Population, Starts, place_left, without_load
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -13,8 +13,7 @@ from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.population.design import Setting, design_of
 from mfd_bayes.population.joint_fit import Residual, TravelBasis
-from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.starts import Starts
+from mfd_bayes.population.population import LawDraws, Population, Starts
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
 

@@ -67,8 +67,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.population import Population
-    from mfd_bayes.population.starts import Ending
+    from mfd_bayes.population.population import Ending, Population
     from mfd_bayes.response.result import Response
 
 Item = TypeVar("Item")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.population.design import THIS_TEST
-from mfd_bayes.population.starts import Ending
+from mfd_bayes.population.population import Ending
 from mfd_bayes.runs.folder import check_stored, pooled_of
 from mfd_bayes.store.netcdf import load_arrays
 

@@ -14,8 +14,7 @@ from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.population.design import Setting, design_of
 from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES, usual_shapes
-from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.starts import Starts
+from mfd_bayes.population.population import LawDraws, Population, Starts
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,7 @@ from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.design import Setting, design_of, setting_of
 from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis, knot_covariance
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.starts import Starts
+from mfd_bayes.population.population import LawDraws, Population, Starts
 from mfd_bayes.records.trace import Trace
 
 THREE_STAGE = {
