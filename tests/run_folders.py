@@ -18,8 +18,7 @@ from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.design import design_of, setting_of
 from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.population import LawDraws, Population, Starts
-from mfd_bayes.population.storage import save_population
+from mfd_bayes.population.population import LawDraws, Population, Starts, save_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.store.files import write_json

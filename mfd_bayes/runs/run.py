@@ -206,7 +206,7 @@ class Run:
     @cached_property
     def population(self) -> Population:
         """Laws and scatter across tests."""
-        from mfd_bayes.population.storage import load_population
+        from mfd_bayes.population.population import load_population
 
         with self.unchanged():
             path = check_stored(self.folder, POPULATION, self.manifest.files)
