@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,12 +12,15 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of
-from mfd_bayes.planning.goal import Goal, parse_goal
+from mfd_bayes.planning.candidate import Candidate, Goal, Limits, harmonic_of, parse_goal
 from mfd_bayes.planning.study import Advice, Effort, Situation, advise, goals_of
 from mfd_bayes.population.inference import InferenceSettings, infer_population
-from mfd_bayes.population.population import Population
 from mfd_bayes.records.trace import Harmonic, Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mfd_bayes.population.population import Population
 
 BASE = (0.4, 0.5, 0.6)
 """Actuation of the tests that were made, ksi; 1 Hz, 1 in, two cycles."""

@@ -13,8 +13,7 @@ from scipy import linalg, special
 
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
-from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of
-from mfd_bayes.planning.goal import GAP, OF_LAWS, Goal
+from mfd_bayes.planning.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
 from mfd_bayes.population.bands import Drawn, Predictor
 from mfd_bayes.population.design import Setting, setting_of
 from mfd_bayes.population.joint_fit import slip_force_of

@@ -21,16 +21,19 @@ from mfd_bayes.planning.candidate import (
     MOST,
     NEW_DEVICE,
     Candidate,
+    Goal,
     Limits,
     Parts,
     Shown,
+    check_goal,
+    check_session,
     grid_of,
     harmonic_of,
+    parse_goal,
     parse_limits,
     parse_tests,
     typical_of,
 )
-from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
 from mfd_bayes.planning.study import Advice, Effort, Situation, advise
 from mfd_bayes.population.bands import FEWEST, Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import CONDITIONS, THIS_TEST, planned_setting, same_level

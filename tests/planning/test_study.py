@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError, NotThereError
-from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Limits
-from mfd_bayes.planning.goal import Goal, parse_goal
+from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
 from mfd_bayes.planning.study import Devices, Effort, Loop, advise, goals_of
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import setting_of
