@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +16,8 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate, Goal, Limits, harmonic_of, parse_goal
 from mfd_bayes.planning.study import Advice, Effort, Situation, advise, goals_of
 from mfd_bayes.population.inference import InferenceSettings, infer_population
+from mfd_bayes.population.population import Population
 from mfd_bayes.records.trace import Harmonic, Trace
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.population.population import Population
 
 BASE = (0.4, 0.5, 0.6)
 """Actuation of the tests that were made, ksi; 1 Hz, 1 in, two cycles."""

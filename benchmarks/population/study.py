@@ -6,15 +6,16 @@ of the prior are used (centre, spread, scales, reference), not its laws, effects
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import EFFORTS, Effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.bands import Forecast, Predictor
@@ -22,11 +23,6 @@ from mfd_bayes.population.design import WIDER, Design, design_of, setting_of
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
 from mfd_bayes.records.trace import Trace
 from tests.statistical.sbc_study import narrow_priors
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.calibration.priors import PriorFile
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from pydantic import ValidationError
 
@@ -24,6 +25,7 @@ from mfd_bayes.campaign.schema import (
 )
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.friction import models
+from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import (
     Goal,
     Limits,
@@ -49,11 +51,6 @@ from mfd_bayes.records.record import (
 from mfd_bayes.records.table import own_name
 from mfd_bayes.store.toml import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from mfd_bayes.friction.model import Model
 
 
 @dataclass(frozen=True, eq=False)

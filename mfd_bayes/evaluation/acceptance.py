@@ -18,8 +18,9 @@ scatter more than the population says, all scatter of that quantity is widened b
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -38,17 +39,13 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
 )
 from mfd_bayes.evaluation.views import Fan, Interval
+from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.loops import UNITS, MeasuredCycles, measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import far_sentences
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -12,10 +12,12 @@ without it.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, get_args
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -24,8 +26,10 @@ from scipy import special
 
 from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
 from mfd_bayes.calibration.noise import NOISES
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.predictive import replicate
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
+from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
 from mfd_bayes.evaluation.scores import score, score_record
 from mfd_bayes.evaluation.views import LeftOutView, Row
@@ -35,6 +39,7 @@ from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import Inference, infer_population
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
 from mfd_bayes.runs.manifest import (
     CampaignCrossValidation,
@@ -49,14 +54,6 @@ from mfd_bayes.runs.test_sequence import TestSequence
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.files import read_json, write_json
 from mfd_bayes.store.schema import AtLeastOne, Part, check
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from mfd_bayes.calibration.posterior import Posterior
-    from mfd_bayes.calibration.result import Task, TestResult
-    from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 from mfd_bayes.planning.candidate import AT_MOTIONS, GAP, Candidate, typical_of
 from mfd_bayes.planning.study import CURVE, TOGETHER, Advice, Row, Together
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import System
 
 LITTLE = 0.01
 """A test that is expected to narrow the band by less than this share is not worth the frame."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.predictive import derive_from_parameters
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.scores import spread_of
+from mfd_bayes.evaluation.views import Rows
+from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
+from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import KIND_NAMES, LEVELS, levels_of, setting_of, with_zeros
 from mfd_bayes.records.loops import (
     FORMULAS,
@@ -29,16 +33,10 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import actuation_kind, parse_actuation
-
-if TYPE_CHECKING:
-    from mfd_bayes.calibration.result import TestResult
-    from mfd_bayes.evaluation.views import Rows
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.manifest import Manifest
 
 Array = NDArray[np.float64]
 

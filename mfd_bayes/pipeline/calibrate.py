@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
@@ -44,11 +45,6 @@ from mfd_bayes.runs.resume import check_free, prepare_folder
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
 from mfd_bayes.store.netcdf import save_trace
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mfd_bayes.evaluation.views import CampaignView
 
 PRELOAD = "mfd_bayes.pipeline.preload"
 """Module that imports what the processes of a run need."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Collection
+from pathlib import Path
 
 from mfd_bayes.evaluation.crossvalidate import fold_id, folds_of, part_kind, parts_of, run_folds
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibrate import Observe, calibrate_locked, working_in
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
@@ -12,13 +14,7 @@ from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.runs.folder import remove_partial_files
 from mfd_bayes.runs.manifest import CampaignCrossValidation
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-    from pathlib import Path
-
-    from mfd_bayes.evaluation.views import CampaignView
-    from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run
 
 
 def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -16,13 +17,8 @@ from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enoug
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import conditions_of
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import parse_quantity
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from mfd_bayes.runs.unit_system import System
 
 POLL = 1.0  # seconds between two looks at the file
 SAMPLES = 64  # of the next cycle, of which the band is computed

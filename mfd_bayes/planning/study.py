@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
+from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
 from mfd_bayes.population.bands import Drawn, Predictor
 from mfd_bayes.population.design import Setting, setting_of
 from mfd_bayes.population.joint_fit import slip_force_of
+from mfd_bayes.population.population import Population
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.records.trace import Trace
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from mfd_bayes.calibration.noise import Noise
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.planning.candidate import Candidate
-    from mfd_bayes.population.population import Population
-
 
 DENSE, LOOSE = 14, 8  # samples of a stroke up to `REACH` times the gap, and in the rest
 REACH = 2.5

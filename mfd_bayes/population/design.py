@@ -11,10 +11,11 @@ that are the same in all tests (`sparse` in the prior file) have no scatter and 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,7 @@ from scipy.special import expit
 
 from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities
 from mfd_bayes.errors import FitError, PriorError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.laws import (
     COMPARE,
     LAW_NAMES,
@@ -34,11 +36,6 @@ from mfd_bayes.population.laws import (
 )
 from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.trace import Trace, check_trace
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.friction.model import Model
 
 THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
 # what each kind of band is about, in the words of design: the law with its level's effect; plus

@@ -10,9 +10,10 @@ costs the same however long the test has run.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from scipy import linalg, special
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, RecordError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import ZERO, Setting
 from mfd_bayes.population.joint_fit import Residual, slip_force_of, strokes_of
@@ -29,12 +31,6 @@ from mfd_bayes.population.population import Particles
 from mfd_bayes.records.inputs import real_numbers
 from mfd_bayes.records.record import checked_window
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, check_trace
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from mfd_bayes.friction.model import Model
-
 
 NARROWING = 0.02  # share by which one more cycle must narrow a property's interval
 FEWEST_CYCLES = 2  # the first cycle may begin from rest or in the gap

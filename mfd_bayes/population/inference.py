@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from mfd_bayes.calibration.diagnostics import (
     measure,
 )
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import Prior, PriorFile
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.parallel import Evaluate, in_turn, several_processes
 from mfd_bayes.population.design import (
@@ -45,15 +48,7 @@ from mfd_bayes.population.law_scores import (
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 from mfd_bayes.population.population import LawDraws, Population, Starts, place_left, without_load
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mfd_bayes.calibration.priors import Prior, PriorFile
-    from mfd_bayes.calibration.result import TestResult
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.records.trace import Trace
-
+from mfd_bayes.records.trace import Trace
 
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
 STORED = 2**26  # most numbers of the tests' coordinates that are held

@@ -8,8 +8,8 @@ sampling with a fixed seed: the scores are always the same.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,7 @@ from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.population.design import LEVELS, TESTS, Design, levels_of, varies
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, LAWS
 from mfd_bayes.population.mixed_model import MixedModel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mfd_bayes.store.schema import Figure
+from mfd_bayes.store.schema import Figure
 
 Array = NDArray[np.float64]
 

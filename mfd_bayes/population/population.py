@@ -6,14 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, betaln, expit, logit, ndtr, softmax
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.errors import FitError, MfdError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import WIDER, Design, Setting, design_of, folds_beyond, same_level
@@ -22,13 +23,6 @@ from mfd_bayes.population.laws import INTERCEPTS, TIED, ratio
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from mfd_bayes.calibration.priors import Prior, PriorFile
-
 
 SHAPES = np.geomspace(1.0, 100.0, 41)  # of the Beta densities: from anywhere (1) to one place
 ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere

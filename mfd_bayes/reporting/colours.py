@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from mfd_bayes.population.design import KIND_NAMES
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 # Palette of Okabe and Ito, which colour-blind readers can tell apart.
 DATA = "#1b1b1b"

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.friction.elastoplastic import ElastoPlastic
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Setting
 from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
+from mfd_bayes.population.population import Numbers, Population
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.population import Numbers, Population
-    from mfd_bayes.response.building import Building
+from mfd_bayes.response.building import Building
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import THIS_TEST
-from mfd_bayes.population.population import Ending
+from mfd_bayes.population.population import Ending, Population
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import check_stored, pooled_of
+from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.store.netcdf import load_arrays
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from mfd_bayes.calibration.result import TestResult
-    from mfd_bayes.population.bands import Forecast, Predictor
-    from mfd_bayes.population.population import Population
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.manifest import Manifest
 
 Array = NDArray[np.float64]
 

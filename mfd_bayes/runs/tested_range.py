@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.population.population import RATE, STROKE
 from mfd_bayes.records.loops import find_loops
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.unit_system import System
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.unit_system import System
 
 MARGIN = 0.1
 """A stroke, speed or frequency within this share of a tested one counts as tested."""

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.views import Array, Fan, TestView
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.reporting import colours
@@ -21,14 +25,6 @@ from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import Symbols, plain
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from mfd_bayes.evaluation.views import Array, Fan, TestView
 
 POINTS = 4000
 """Most points of a line: a screen cannot show more."""
