@@ -1,4 +1,4 @@
-"""Tests that could be made: what each is, in words and in numbers, and those of a campaign."""
+"""What is to be known better, and tests that could be made for it, in words and in numbers."""
 
 from __future__ import annotations
 
@@ -44,6 +44,25 @@ _RANGES = {
     "cycles": (1.0, float(MOST_CYCLES), False),
     "price": (0.0, np.inf, False),
 }
+# quantities at stated motions and actuations, and what they are
+AT_MOTIONS = {
+    "band": "force along the loop",
+    "energy": "energy per cycle",
+    "peak": "peak forces",
+    "peak_fwd": "peak force forward",
+    "peak_bwd": "peak force backward",
+    "slip": "slip forces",
+}
+OF_LAWS = {"slope": "slope of a law", "exponent": "exponent of a law"}
+GAP = "gap"
+KINDS = ("device", "new_test")
+_FORM = re.compile(
+    r"\s*(?P<name>[A-Za-z_]+(?: force)?)(?:\s+of\s+(?P<of>\w+))?(?:\s+at\s+(?P<at>.+))?\s*",
+    re.DOTALL,
+)
+
+
+# --- tests ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -358,23 +377,7 @@ def _round(value: float, within: float, scale: float = 1.0) -> float:
     return (short if abs(short - own) <= within * abs(own) else float(f"{own:.3g}")) / scale
 
 
-# quantities at stated motions and actuations, and what they are
-AT_MOTIONS = {
-    "band": "force along the loop",
-    "energy": "energy per cycle",
-    "peak": "peak forces",
-    "peak_fwd": "peak force forward",
-    "peak_bwd": "peak force backward",
-    "slip": "slip forces",
-}
-
-OF_LAWS = {"slope": "slope of a law", "exponent": "exponent of a law"}
-GAP = "gap"
-KINDS = ("device", "new_test")
-_FORM = re.compile(
-    r"\s*(?P<name>[A-Za-z_]+(?: force)?)(?:\s+of\s+(?P<of>\w+))?(?:\s+at\s+(?P<at>.+))?\s*",
-    re.DOTALL,
-)
+# --- goals ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Candidates simulated, and judged one by one and together: the table of advice."""
+"""Candidates simulated, and judged one by one and together: the table of advice.
+
+Goal and simulated tests come from one set of draws of the population; what a test would leave
+unknown is found by regression of the goal on the summaries of its simulated records.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +27,22 @@ from mfd_bayes.population.population import Population
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.records.trace import Trace
 
+Array = NDArray[np.float64]
+
+TOGETHER = 3  # largest of the best sets that are listed
+CURVE = 6  # number of further tests up to which the expected width is given
+SHORTLIST = 12  # best candidates that are simulated again, so that a second copy can be chosen
+COPIES = 2  # further copies of each of them
+AFRESH = 3  # times that each of the best sets is simulated again, to judge it
+TOO_STRONG = 0.025  # a candidate may pass the limit of the force with this probability
+FEWEST = 200  # fewest draws
+NO_GAP = 0.1  # length that stands for the gap of a model without one, in
+EVERY = 2  # of the samples of a loop, every so many have a band whose width counts
+NEXT = "(the session of the next test)"  # session of candidates, where tests were made in several
+# marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
+# shorter one for one with zeros at its end
+DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
+COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
 DENSE, LOOSE = 14, 8  # samples of a stroke up to `REACH` times the gap, and in the rest
 REACH = 2.5
 LEAD = 4  # every so many samples of a stroke are enough before the loop
@@ -30,6 +50,19 @@ FAST = (0.4, 0.8)
 SLOW = (0.92, 1.0)  # shares of a stroke: slip near the peak speed, and slip just before the turn
 IN_GAP = 0.4  # share of the typical gap at which the force in the gap is read
 RISES = (0.3, 0.5, 0.8)  # shares of the slip force that the force reaches after a turn
+FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
+# a direction of the summaries with less than this share of their variance repeats others
+SAME = 1e-6
+BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
+PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
+RESAMPLES = 200  # number of bootstrap resamples of the draws
+# information is about the principal directions of the goals with this share of their variance, at
+# most so many
+EXPLAINED, MOST = 0.99, 5
+SMALL = 1e-3  # penalty of the regression by which sets of tests are chosen
+
+
+# --- simulated tests ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,16 +232,7 @@ class Devices:
         return self.predictor.total(loop.trace, replace(drawn, noise=noise))
 
 
-FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
-# a direction of the summaries with less than this share of their variance repeats others
-SAME = 1e-6
-BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
-PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
-RESAMPLES = 200  # number of bootstrap resamples of the draws
-# information is about the principal directions of the goals with this share of their variance, at
-# most so many
-EXPLAINED, MOST = 0.99, 5
-SMALL = 1e-3  # penalty of the regression by which sets of tests are chosen
+# --- what tests tell of goals ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,22 +378,7 @@ def greedy(goals: Goals, tests: Sequence[Array], size: int) -> list[tuple[int, .
     return found
 
 
-Array = NDArray[np.float64]
-
-TOGETHER = 3  # largest of the best sets that are listed
-CURVE = 6  # number of further tests up to which the expected width is given
-SHORTLIST = 12  # best candidates that are simulated again, so that a second copy can be chosen
-COPIES = 2  # further copies of each of them
-AFRESH = 3  # times that each of the best sets is simulated again, to judge it
-TOO_STRONG = 0.025  # a candidate may pass the limit of the force with this probability
-FEWEST = 200  # fewest draws
-NO_GAP = 0.1  # length that stands for the gap of a model without one, in
-EVERY = 2  # of the samples of a loop, every so many have a band whose width counts
-NEXT = "(the session of the next test)"  # session of candidates, where tests were made in several
-# marks of random numbers, after the seed; a seed of NumPy has two numbers or four, for it takes a
-# shorter one for one with zeros at its end
-DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
-COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
+# --- advice ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)

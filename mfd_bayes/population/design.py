@@ -6,7 +6,8 @@ In prior units the coordinate of quantity k of test j is
            + session effect_k(session_j) + device effect_k(device_j) + d_jk,   d_jk ~ N(0, τ_k²)
 
 Level, slopes b and effects are linear; the shapes of laws (share, exponent) are not. Quantities
-that are the same in all tests (`sparse` in the prior file) have no scatter and no effects.
+that are the same in all tests (`sparse` in the prior file) have no scatter and no effects. The
+actuation p_j, covariates, session and device are the test's setting.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -37,24 +37,29 @@ from mfd_bayes.population.laws import (
 from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.trace import Trace, check_trace
 
-THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
-# what each kind of band is about, in the words of design: the law with its level's effect; plus
-# test-to-test scatter; plus a record's offset and noise
-KIND_NAMES: Mapping[str, str] = MappingProxyType(
-    {
-        "device": "mean property",
-        "new_test": "this device tested again",
-        "observation": "a measurement of it",
-        THIS_TEST: "this very test",
-    }
-)
-KINDS = tuple(KIND_NAMES)
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Cell = tuple[str, float]
 
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
 ZERO = 1e-3  # share of the largest actuation below which one is zero: what an idle gauge shows
 # what a test may say of the state of its device: decimal years, number of cycles, °C
 CONDITIONS = ("date", "cycles", "temperature")
 FULL = 0.8  # share of the largest stroke from which one is a full stroke
+# correlation length of a level's effect along the logarithm of the actuation
+ALIKE = float(np.log(2.0))
+# scale of the sd of a level's effect, over that of scatter: real levels lie farther from a law
+# than repeats from each other
+WIDER = 2.0
+# least and largest sd of a level's effect, over that at the reference actuation
+BOUNDS = (0.5, 2.0)
+LEVELS = 3  # fewest levels at which a deviation from a law can be told from the law
+TESTS = 4  # fewest tests in which a dependence on a covariate is looked for
+# prior sd of the change of a logarithm over the span of dates, counts or temperatures of the tests
+DRIFT = 0.3
+# Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared
+USUAL_SPEED = 2.0 / np.pi
+DRAWS = 4000  # prior draws by which the centre and the spread of the coordinates are found
 
 
 @dataclass(frozen=True)
@@ -171,26 +176,6 @@ def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, fl
     if not timed:
         return float(outside[0]), 0.0
     return float(outside[0]), float(outside[1:].max())
-
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Cell = tuple[str, float]
-
-# correlation length of a level's effect along the logarithm of the actuation
-ALIKE = float(np.log(2.0))
-# scale of the sd of a level's effect, over that of scatter: real levels lie farther from a law
-# than repeats from each other
-WIDER = 2.0
-# least and largest sd of a level's effect, over that at the reference actuation
-BOUNDS = (0.5, 2.0)
-LEVELS = 3  # fewest levels at which a deviation from a law can be told from the law
-TESTS = 4  # fewest tests in which a dependence on a covariate is looked for
-# prior sd of the change of a logarithm over the span of dates, counts or temperatures of the tests
-DRIFT = 0.3
-# Mean over peak speed of a sine: where on the Stribeck curve slip forces are compared
-USUAL_SPEED = 2.0 / np.pi
-DRAWS = 4000  # prior draws by which the centre and the spread of the coordinates are found
 
 
 @dataclass(frozen=True)

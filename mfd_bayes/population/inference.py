@@ -1,4 +1,25 @@
-"""The population of a set of calibrated tests, step by step."""
+"""The population of a set of calibrated tests: their joint posterior, from a Gaussian one.
+
+The tests are fitted jointly, laws are weighed by how well they predict levels that are left out,
+and the exact joint posterior of population and tests is sampled under them. Under Gaussian
+likelihoods of the tests the population's h has known draws, and given h the coefficients z and the
+tests' own coordinates are affine in standard normal numbers e. A sweep of the sampler has three
+moves:
+
+1. the numbers of each test, each accepted by its own likelihood;
+2. the numbers of z, with another h from its draws, accepted by all tests;
+3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
+   from its Gaussian (Gibbs).
+
+The first two change the numbers by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ,
+which leaves the approximation as it is, and are accepted by the exact over the approximate
+likelihoods (Rudolf and Sprungk, 2018). The second is the non-centred and the third the centred
+form of one hierarchy: where one mixes slowly the other does not (Yu and Meng, 2011).
+
+While warming up the Gaussian likelihoods are fitted anew, by least squares, to the exact ones of
+what was proposed, each weighted by the probability of its acceptance (waste recycling: Frenkel,
+2004). With Gaussian likelihoods every move of the first two kinds is accepted.
+"""
 
 from __future__ import annotations
 
@@ -50,6 +71,19 @@ from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forw
 from mfd_bayes.population.population import LawDraws, Population, Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace
 
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# sd of an actuation, over its mean, below which slip forces are taken in proportion to it
+STEADY = 0.02
+ALTERNATIVES = 400  # draws under all laws together, for actuations beyond the tested levels
+POOL = 4000  # draws of the variance parameters
+# largest number of sweeps of the exact sampler
+SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
+# with more tests than this there are fewer chains: laws and variances are then known well
+MANY = 60
+WALKERS, FEW_WALKERS = 16, 4  # chains of each group, and with many tests
+_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
 STORED = 2**26  # most numbers of the tests' coordinates that are held
 # how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
@@ -60,6 +94,282 @@ LEAST = 1e-3  # least precision of a test over that of its posterior, in any dir
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted
 ACCEPT_Z = 0.2  # the same of z
 RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
+
+
+@dataclass(frozen=True)
+class InferenceSettings:
+    """How a population is inferred."""
+
+    laws: Mapping[str, str]  # of each quantity that follows the actuation, or "compare"
+    actuation_unit: str
+    effort: str | Effort
+    seed: Sequence[int]
+    dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)  # covariates
+    sessions: Mapping[str, str] = field(default_factory=dict)  # of each test; none if missing
+    jobs: int = 1  # processes that compute the tests' likelihoods; the draws are the same
+    devices: Mapping[str, str] = field(default_factory=dict)  # likewise
+    # date, count of cycles and temperature of each test, where they are known
+    conditions: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def setting(self, name: str, trace: Trace) -> Setting:
+        """Setting of a test."""
+        session, device = self.sessions.get(name, ""), self.devices.get(name, "")
+        return setting_of(trace, session, device, self.conditions.get(name, {}))
+
+
+@dataclass(frozen=True, eq=False)
+class Inference:
+    """What is inferred from a set of tests."""
+
+    population: Population
+    tests: Array  # (chain, draw, J, D): coordinates of the tests
+    scores: tuple[LawScore, ...]  # of every law, for each quantity that follows the actuation
+    # quantiles of each proportional law's exponent, estimated as in a power law
+    exponents: Mapping[str, tuple[float, float, float]]
+    dependence: tuple[DependenceScore, ...]
+    sweeps: int
+    accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
+
+    def values(self, j: int) -> dict[str, Array]:
+        """Quantities of test j with the others, by name, (chain, draw)."""
+        x = self.tests[:, :, j]
+        found = self.population.design.coordinates.values(x.reshape(-1, x.shape[-1]))
+        return {name: value.reshape(x.shape[:2]) for name, value in found.items()}
+
+
+def infer_population(
+    tests: Mapping[str, TestResult],
+    priors: PriorFile,
+    settings: InferenceSettings,
+    report: Callable[[Progress], None] = lambda _: None,
+) -> Inference:
+    """Population of calibrated tests; `report` gets the progress of the sampling."""
+    # BLAS adds up in another order with several threads, which small matrices do not need
+    with threadpool_limits(1, user_api="blas"):
+        return _inferred(tests, priors, settings, report)
+
+
+def _inferred(
+    tests: Mapping[str, TestResult],
+    priors: PriorFile,
+    settings: InferenceSettings,
+    report: Callable[[Progress], None],
+) -> Inference:
+    rng, effort = np.random.default_rng(list(settings.seed)), find_effort(settings.effort)
+    design, likelihoods = _likelihoods(tests, priors, settings)
+    coordinates, d = design.coordinates, len(design.names)
+
+    # Gaussians of the tests near the joint mode; what a test has to itself is integrated out
+    medians = [test.intervals or intervals_of(test.stored.values()) for test in tests.values()]
+    start = [coordinates.of({k: np.array([v[0]]) for k, v in each.items()}) for each in medians]
+    unpooled = np.ones((len(likelihoods), len(coordinates.names)), dtype=bool)
+    unpooled[:, :d] = ~design.informs
+    common = np.zeros(len(coordinates.names), dtype=bool)
+    common[:d] = design.common
+    with several_processes([one.linearised for one in likelihoods], settings.jobs) as evaluate:
+        begin = np.clip(np.concatenate(start), -6.0, 6.0)
+        fit = fit_jointly(likelihoods, begin, common, evaluate)
+    mixed = MixedModel(design, *gaussians_of(fit, unpooled, d))
+
+    # weights of the laws, by levels that are left out
+    levels = np.median(fit.mean, axis=0)[:d]
+    gaussians = TestGaussians.given_common(design, mixed.y, mixed.p, levels)
+    scores = compare_laws(gaussians)
+    weights = {name: _weights(design, name, scores) for name in design.laws}
+
+    # chains of the exact posterior, each under laws drawn by their weights
+    walkers = WALKERS if len(likelihoods) <= MANY else FEW_WALKERS
+    choice = _choices(design, weights, CHAINS * walkers)
+    mixed.find_outliers(choice[0])
+    kinds, kind = np.unique(choice, axis=0, return_inverse=True)
+
+    def approximate(fit: JointFit) -> tuple[MixedModel, list[Array]]:
+        under = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
+        under.adapted = mixed.adapted  # the next fit is near the last one
+        pools = [under.sample(one, rng, POOL) for one in kinds]
+        return under, [pools[k] for k in kind.ravel()]
+
+    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
+
+    def tell(sweeps: int, found: Convergence) -> None:
+        seconds = time.perf_counter() - began
+        share = found.share(effort.r_hat, effort.ess)
+        worst = found.worst_r_hat, found.worst_ess
+        report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
+
+    with several_processes([one.log_likelihood for one in fit.tests], settings.jobs) as evaluate:
+        sampler = ExactSampler(fit, approximate, unpooled, choice, rng, evaluate)
+        draws = sampler.run(effort.r_hat, effort.ess, limit, effort.kept // 4, tell)
+
+    # the population
+    shape, v = draws.h.shape[:2], mixed.f + mixed.e
+    chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
+    drawn = mixed.shapes(
+        draws.h.reshape(-1, mixed.dim), chosen.reshape(draws.h[..., 0].size, len(design.laws))
+    )
+    share, exponent = (part.reshape(chosen.shape) for part in drawn)
+    posterior = likelihoods[0].posterior
+    slips = [n for n in design.laws if n not in {"sigma0"} & posterior.model.standard_names]
+    alternatives, alternative_weight = _alternatives(mixed, slips, weights, gaussians, rng)
+    prior_of = dict(posterior.priors)
+    if posterior.model.has_gap and "start" in priors.parameters:
+        prior_of.setdefault("start", priors.parameters["start"])
+    population = Population(
+        design=design,
+        draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
+        choice=chosen,
+        law_weights=weights,
+        alternatives=alternatives,
+        alternative_weight=alternative_weight,
+        residual=fit.residual,
+        starts=_starts(prior_of.get("start"), likelihoods, draws.x),
+        priors=prior_of,
+        actuation_unit=settings.actuation_unit,
+        walkers=walkers,
+        convergence=draws.convergence,
+    )
+    exponents, dependence = free_exponents(gaussians), compare_dependence(gaussians)
+    return Inference(
+        population, draws.x, scores, exponents, dependence, draws.sweeps, draws.accepted
+    )
+
+
+def _likelihoods(
+    tests: Mapping[str, TestResult], priors: PriorFile, settings: InferenceSettings
+) -> tuple[Design, list[TestLikelihood]]:
+    """Design of the population, and likelihoods of the tests without discrepancy."""
+    some = next(iter(tests.values())).posterior
+    model = some.model
+    under = [settings.setting(name, test.trace) for name, test in tests.items()]
+    noise = set(some.noise.parameters) - {"noise_sd"}
+    names = [name for name in some.names if name not in noise]
+    slips = [name for name in model.slip_forces if name in names]
+    # slip forces follow the stroke, if it varies: no friction model here knows of it
+    stroke = len(under) >= TESTS and varies(under, "amplitude")
+    dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
+    for name, those in settings.dependence.items():
+        usual = () if {*those} - {*CONDITIONS} else dependence.get(name, ())
+        dependence[name] = (*usual, *those)
+    design = design_of(priors, names, under, settings.laws, dependence, model)
+    changing = [swings(design, model, test.trace) for test in tests.values()]
+    if any(changing):
+        # a test need not follow the law that others tell: it has shapes to itself
+        shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
+        every = [*names, *shapes]
+        design = design_of(priors, every, under, settings.laws, dependence, model)
+    followed = {n: n for n in design.laws if n in model.parameters}
+    followed |= {n: o for n, o in model.tied_laws.items() if o in followed}
+    laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
+    found = []
+    for test, changes in zip(tests.values(), changing, strict=True):
+        start, trace = "mask" if test.posterior.first else "sample", test.trace
+        posterior = Posterior(trace, priors, "iid", model, start=start)
+        relative = np.asarray(trace.actuation) / trace.reference_actuation if changes else None
+        found.append(TestLikelihood(posterior, design.coordinates, relative, laws))
+    return design, found
+
+
+def swings(design: Design, model: Model, trace: Trace) -> bool:
+    """Whether a test's actuation changes, and its law is not strictly proportional."""
+    mean = trace.reference_actuation
+    if not trace.varying or not mean > 0 or np.std(trace.actuation) < STEADY * mean:
+        return False
+    laws = [design.laws.get(name, "proportional") for name in model.slip_forces]
+    return any(law != "proportional" for law in laws)
+
+
+def gaussians_of(fit: JointFit, unpooled: NDArray[np.bool_], d: int) -> tuple[Array, Array]:
+    """Gaussian likelihoods of the d shared coordinates, (J, d) and (J, d, d).
+
+    What is unpooled is integrated over N(0, 1), and has no precision.
+    """
+    y, precision = np.zeros((len(unpooled), d)), np.zeros((len(unpooled), d, d))
+    for j, (mean, p, out) in enumerate(zip(fit.mean, fit.precision, unpooled, strict=True)):
+        kept, rest = np.flatnonzero(~out), np.flatnonzero(out)
+        across, pull = p[np.ix_(rest, kept)], p @ mean
+        gain = np.linalg.solve(p[np.ix_(rest, rest)] + np.eye(rest.size), across).T
+        reduced = p[np.ix_(kept, kept)] - gain @ across
+        y[j, kept] = np.linalg.solve(reduced, pull[kept] - gain @ pull[rest])
+        precision[j][np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
+    return y, precision
+
+
+def _weights(design: Design, name: str, scores: Sequence[LawScore]) -> dict[str, float]:
+    """Weights of the laws of a quantity; compared ones have those of their scores."""
+    laws = design.considered(design.laws[name])
+    if len(laws) == 1:
+        return {laws[0]: 1.0}
+    found = {s.law: float(s.weight) for s in scores if s.quantity == name}
+    return found if any(found.values()) else dict.fromkeys(laws, 1.0 / len(laws))
+
+
+def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int) -> Index:
+    """Numbers of the laws of n chains in proportion to the weights, (n, L); no random numbers."""
+    choice = np.zeros((n, len(design.laws)), dtype=np.intp)
+    for column, name in enumerate(design.laws):
+        edges = np.cumsum([weights[name].get(one, 0.0) for one in LAW_NAMES])
+        # a low-discrepancy sequence for each quantity, so that their laws are independent
+        place = (0.5 + np.arange(n) * np.sqrt(_PRIMES[column % len(_PRIMES)])) % 1.0
+        choice[:, column] = np.searchsorted(edges / edges[-1], place, side="right")
+    return choice
+
+
+def _alternatives(
+    mixed: MixedModel,
+    slips: Sequence[str],
+    weights: Mapping[str, Mapping[str, float]],
+    gaussians: TestGaussians,
+    rng: np.random.Generator,
+) -> tuple[LawDraws, Array]:
+    """Draws under all laws, for actuations beyond the tested levels, and their weights."""
+    design = mixed.design
+    many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
+    considered = design.considered(COMPARE) if many else ("affine", "power")
+    named = [design.laws[n] for n in slips if design.laws[n] != COMPARE]
+    laws = {
+        law: replace(design, laws={**design.laws, **dict.fromkeys(slips, law)})
+        for law in dict.fromkeys([*named, *considered])
+    }
+    # a test without actuation informs some laws alone, so that these have other effects of levels
+    sizes = {law: under.quantity.size for law, under in laws.items()}
+    size = design.quantity.size if design.quantity.size in sizes.values() else max(sizes.values())
+    usable = [law for law in laws if sizes[law] == size]
+    found, weight = [], []
+    for law, w in zip(usable, extrapolation_weights(gaussians, slips, usable), strict=True):
+        if w == 0.0:
+            continue
+        under = laws[law]
+        other = MixedModel(under, mixed.y, mixed.p, mixed.weight)
+        choice = _choices(under, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
+        n = max(int(np.ceil(ALTERNATIVES * w)), 20)
+        mode, root = other.laplace(choice)
+        h = other.of_numbers(mode + rng.standard_normal((n, other.dim)) @ root.T)
+        few = np.array_split(h, max(n // 32, 1))  # to bound the memory
+        z = np.concatenate([other.marginal(part, choice)[1].draw(rng) for part in few])
+        found.append((h[:, : other.f + other.e], z, *other.shapes(h, choice)))
+        weight.append(np.full(n, w / n))
+    return LawDraws(*map(np.concatenate, zip(*found, strict=True))), np.concatenate(weight)
+
+
+def _starts(prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array) -> Starts:
+    """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
+    starts, left, free = Starts.of(prior), [], []
+    if prior is None or prior.fixed or "start" not in likelihoods[0].coordinates.names:
+        return starts
+    even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
+    for j, one in enumerate(likelihoods):
+        model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
+        values = one.values(own)
+        scales = one.scales(np.median(own, axis=0)[None])
+        left.append(place_left(model, values, one.posterior.trace, scales or None))
+        free.append(without_load(model, values) if even else None)
+    there = [place for place in left if place is not None]
+    places = np.array(there) if len(there) == len(left) else None
+    begun = likelihoods[0].coordinates.value("start", x)
+    return starts.learned(begun.reshape(-1, len(likelihoods)), places, free)
+
+
+# --- exact posterior ------------------------------------------------------------------------------
 
 
 class State(NamedTuple):
@@ -315,291 +625,3 @@ class ExactSampler:
         tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
         kept_draws = by_chain(h[::stride]), by_chain(z[::stride]), by_chain(x)
         return Draws(*kept_draws, found, len(h), (tests, together))
-
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-
-# sd of an actuation, over its mean, below which slip forces are taken in proportion to it
-STEADY = 0.02
-ALTERNATIVES = 400  # draws under all laws together, for actuations beyond the tested levels
-POOL = 4000  # draws of the variance parameters
-# largest number of sweeps of the exact sampler
-SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
-# with more tests than this there are fewer chains: laws and variances are then known well
-MANY = 60
-WALKERS, FEW_WALKERS = 16, 4  # chains of each group, and with many tests
-_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
-
-
-@dataclass(frozen=True)
-class InferenceSettings:
-    """How a population is inferred."""
-
-    laws: Mapping[str, str]  # of each quantity that follows the actuation, or "compare"
-    actuation_unit: str
-    effort: str | Effort
-    seed: Sequence[int]
-    dependence: Mapping[str, Sequence[str]] = field(default_factory=dict)  # covariates
-    sessions: Mapping[str, str] = field(default_factory=dict)  # of each test; none if missing
-    jobs: int = 1  # processes that compute the tests' likelihoods; the draws are the same
-    devices: Mapping[str, str] = field(default_factory=dict)  # likewise
-    # date, count of cycles and temperature of each test, where they are known
-    conditions: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-
-    def setting(self, name: str, trace: Trace) -> Setting:
-        """Setting of a test."""
-        session, device = self.sessions.get(name, ""), self.devices.get(name, "")
-        return setting_of(trace, session, device, self.conditions.get(name, {}))
-
-
-@dataclass(frozen=True, eq=False)
-class Inference:
-    """What is inferred from a set of tests."""
-
-    population: Population
-    tests: Array  # (chain, draw, J, D): coordinates of the tests
-    scores: tuple[LawScore, ...]  # of every law, for each quantity that follows the actuation
-    # quantiles of each proportional law's exponent, estimated as in a power law
-    exponents: Mapping[str, tuple[float, float, float]]
-    dependence: tuple[DependenceScore, ...]
-    sweeps: int
-    accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
-
-    def values(self, j: int) -> dict[str, Array]:
-        """Quantities of test j with the others, by name, (chain, draw)."""
-        x = self.tests[:, :, j]
-        found = self.population.design.coordinates.values(x.reshape(-1, x.shape[-1]))
-        return {name: value.reshape(x.shape[:2]) for name, value in found.items()}
-
-
-def infer_population(
-    tests: Mapping[str, TestResult],
-    priors: PriorFile,
-    settings: InferenceSettings,
-    report: Callable[[Progress], None] = lambda _: None,
-) -> Inference:
-    """Population of calibrated tests; `report` gets the progress of the sampling."""
-    # BLAS adds up in another order with several threads, which small matrices do not need
-    with threadpool_limits(1, user_api="blas"):
-        return _inferred(tests, priors, settings, report)
-
-
-def _inferred(
-    tests: Mapping[str, TestResult],
-    priors: PriorFile,
-    settings: InferenceSettings,
-    report: Callable[[Progress], None],
-) -> Inference:
-    rng, effort = np.random.default_rng(list(settings.seed)), find_effort(settings.effort)
-    design, likelihoods = _likelihoods(tests, priors, settings)
-    coordinates, d = design.coordinates, len(design.names)
-
-    # Gaussians of the tests near the joint mode; what a test has to itself is integrated out
-    medians = [test.intervals or intervals_of(test.stored.values()) for test in tests.values()]
-    start = [coordinates.of({k: np.array([v[0]]) for k, v in each.items()}) for each in medians]
-    unpooled = np.ones((len(likelihoods), len(coordinates.names)), dtype=bool)
-    unpooled[:, :d] = ~design.informs
-    common = np.zeros(len(coordinates.names), dtype=bool)
-    common[:d] = design.common
-    with several_processes([one.linearised for one in likelihoods], settings.jobs) as evaluate:
-        begin = np.clip(np.concatenate(start), -6.0, 6.0)
-        fit = fit_jointly(likelihoods, begin, common, evaluate)
-    mixed = MixedModel(design, *gaussians_of(fit, unpooled, d))
-
-    # weights of the laws, by levels that are left out
-    levels = np.median(fit.mean, axis=0)[:d]
-    gaussians = TestGaussians.given_common(design, mixed.y, mixed.p, levels)
-    scores = compare_laws(gaussians)
-    weights = {name: _weights(design, name, scores) for name in design.laws}
-
-    # chains of the exact posterior, each under laws drawn by their weights
-    walkers = WALKERS if len(likelihoods) <= MANY else FEW_WALKERS
-    choice = _choices(design, weights, CHAINS * walkers)
-    mixed.find_outliers(choice[0])
-    kinds, kind = np.unique(choice, axis=0, return_inverse=True)
-
-    def approximate(fit: JointFit) -> tuple[MixedModel, list[Array]]:
-        under = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
-        under.adapted = mixed.adapted  # the next fit is near the last one
-        pools = [under.sample(one, rng, POOL) for one in kinds]
-        return under, [pools[k] for k in kind.ravel()]
-
-    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
-
-    def tell(sweeps: int, found: Convergence) -> None:
-        seconds = time.perf_counter() - began
-        share = found.share(effort.r_hat, effort.ess)
-        worst = found.worst_r_hat, found.worst_ess
-        report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
-
-    with several_processes([one.log_likelihood for one in fit.tests], settings.jobs) as evaluate:
-        sampler = ExactSampler(fit, approximate, unpooled, choice, rng, evaluate)
-        draws = sampler.run(effort.r_hat, effort.ess, limit, effort.kept // 4, tell)
-
-    # the population
-    shape, v = draws.h.shape[:2], mixed.f + mixed.e
-    chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
-    drawn = mixed.shapes(
-        draws.h.reshape(-1, mixed.dim), chosen.reshape(draws.h[..., 0].size, len(design.laws))
-    )
-    share, exponent = (part.reshape(chosen.shape) for part in drawn)
-    posterior = likelihoods[0].posterior
-    slips = [n for n in design.laws if n not in {"sigma0"} & posterior.model.standard_names]
-    alternatives, alternative_weight = _alternatives(mixed, slips, weights, gaussians, rng)
-    prior_of = dict(posterior.priors)
-    if posterior.model.has_gap and "start" in priors.parameters:
-        prior_of.setdefault("start", priors.parameters["start"])
-    population = Population(
-        design=design,
-        draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
-        choice=chosen,
-        law_weights=weights,
-        alternatives=alternatives,
-        alternative_weight=alternative_weight,
-        residual=fit.residual,
-        starts=_starts(prior_of.get("start"), likelihoods, draws.x),
-        priors=prior_of,
-        actuation_unit=settings.actuation_unit,
-        walkers=walkers,
-        convergence=draws.convergence,
-    )
-    exponents, dependence = free_exponents(gaussians), compare_dependence(gaussians)
-    return Inference(
-        population, draws.x, scores, exponents, dependence, draws.sweeps, draws.accepted
-    )
-
-
-def gaussians_of(fit: JointFit, unpooled: NDArray[np.bool_], d: int) -> tuple[Array, Array]:
-    """Gaussian likelihoods of the d shared coordinates, (J, d) and (J, d, d).
-
-    What is unpooled is integrated over N(0, 1), and has no precision.
-    """
-    y, precision = np.zeros((len(unpooled), d)), np.zeros((len(unpooled), d, d))
-    for j, (mean, p, out) in enumerate(zip(fit.mean, fit.precision, unpooled, strict=True)):
-        kept, rest = np.flatnonzero(~out), np.flatnonzero(out)
-        across, pull = p[np.ix_(rest, kept)], p @ mean
-        gain = np.linalg.solve(p[np.ix_(rest, rest)] + np.eye(rest.size), across).T
-        reduced = p[np.ix_(kept, kept)] - gain @ across
-        y[j, kept] = np.linalg.solve(reduced, pull[kept] - gain @ pull[rest])
-        precision[j][np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
-    return y, precision
-
-
-def _likelihoods(
-    tests: Mapping[str, TestResult], priors: PriorFile, settings: InferenceSettings
-) -> tuple[Design, list[TestLikelihood]]:
-    """Design of the population, and likelihoods of the tests without discrepancy."""
-    some = next(iter(tests.values())).posterior
-    model = some.model
-    under = [settings.setting(name, test.trace) for name, test in tests.items()]
-    noise = set(some.noise.parameters) - {"noise_sd"}
-    names = [name for name in some.names if name not in noise]
-    slips = [name for name in model.slip_forces if name in names]
-    # slip forces follow the stroke, if it varies: no friction model here knows of it
-    stroke = len(under) >= TESTS and varies(under, "amplitude")
-    dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
-    for name, those in settings.dependence.items():
-        usual = () if {*those} - {*CONDITIONS} else dependence.get(name, ())
-        dependence[name] = (*usual, *those)
-    design = design_of(priors, names, under, settings.laws, dependence, model)
-    changing = [swings(design, model, test.trace) for test in tests.values()]
-    if any(changing):
-        # a test need not follow the law that others tell: it has shapes to itself
-        shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
-        every = [*names, *shapes]
-        design = design_of(priors, every, under, settings.laws, dependence, model)
-    followed = {n: n for n in design.laws if n in model.parameters}
-    followed |= {n: o for n, o in model.tied_laws.items() if o in followed}
-    laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
-    found = []
-    for test, changes in zip(tests.values(), changing, strict=True):
-        start, trace = "mask" if test.posterior.first else "sample", test.trace
-        posterior = Posterior(trace, priors, "iid", model, start=start)
-        relative = np.asarray(trace.actuation) / trace.reference_actuation if changes else None
-        found.append(TestLikelihood(posterior, design.coordinates, relative, laws))
-    return design, found
-
-
-def swings(design: Design, model: Model, trace: Trace) -> bool:
-    """Whether a test's actuation changes, and its law is not strictly proportional."""
-    mean = trace.reference_actuation
-    if not trace.varying or not mean > 0 or np.std(trace.actuation) < STEADY * mean:
-        return False
-    laws = [design.laws.get(name, "proportional") for name in model.slip_forces]
-    return any(law != "proportional" for law in laws)
-
-
-def _weights(design: Design, name: str, scores: Sequence[LawScore]) -> dict[str, float]:
-    """Weights of the laws of a quantity; compared ones have those of their scores."""
-    laws = design.considered(design.laws[name])
-    if len(laws) == 1:
-        return {laws[0]: 1.0}
-    found = {s.law: float(s.weight) for s in scores if s.quantity == name}
-    return found if any(found.values()) else dict.fromkeys(laws, 1.0 / len(laws))
-
-
-def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int) -> Index:
-    """Numbers of the laws of n chains in proportion to the weights, (n, L); no random numbers."""
-    choice = np.zeros((n, len(design.laws)), dtype=np.intp)
-    for column, name in enumerate(design.laws):
-        edges = np.cumsum([weights[name].get(one, 0.0) for one in LAW_NAMES])
-        # a low-discrepancy sequence for each quantity, so that their laws are independent
-        place = (0.5 + np.arange(n) * np.sqrt(_PRIMES[column % len(_PRIMES)])) % 1.0
-        choice[:, column] = np.searchsorted(edges / edges[-1], place, side="right")
-    return choice
-
-
-def _alternatives(
-    mixed: MixedModel,
-    slips: Sequence[str],
-    weights: Mapping[str, Mapping[str, float]],
-    gaussians: TestGaussians,
-    rng: np.random.Generator,
-) -> tuple[LawDraws, Array]:
-    """Draws under all laws, for actuations beyond the tested levels, and their weights."""
-    design = mixed.design
-    many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
-    considered = design.considered(COMPARE) if many else ("affine", "power")
-    named = [design.laws[n] for n in slips if design.laws[n] != COMPARE]
-    laws = {
-        law: replace(design, laws={**design.laws, **dict.fromkeys(slips, law)})
-        for law in dict.fromkeys([*named, *considered])
-    }
-    # a test without actuation informs some laws alone, so that these have other effects of levels
-    sizes = {law: under.quantity.size for law, under in laws.items()}
-    size = design.quantity.size if design.quantity.size in sizes.values() else max(sizes.values())
-    usable = [law for law in laws if sizes[law] == size]
-    found, weight = [], []
-    for law, w in zip(usable, extrapolation_weights(gaussians, slips, usable), strict=True):
-        if w == 0.0:
-            continue
-        under = laws[law]
-        other = MixedModel(under, mixed.y, mixed.p, mixed.weight)
-        choice = _choices(under, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
-        n = max(int(np.ceil(ALTERNATIVES * w)), 20)
-        mode, root = other.laplace(choice)
-        h = other.of_numbers(mode + rng.standard_normal((n, other.dim)) @ root.T)
-        few = np.array_split(h, max(n // 32, 1))  # to bound the memory
-        z = np.concatenate([other.marginal(part, choice)[1].draw(rng) for part in few])
-        found.append((h[:, : other.f + other.e], z, *other.shapes(h, choice)))
-        weight.append(np.full(n, w / n))
-    return LawDraws(*map(np.concatenate, zip(*found, strict=True))), np.concatenate(weight)
-
-
-def _starts(prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array) -> Starts:
-    """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
-    starts, left, free = Starts.of(prior), [], []
-    if prior is None or prior.fixed or "start" not in likelihoods[0].coordinates.names:
-        return starts
-    even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
-    for j, one in enumerate(likelihoods):
-        model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
-        values = one.values(own)
-        scales = one.scales(np.median(own, axis=0)[None])
-        left.append(place_left(model, values, one.posterior.trace, scales or None))
-        free.append(without_load(model, values) if even else None)
-    there = [place for place in left if place is not None]
-    places = np.array(there) if len(there) == len(left) else None
-    begun = likelihoods[0].coordinates.value("start", x)
-    return starts.learned(begun.reshape(-1, len(likelihoods)), places, free)

@@ -1,4 +1,12 @@
-"""Joint penalised least squares of all tests, and the Laplace approximation of each near it.
+"""Joint penalised least squares of all tests, with what the force model leaves over in every test.
+
+    y_j = F(θ_j) + F0_j + f_j δ(u) + s_j g(u) (h z_i + √(1 - h²) ε)
+
+u is the travel since the last turn, with the direction of motion; f_j is the slip force of test j
+over a typical one. The discrepancy δ is a Gaussian process (Matérn 3/2, by its values at knots); it
+repeats in every cycle of every test. g is the shape of the noise's standard deviation, h the share
+that the samples of a stroke have in common (a random intercept z_i for each stroke), and ε an AR(1)
+process.
 
 Quantities of the device are the same in all tests; the others are each test's own. The normal
 equations are solved with the own ones eliminated (Schur complement), damped as by Levenberg and
@@ -6,7 +14,7 @@ Marquardt. Discrepancy and noise are learned first, by expectation-maximisation 
 without a discrepancy leaves over (a module of its own: Liu, Bayarri and Berger, 2009). With these
 given, the fit goes on to the posterior mode under the magnitude-adjusted likelihood, in which
 samples count as many as are independent (Ribatet, Cooley and Davison, 2012). There the Gaussians
-are taken.
+of the tests are taken (Laplace).
 """
 
 from __future__ import annotations
@@ -25,12 +33,20 @@ from mfd_bayes.population.design import Coordinates
 from mfd_bayes.population.laws import ratio
 from mfd_bayes.records.trace import Trace
 
+Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 KNOTS = 16  # knots of each direction
 FINE = 20.0  # knots are even in log(1 + FINE · travel/stroke): finest after a turn
 LENGTH = 0.2  # correlation length of δ, as a share of the range of the knots
 FEWEST = 8  # fewest samples of a stroke whose mean counts
+STEP = 1e-3  # step of the central differences, in prior units
+EVEN = 30.0  # samples near a knot that an even shape of the noise is worth
+FARTHEST = 8.0  # largest coordinate of a fit, in prior units
+SETTLED = 1e-3  # relative change of the objective; three smaller ones in a row end the fit
+
+
+# --- discrepancy and noise ------------------------------------------------------------------------
 
 
 def strokes_of(trace: Trace) -> Index:
@@ -162,12 +178,7 @@ def share_of_strokes(standard: Sequence[Array], strokes: Sequence[Index]) -> flo
     return float(np.sqrt(np.clip(np.mean(between) / total, 0.0, 0.9)))
 
 
-Array = NDArray[np.float64]
-
-STEP = 1e-3  # step of the central differences, in prior units
-EVEN = 30.0  # samples near a knot that an even shape of the noise is worth
-FARTHEST = 8.0  # largest coordinate of a fit, in prior units
-SETTLED = 1e-3  # relative change of the objective; three smaller ones in a row end the fit
+# --- fit ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

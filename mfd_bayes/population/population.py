@@ -1,4 +1,14 @@
-"""The population of tests: laws, levels, effects and scatter, as draws."""
+"""The population of tests, as draws: laws, levels, effects and scatter, and where tests begin.
+
+Tests are often made one after the other with the same motion, and the device is not reset in
+between: it then stands where such a motion leaves it. So a repeat of the calibrated tests begins
+near the middle of the gap, or near the place at which its own motion ends; which of the two, and
+how near, is learned from the calibrated tests (Beta densities on a grid of shapes). For every
+other motion nothing is learned from repeats: it begins without load, or anywhere. A repeat does so
+with probability `ELSEWHERE` too.
+
+The NetCDF file of a population has the paper's constants by name.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +34,16 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
 
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and
+# of speed or frequency, outside the tests
+STROKE, RATE = 0.2, 0.1
+# factor of stroke within which a motion repeats a calibrated test, and so may begin as it did
+LIKE = 1.1
+LIKE_STROKES = 0.25  # difference in the share of full strokes up to which motions are of one kind
+OCTAVE = 0.25  # octaves between the actuations at which deviations along a history are drawn
 SHAPES = np.geomspace(1.0, 100.0, 41)  # of the Beta densities: from anywhere (1) to one place
 ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere
 # probability, before the tests of a run, that tests begin without load and not anywhere. All
@@ -33,6 +53,12 @@ ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere
 BEFORE = 0.75
 MOST = 0.95  # largest probability that tests begin without load
 SLOW = 1e3  # time between two displacements of a motion without speed, s
+FORMAT = "mixed model 1"  # kind of stored population; others are not read
+_RESIDUAL = ("mean", "covariance", "log_shape")
+_FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
+
+
+# --- start in the gap -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,16 +203,7 @@ def place_left(
     return float(np.clip(model.start_at(ended.place, trace)[0], 0.0, 1.0))
 
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-
-# sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and
-# of speed or frequency, outside the tests
-STROKE, RATE = 0.2, 0.1
-# factor of stroke within which a motion repeats a calibrated test, and so may begin as it did
-LIKE = 1.1
-LIKE_STROKES = 0.25  # difference in the share of full strokes up to which motions are of one kind
-OCTAVE = 0.25  # octaves between the actuations at which deviations along a history are drawn
+# --- population -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -613,9 +630,7 @@ class Population:
         return np.sort(np.append(grid[np.abs(np.log(grid / level)) > 0.02], level))
 
 
-FORMAT = "mixed model 1"  # kind of stored population; others are not read
-_RESIDUAL = ("mean", "covariance", "log_shape")
-_FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
+# --- file -----------------------------------------------------------------------------------------
 
 
 def save_population(path: Path, population: Population) -> None:

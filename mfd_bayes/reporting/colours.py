@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from mfd_bayes.population.design import KIND_NAMES
+from mfd_bayes.population.bands import KIND_NAMES
 
 # Palette of Okabe and Ito, which colour-blind readers can tell apart.
 DATA = "#1b1b1b"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfd_bayes.evaluation.next_test import advice_rows
-from mfd_bayes.population.design import KIND_NAMES
+from mfd_bayes.population.bands import KIND_NAMES
 from mfd_bayes.reporting.conversion import to_units
 from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
 from mfd_bayes.runs.unit_system import US, System

@@ -35,8 +35,8 @@ from mfd_bayes.planning.candidate import (
     typical_of,
 )
 from mfd_bayes.planning.study import Advice, Effort, Situation, advise
-from mfd_bayes.population.bands import FEWEST, Band, Forecast, Predictor, check_flag
-from mfd_bayes.population.design import CONDITIONS, THIS_TEST, planned_setting, same_level
+from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor, check_flag
+from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
 from mfd_bayes.records.trace import Trace, check_trace

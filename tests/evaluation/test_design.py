@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.evaluation.properties import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
-from mfd_bayes.population.design import KIND_NAMES, KINDS
+from mfd_bayes.population.bands import KIND_NAMES, KINDS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.colours import BAND_NAMES, BANDS
 from mfd_bayes.reporting.conversion import convert_rows
