@@ -18,11 +18,15 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
-from mfd_bayes.evaluation.checks import convergence_checks, exponent_checks
+from mfd_bayes.evaluation.checks import (
+    contradicted_order,
+    convergence_checks,
+    exponent_checks,
+    outlying_tests,
+    uncommon_device_values,
+)
 from mfd_bayes.evaluation.crossvalidate import left_out_view
-from mfd_bayes.evaluation.drift import drift_rows
-from mfd_bayes.evaluation.laws import law_choices, law_rows, law_score_rows, law_views
-from mfd_bayes.evaluation.outliers import contradicted_order, outlying_tests, uncommon_device_values
+from mfd_bayes.evaluation.laws import drift_rows, law_choices, law_rows, law_score_rows, law_views
 from mfd_bayes.evaluation.properties import (
     Peaks,
     device_properties,

@@ -25,7 +25,7 @@ from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 if TYPE_CHECKING:
-    from mfd_bayes.evaluation.drift import DriftRow
+    from mfd_bayes.evaluation.laws import DriftRow
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from mfd_bayes.calibration.priors import WRITTEN
 from mfd_bayes.campaign.campaign import load_campaign
-from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors
-from mfd_bayes.campaign.draft_priors import priors_text
+from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors, priors_text
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.records.loops import scales_of
 from mfd_bayes.records.record import Record

@@ -11,9 +11,9 @@ from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.findings import faults_for, findings_together, gap_of, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
+from mfd_bayes.records.data_quality import Inspection, inspect_record
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.summary import Inspection, inspect_record
 from mfd_bayes.reporting.conversion import convert_trace
 from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes

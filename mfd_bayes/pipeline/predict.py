@@ -18,11 +18,9 @@ from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import CONDITIONS, KIND_NAMES
-from mfd_bayes.records.channels import NO_ACTUATION, parse_window
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.sine import parse_sine
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
+from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
 from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.runs.run import ModelAverage, Run, open_run

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mfd_bayes.errors import MfdError, ReportError
-from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
-from mfd_bayes.evaluation.properties import stored_peaks
+from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_peaks
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step

@@ -104,7 +104,7 @@ def _of_cycles(test: TestResult) -> Any:
     """Log density of each cycle given all others, (chain, draw, cycle)."""
     import xarray as xr
 
-    from mfd_bayes.evaluation.compare import cycle_log_likelihood, find_cycles
+    from mfd_bayes.evaluation.crossvalidate import cycle_log_likelihood, find_cycles
 
     stored, posterior = test.stored, test.posterior
     shape = stored.stats["lp"].shape

@@ -43,7 +43,7 @@ from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import in_digits
 
 if TYPE_CHECKING:
-    from mfd_bayes.evaluation.datasheet import Datasheet
+    from mfd_bayes.evaluation.properties import Datasheet
 
 Pair = tuple[System, System]
 """Customary and metric system of units."""

@@ -15,8 +15,7 @@ import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.cross_checks import Tested, compare_tests
-from mfd_bayes.records.data_quality import contradictions, find_faults
-from mfd_bayes.records.summary import inspect_record
+from mfd_bayes.records.data_quality import contradictions, find_faults, inspect_record
 
 GAP = 0.15  # in
 

@@ -556,5 +556,5 @@ def test_binary_files_are_read_in_a_process_that_may_die_and_beside_threads(tmp_
     monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: os.kill(os.getpid(), signal.SIGSEGV))
     refusal(tmp_path / "a.mat")
     monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: time.sleep(60))
-    monkeypatch.setattr("mfd_bayes.records.readers.binary.SECONDS", 0.2)
+    monkeypatch.setattr("mfd_bayes.records.readers.SECONDS", 0.2)
     assert "0.2 s" in refusal(Path(tmp_path / "a.mat"))

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import RecordError
-from mfd_bayes.records.channels import Source
+from mfd_bayes.records.record import Source
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 

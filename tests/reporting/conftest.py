@@ -12,7 +12,7 @@ from mfd_bayes.calibration.identifiability import (
     Identifiability,
     Pair,
 )
-from mfd_bayes.evaluation.datasheet import Datasheet
+from mfd_bayes.evaluation.properties import Datasheet
 from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     CampaignView,

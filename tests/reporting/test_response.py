@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.reporting.figures import style, to_png
-from mfd_bayes.reporting.response import (
+from mfd_bayes.pipeline.respond import (
     ResponseView,
     peaks_frame,
     render_response,
@@ -17,9 +16,9 @@ from mfd_bayes.reporting.response import (
     sweep_frame,
     sweep_sentence,
 )
+from mfd_bayes.reporting.figures import style, to_png
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.response.result import Passing, Row
-from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.response.result import Passing, Row, Sweep
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.units import GRAVITY

@@ -15,8 +15,7 @@ from mfd_bayes.reporting import colours
 from mfd_bayes.reporting.figures import style as look
 from mfd_bayes.reporting.symbols import plain
 from mfd_bayes.response.building import Building
-from mfd_bayes.response.result import Response
-from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.response.result import Response, Sweep
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import GRAVITY
 
