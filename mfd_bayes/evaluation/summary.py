@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import contraction, log_if_positive
-from mfd_bayes.calibration.identifiability import identify
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.calibration.diagnostics import contraction, identify, log_if_positive
+from mfd_bayes.calibration.posterior import Posterior, replicate
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError

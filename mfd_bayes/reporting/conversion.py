@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from mfd_bayes.axes import Axes
 from mfd_bayes.evaluation.views import Fan, LawView, LeftOutView, Row, Rows, TestView
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import US, System
+from mfd_bayes.units import Axes
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 _OF_UNIT = frozenset(
     {

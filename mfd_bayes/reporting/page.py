@@ -22,7 +22,6 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from mfd_bayes.axes import DAMPER
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
 from mfd_bayes.evaluation.scores import width_sentence
@@ -40,7 +39,7 @@ from mfd_bayes.reporting.tables import (
 )
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.runs.verdict import Use
-from mfd_bayes.units import in_digits
+from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:
     from mfd_bayes.evaluation.properties import Datasheet

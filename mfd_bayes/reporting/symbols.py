@@ -12,8 +12,7 @@ from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.quantity import html_of
+from mfd_bayes.friction.model import Model, html_of
 from mfd_bayes.runs.unit_system import System
 
 _SYMBOLS = {

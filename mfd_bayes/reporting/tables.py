@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.axes import Axes
 from mfd_bayes.evaluation.next_test import advice_rows
 from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.planning.study import Advice
@@ -28,10 +27,11 @@ from mfd_bayes.reporting.conversion import to_units
 from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
 from mfd_bayes.runs.manifest import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
-from mfd_bayes.units import percent
+from mfd_bayes.units import Axes, percent
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 CROSSVALIDATION = "crossvalidation.csv"
 

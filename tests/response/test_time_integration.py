@@ -8,9 +8,8 @@ import pytest
 from scipy import signal
 
 from mfd_bayes.friction.bouc_wen import BoucWen
-from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.friction.quantity import Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import Content, building_of
