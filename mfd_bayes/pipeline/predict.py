@@ -20,8 +20,14 @@ from mfd_bayes.population.settings import CONDITIONS, KIND_NAMES
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
 from mfd_bayes.records.trace import Trace, parse_sine
-from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
-from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
+from mfd_bayes.reporting.tables import (
+    bands_csv,
+    convert_fan,
+    convert_rows,
+    convert_trace,
+    design_csv,
+    predicted_csv,
+)
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
