@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.identifiability import Directions
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import COVERAGES, Replicas, check_predictive
+from mfd_bayes.calibration.diagnostics import Directions, Effort
+from mfd_bayes.calibration.posterior import COVERAGES, Posterior, Replicas, check_predictive
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import EXTREME, TOLERANCE_OF, measured_properties

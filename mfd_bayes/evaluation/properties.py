@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import DAMPER, Axes
-from mfd_bayes.calibration.predictive import derive_from_parameters
+from mfd_bayes.calibration.posterior import derive_from_parameters
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
@@ -36,7 +35,7 @@ from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.runs.verdict import Use
-from mfd_bayes.units import actuation_kind, parse_actuation
+from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]
 

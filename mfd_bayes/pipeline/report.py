@@ -17,9 +17,8 @@ from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.conversion import convert_scores
 from mfd_bayes.reporting.publish import PLAIN, Forms
-from mfd_bayes.reporting.tables import CROSSVALIDATION
+from mfd_bayes.reporting.tables import CROSSVALIDATION, convert_scores
 from mfd_bayes.runs.folder import alone_in, check_places
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import Run, open_run

@@ -23,12 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.response.building import Building
-from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
+from mfd_bayes.response.device_draws import Dampers, ElastoPlastic, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import Response, combined
 from mfd_bayes.store.files import write_bytes

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mfd_bayes.calibration.identifiability import (
+from mfd_bayes.calibration.diagnostics import (
     Directions,
     Identifiability,
     Pair,
