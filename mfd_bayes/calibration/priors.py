@@ -24,7 +24,7 @@ from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.store.toml import TomlError, read_toml
+from mfd_bayes.store.files import TomlError, read_toml
 from mfd_bayes.units import parse_quantity
 
 Array = NDArray[np.float64]

@@ -35,7 +35,7 @@ from mfd_bayes.records.inputs import file_inside
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.readers.table import own_name
 from mfd_bayes.records.record import Record, Window, read_record
-from mfd_bayes.store.toml import TomlError, faults_text, nearest, read_toml
+from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
 
 

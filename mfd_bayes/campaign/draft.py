@@ -38,7 +38,7 @@ from mfd_bayes.records.loops import Scales, channels_swapped, scales_of
 from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import without_spikes
-from mfd_bayes.store.toml import commented, quoted
+from mfd_bayes.store.files import commented, quoted
 from mfd_bayes.units import ActuationUnit, actuation_factor, convert
 
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip"}

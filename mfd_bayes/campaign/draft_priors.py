@@ -10,7 +10,7 @@ import numpy as np
 from mfd_bayes.calibration.priors import SCALED, find_priors, load_priors
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.loops import Scales, middle
-from mfd_bayes.store.toml import commented, quoted, read_toml
+from mfd_bayes.store.files import commented, quoted, read_toml
 from mfd_bayes.units import convert, in_digits, measures
 
 OTHER = 2.0

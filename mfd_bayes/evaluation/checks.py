@@ -28,7 +28,7 @@ from mfd_bayes.evaluation.views import (
     Rows,
 )
 from mfd_bayes.records.loops import MeasuredCycles
-from mfd_bayes.runs.verdict import Verdict
+from mfd_bayes.runs.manifest import Verdict
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from mfd_bayes.records.channels import NO_ACTUATION
 from mfd_bayes.records.loops import FORMULAS, UNITS, MeasuredCycles
 from mfd_bayes.records.sine import Harmonic, parse_sine
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.manifest import Use
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.settings import Setting
+from mfd_bayes.runs.manifest import Finding
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.verdict import Finding
 
 Array = NDArray[np.float64]
 

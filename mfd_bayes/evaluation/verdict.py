@@ -25,9 +25,8 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.design import Design
-from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.manifest import Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 MILD = 3.0
 """Misfit, in tolerances, of a fault of a record that does not spoil it."""

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import CampaignError, StoreError
-from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.response.building import Building, Device
 from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.opensees import equivalents
 from mfd_bayes.response.schema import Limits
-from mfd_bayes.runs.folder import POPULATION
+from mfd_bayes.runs.folder import POPULATION, check_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span, departures, far_sentences
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 Array = NDArray[np.float64]
 

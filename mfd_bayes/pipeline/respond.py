@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import chain
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, UnitError
-from mfd_bayes.jobs.job import Step
-from mfd_bayes.pipeline.outputs import check_folder
 from mfd_bayes.reporting.response import (
     ResponseView,
     draws_frame,
@@ -31,12 +28,19 @@ from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
 from mfd_bayes.response.result import Response, Shares, variance_shares
 from mfd_bayes.response.sweep import Sweep, check_goal, parse_sweep, sweep_of
+from mfd_bayes.runs.folder import check_folder
+from mfd_bayes.runs.manifest import Use
 from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, US, System
-from mfd_bayes.runs.verdict import Use
 from mfd_bayes.store.cards import counted
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mfd_bayes.jobs.job import Step
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence, measure
-from mfd_bayes.jobs.parallel import Evaluate, in_turn
+from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 

@@ -16,7 +16,7 @@ from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
-from mfd_bayes.jobs.parallel import several_processes
+from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.population.design import LEVELS, TESTS, Design, design_of
 from mfd_bayes.population.exact import CHAINS, ExactSampler
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.jobs.parallel import Evaluate, in_turn
+from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.design import Coordinates
 from mfd_bayes.population.discrepancy import (
     Residual,

@@ -19,7 +19,7 @@ from pydantic import (
 
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.response.ground import parse_acceleration
-from mfd_bayes.store.toml import TomlError, faults_text, read_toml
+from mfd_bayes.store.files import TomlError, faults_text, read_toml
 from mfd_bayes.units import GRAVITY, parse_actuation, parse_quantity
 
 

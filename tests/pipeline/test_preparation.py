@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.pipeline.prior_check import prior_check
+from mfd_bayes.pipeline.inspect import prior_check
 from mfd_bayes.reporting import figures
 
 CAMPAIGN = """
