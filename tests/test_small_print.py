@@ -7,9 +7,8 @@ from typer.testing import CliRunner
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, RecordError, StoreError, UnitError
-from mfd_bayes.records.data_quality import contradictions
+from mfd_bayes.records.data_quality import contradictions, inspect_record
 from mfd_bayes.records.record import read_record
-from mfd_bayes.records.summary import inspect_record
 from mfd_bayes.store.files import read_json
 from mfd_bayes.units import parse_actuation, parse_quantity, percent
 

@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from mfd_bayes.errors import UnitError
-from mfd_bayes.records.channels import parse_window
+from mfd_bayes.records.record import parse_window
 from mfd_bayes.units import (
     DIMENSIONS,
     convert,

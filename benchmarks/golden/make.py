@@ -1,10 +1,10 @@
-"""Does a rebuilt package compute the same numbers? Golden arrays of forces, densities and draws.
+"""Does a rebuilt package compute the same numbers? Golden arrays of forces and densities.
 
     python -m benchmarks.golden.make --check     # minutes: makes them again, and compares
     python -m benchmarks.golden.make             # makes golden.npz beside this file
 
-No test holds these to the last digits. `--only forces,draws` takes some parts (and keeps the rest
-of the file). An array's name is its path: part, model, motion, what it is. Printed for each part is
+No test holds these to the last digits. `--only forces` takes one part (and keeps the rest of the
+file). An array's name is its path: part, model, motion, what it is. Printed for each part is
 the largest difference, divided by the largest number of the same row. Exit status 1: an array
 differs by more than --tolerance (forces of backlash: 2e-4), or is not there. Real records are
 looked for in --data.
@@ -146,23 +146,7 @@ def densities(data: Path) -> Arrays:
     return found
 
 
-def draws(data: Path) -> Arrays:
-    """Draws of short fits, with two seeds, and their quantiles."""
-    found: Arrays = {}
-    for name, noise in {"three_stage": "ou", "backlash": "iid"}.items():
-        posterior = mb.Posterior(measured(name, "full_cycles"), noise=noise, model=name)
-        for seed in (1, 2):
-            drawn = mb.sample(posterior, effort="quick", seed=seed)
-            key = f"draws/{name}/{noise}/seed_{seed}"
-            flat = drawn.theta.reshape(-1, drawn.theta.shape[-1])
-            found[f"{key}/theta_every_20th"] = flat[::20].T
-            found[f"{key}/theta_quantiles"] = np.quantile(flat, [0.05, 0.5, 0.95], axis=0).T
-            found[f"{key}/log_prob_every_20th"] = drawn.log_prob[:, ::20]
-            found[f"{key}/number_of_draws"] = np.array(drawn.log_prob.shape)
-    return found
-
-
-PARTS = {part.__name__: part for part in (forces, densities, draws)}
+PARTS = {part.__name__: part for part in (forces, densities)}
 
 
 def difference(new: np.ndarray, old: np.ndarray) -> float:

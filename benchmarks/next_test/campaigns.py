@@ -18,8 +18,7 @@ from mfd_bayes.planning.goal import Goal, parse_goal
 from mfd_bayes.planning.study import Advice, Effort, Situation, advise, goals_of
 from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.population.population import Population
-from mfd_bayes.records.sine import Harmonic
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Harmonic, Trace
 
 BASE = (0.4, 0.5, 0.6)
 """Actuation of the tests that were made, ksi; 1 Hz, 1 in, two cycles."""

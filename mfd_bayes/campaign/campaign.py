@@ -11,7 +11,6 @@ from typing import Any, ClassVar, NamedTuple
 
 from pydantic import ValidationError
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.campaign.schema import (
     TABLES,
     CampaignFile,
@@ -30,13 +29,20 @@ from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_test
 from mfd_bayes.planning.goal import Goal, check_goal, check_session
 from mfd_bayes.population.laws import complete_laws, default_laws
 from mfd_bayes.population.settings import CONDITIONS
-from mfd_bayes.records.channels import NO_ACTUATION, Source, header_unit, parse_window
 from mfd_bayes.records.inputs import file_inside
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.readers.table import own_name
-from mfd_bayes.records.record import Record, Window, read_record
+from mfd_bayes.records.record import (
+    NO_ACTUATION,
+    Record,
+    Source,
+    Window,
+    header_unit,
+    parse_window,
+    read_record,
+)
+from mfd_bayes.records.table import own_name
 from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
-from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
+from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, actuation_kind, measure
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,18 +12,19 @@ from unicodedata import normalize
 
 import numpy as np
 
-from mfd_bayes.axes import Axes, Axis, check_unit
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.channels import Source, header_unit, stated_unit, step_of
 from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
-from mfd_bayes.records.readers import Table
-from mfd_bayes.records.readers.table import own_name
+from mfd_bayes.records.record import Source, header_unit, stated_unit, step_of
+from mfd_bayes.records.table import Table, own_name
 from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
     ActuationUnit,
+    Axes,
+    Axis,
     actuation_factor,
     actuation_kind,
+    check_unit,
     factor,
     force_meant,
     parse_actuation,

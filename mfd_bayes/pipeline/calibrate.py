@@ -18,8 +18,17 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.evaluation.compare import Candidate, candidates, check_cycles, compare_runs
-from mfd_bayes.evaluation.crossvalidate import fold_id, folds_of, part_kind, parts_of, run_folds
+from mfd_bayes.evaluation.crossvalidate import (
+    Candidate,
+    candidates,
+    check_cycles,
+    compare_runs,
+    fold_id,
+    folds_of,
+    part_kind,
+    parts_of,
+    run_folds,
+)
 from mfd_bayes.evaluation.views import CampaignView, LeftOutView
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import Progress, State, Step

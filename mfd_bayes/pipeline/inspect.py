@@ -16,19 +16,18 @@ import numpy as np
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import WRITTEN, PriorFile, load_priors
 from mfd_bayes.campaign.campaign import Campaign, load_campaign
-from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors
-from mfd_bayes.campaign.draft_priors import priors_text
+from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors, priors_text
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.evaluation.scores import fan_of
 from mfd_bayes.evaluation.views import Fan
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.plan import faults_for, findings_together, gap_of, tested_of
+from mfd_bayes.records.data_quality import Inspection, inspect_record
 from mfd_bayes.records.loops import Scales, find_loops, scales_of
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.summary import Inspection, inspect_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import convert_fan, convert_trace
+from mfd_bayes.reporting.tables import convert_fan, convert_trace
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground
 from mfd_bayes.runs.folder import check_outputs

@@ -20,7 +20,7 @@ from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.evaluation.verdict import zero_pressure_sentences
+from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State

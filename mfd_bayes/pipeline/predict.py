@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -15,24 +16,23 @@ from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.population.bands import DRAWS, Band
 from mfd_bayes.population.settings import CONDITIONS, KIND_NAMES
-from mfd_bayes.records.channels import NO_ACTUATION, parse_window
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.sine import parse_sine
-from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
-from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
+from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
+from mfd_bayes.records.trace import Trace, parse_sine
+from mfd_bayes.reporting.tables import (
+    bands_csv,
+    convert_fan,
+    convert_rows,
+    convert_trace,
+    design_csv,
+    predicted_csv,
+)
 from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
-from mfd_bayes.units import actuation_kind, parse_quantity
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mfd_bayes.axes import Axes
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.unit_system import System
+from mfd_bayes.units import Axes, actuation_kind, parse_quantity
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""

@@ -23,8 +23,7 @@ from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.record import read_record
-from mfd_bayes.records.sine import parse_sine
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.units import parse_actuation
 

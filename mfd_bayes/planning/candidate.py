@@ -14,8 +14,7 @@ from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.population.settings import SAME_LEVEL, same_level, setting_of
 from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.sine import MOST_CYCLES
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import MOST_CYCLES, Trace
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_kind,

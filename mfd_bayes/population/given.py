@@ -28,8 +28,8 @@ from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Particles
 from mfd_bayes.population.settings import ZERO, Setting
 from mfd_bayes.population.stopping import Estimate, Stopping, properties, quantiles
-from mfd_bayes.records.channels import checked_window
 from mfd_bayes.records.inputs import real_numbers
+from mfd_bayes.records.record import checked_window
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, check_trace
 
 Array = NDArray[np.float64]

@@ -1,41 +1,661 @@
-"""A test file, checked and in internal units, and the traces cut from it."""
+"""A test file, checked and in internal units, and the traces cut from it.
+
+Its signals are columns less what is taken off them. Nothing is evaluated: each key has one meaning.
+``{ name = "load", minus = { name = "pressure", times = "518.7 mm^2" }, minus_mass = "3 kg" }`` is
+F = load - pressure x area - mass x acceleration.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
+from itertools import pairwise
+from math import ceil, inf
 from pathlib import Path
+from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import DAMPER, Axes
-from mfd_bayes.errors import RecordError
-from mfd_bayes.records.channels import (
-    JITTER,
-    ROLES,
-    SAMPLES,
-    Clock,
-    Source,
-    check_increasing,
-    checked_window,
-    clock_of,
-    decimate,
-    default_rate,
-    longest_piece,
-    parse_window,
-    part_for,
-    signals_of,
-    sources_of,
-    used_columns,
-)
+from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.inputs import hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.trace import Array, Trace, check_trace, mended, smallest_turn, turning_points
-from mfd_bayes.units import ActuationUnit, parse_actuation
+from mfd_bayes.records.table import Table, bare_unit, own_name
+from mfd_bayes.records.trace import (
+    Array,
+    Trace,
+    check_size,
+    check_trace,
+    mended,
+    smallest_turn,
+    turning_points,
+)
+from mfd_bayes.units import (
+    DAMPER,
+    UNREAD,
+    ActuationUnit,
+    Axes,
+    actuation_factor,
+    factor,
+    measure,
+    parse_actuation,
+    parse_mass,
+    parse_quantity,
+    same_unit,
+    split_quantity,
+)
+
+SAMPLES = 20  # fewest samples that a record, or a window of it, may have
+GAP = 10.0  # a step longer than this many median steps is a gap in time
+PAUSE = 1.9  # a step longer than this many median steps is a pause
+SHORTEST = 1e-9  # shortest step in time that is accepted, s
+JITTER = 0.01  # above this jitter, in steps, samples are interpolated onto a uniform grid
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When samples were taken."""
+
+    rate: float  # Hz; (T - 1) over the duration without pauses
+    jitter: float  # largest distance of a sample from a uniform grid between the ends, in steps
+    pauses: int  # number of steps longer than `PAUSE` median steps
+    longest: float  # s; longest step
+
+    def words(self) -> str:
+        """Rate, and how even it is, in words."""
+        rate = f"{self.rate:.6g} Hz"
+        if self.jitter <= JITTER:
+            return f"{rate}, jitter {self.jitter:.2%} of a step"
+        away = f"{self.jitter:.3g} steps" if self.jitter >= 1.0 else f"{self.jitter:.2%} of a step"
+        text = f"{rate}, jitter: time stamps are up to {away} off an even clock"
+        if self.pauses:
+            times = "once" if self.pauses == 1 else f"{self.pauses} times"
+            text += f"; the logger pauses {times}, for up to {self.longest:.3g} s"
+        return text
+
+
+def after_gaps(time: Array) -> NDArray[np.intp]:
+    """Samples of an increasing time, (T,), s, before which there is a gap."""
+    steps = np.diff(time)
+    return np.flatnonzero(steps > GAP * np.median(steps)) + 1
+
+
+def longest_piece(
+    time: Array, place: Callable[[int], str], window: tuple[float, float] | None
+) -> tuple[slice, str]:
+    """Samples of the longest piece of a time without a gap, and a sentence where there is one.
+
+    `place` names a row, from 0; only the part of a piece inside the window counts.
+    """
+    steps, after = np.diff(time), after_gaps(time)
+    if not after.size:
+        return slice(0, time.size), ""
+    bounds = [0, *(int(at) for at in after), time.size]
+    start, end = (-np.inf, np.inf) if window is None else window
+    spans = [min(time[b - 1], end) - max(time[a], start) for a, b in pairwise(bounds)]
+    best = int(np.argmax(spans))
+    first, last = bounds[best], bounds[best + 1]
+    missing = float(steps[after - 1].max())
+    gaps = "a gap" if after.size == 1 else f"{after.size} gaps, the longest"
+    at = int(after[np.argmax(steps[after - 1])])
+    share = (time[last - 1] - time[first]) / (time[-1] - time[0])
+    return slice(first, last), (
+        f"time has {gaps} of {missing:.4g} s before {place(at)}, after {time[at - 1]:g} s; the "
+        f"longest unbroken piece is used, {time[first]:g} s to {time[last - 1]:g} s, "
+        f"{share:.0%} of the record"
+    )
+
+
+def check_increasing(table: Table, time: Array) -> None:
+    """Refuse a time of a table, (T,), s, that is too short, stands still or goes back."""
+    path, place = table.path, table.place
+    if time.size < SAMPLES:
+        raise RecordError(f"{path} has {time.size} samples; at least {SAMPLES} are needed")
+    steps = np.diff(time)
+    if not np.all(steps > 0):
+        row = int(np.argmax(steps <= 0)) + 1
+        if row in table.blocks:
+            raise RecordError(
+                f"{path} holds {len(table.blocks) + 1} blocks: the heading is repeated from "
+                f"{table.blocks[row]}, and time starts again below it, {time[row]:g} s after "
+                f"{time[row - 1]:g} s: keep one block in a file"
+            )
+        coarse = table.stamped and steps[row - 1] == 0.0
+        raise RecordError(
+            f"time in {path} does not increase at {place(row)}: "
+            f"{time[row]:g} s after {time[row - 1]:g} s"
+            + ('; where time stamps are too coarse, write rate = "100 Hz"' if coarse else "")
+        )
+    shortest = int(np.argmin(steps))
+    if steps[shortest] < SHORTEST:
+        raise RecordError(
+            f"time in {path} increases by {steps[shortest]:.2g} s at "
+            f"{place(shortest + 1)}; expected {SHORTEST:g} s or more"
+        )
+
+
+def clock_of(time: Array) -> Clock:
+    """Rate and evenness of an increasing time, (T,), s."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    step = float(time[-1] - time[0]) / (time.size - 1)
+    jitter = float(np.max(np.abs(time - np.linspace(time[0], time[-1], time.size)))) / step
+    late = steps > PAUSE * median
+    pauses = int(np.count_nonzero(late))
+    rate = 1.0 / float(np.mean(steps[~late]))
+    return Clock(rate if pauses else 1.0 / step, jitter, pauses, float(steps.max()))
+
+
+def checked_window(
+    window: object, name: str = "a window", error: type[MfdError] = RecordError
+) -> tuple[float, float]:
+    """Two times, s, the first before the second; either may be infinite."""
+    expected = f"{name} must be two times in s, the earlier one first, got {window!r}"
+    if isinstance(window, str | bytes) or not isinstance(window, Sequence | np.ndarray):
+        raise error(expected)
+    try:
+        start, end = (t if t in (-inf, inf) else real_number(name, t, error) for t in window)
+    except (TypeError, ValueError, error) as fault:
+        raise error(expected) from fault
+    if not start < end:
+        raise error(expected)
+    return float(start), float(end)
+
+
+def parse_window(text: str, *, of: str = "", timed: bool = True) -> tuple[float, float]:
+    """Start and end, in s, of ``"0 s to 60 s"``; `of` is what it is of, for messages.
+
+    Where samples are numbered, those of ``"0 to 300"``.
+    """
+    parts, of = text.split(" to "), of or "a window"
+    numbered = re.fullmatch(r"\s*(\d{1,9}) to (\d{1,9})\s*", text)
+    if not timed and numbered is None:
+        raise UnitError(f"{of} must be two numbers of samples such as '0 to 300', got {text!r}")
+    if len(parts) != 2:
+        raise UnitError(f"{of} must be two times such as '0 s to 60 s', got {text!r}")
+    if numbered and not timed:
+        start, end = float(numbered[1]), float(numbered[2])
+    else:
+        start, end = (parse_quantity(part, "time", of=of) for part in parts)
+    if not start < end:
+        raise UnitError(f"{of} must end after it starts, got {text!r}")
+    return start, end
+
+
+MOST_SAMPLES = 6000  # most samples of a trace at the default rate
+
+
+def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
+    """Signal, (N,), from sample `first` to `last` at a lower rate, without delay.
+
+    `share` is the new rate over the old. A symmetric low-pass filter, flat to 0.7 of the new
+    Nyquist frequency and at least 40 dB down above it. It also uses the samples before `first` and
+    after `last`, and beyond the ends of the signal its point reflection, which keeps value and
+    slope there.
+    """
+    from scipy.signal import firwin, resample_poly
+
+    up, down = share.numerator, share.denominator
+    # The filter reaches over ten new samples; the padding is a whole number of new samples.
+    blocks = -(-10 // up)
+    pad = blocks * down
+    padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
+    taps = firwin(20 * down + 1, 0.84 / down, window=("kaiser", 5.0))
+    window: Any = taps  # scipy's documentation allows taps here, its type stubs do not
+    piece = padded[first : last + 2 * pad + 1]
+    fine = resample_poly(piece, up, down, window=window, padtype="line")
+    count = (last - first) * up // down + 1
+    return np.asarray(fine[blocks * up :][:count], dtype=np.float64)
+
+
+def default_rate(
+    time: Array,
+    displacement: Array,
+    turns: NDArray[np.intp],
+    gap: float,
+    record_rate: float,
+) -> float:
+    """Lowest sampling rate, Hz, that resolves the crossing of a gap and the half-cycles.
+
+    At least 20 samples per crossing of the gap after a turning point, by the lower quartile of
+    the crossing times, and 40 per median half-cycle, if the record has them; then the next
+    higher rate that is the record's over a whole number. At most `MOST_SAMPLES` samples, which
+    comes before all else: a long record gets fewer samples per crossing.
+    """
+    crossings = crossing_times(time, displacement, turns, gap)
+    needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
+    if turns.size > 1:
+        needs.append(40 / float(np.median(np.diff(time[turns]))))
+    needed = max(needs, default=record_rate)
+    divisor = max(1, int(record_rate / needed * (1 + 1e-9)))
+    return record_rate / max(divisor, ceil(time.size / MOST_SAMPLES))
+
+
+def crossing_times(
+    time: Array, displacement: Array, turns: NDArray[np.intp], gap: float
+) -> list[float]:
+    """Times, s, from each turning point to a distance `gap` from it, if reached before the next."""
+    times = []
+    for start, end in zip(turns, [*turns[1:], time.size - 1], strict=False):  # there may be none
+        away = np.abs(displacement[start : end + 1] - displacement[start])
+        reached = int(np.argmax(away >= gap))
+        if away[reached] >= gap and reached > 0:
+            part = (gap - away[reached - 1]) / (away[reached] - away[reached - 1])
+            at = start + reached
+            times.append(float(time[at - 1] + part * (time[at] - time[at - 1]) - time[start]))
+    return times
+
+
+ROLES = ("time", "displacement", "force", "velocity", "actuation")
+"""What a column can be; a record needs a time and a displacement."""
+
+_SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
+_BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
+_REMARKS = re.compile(
+    "raw|meas(ured)?|corr(ected)?|filt(ered)?|smoothed|avg|average|mean|abs|max|min|rms|total|net|"
+    "main|left|right|top|bot(tom)?|upper|lower|north|south|east|west|front|rear|back|lvdt|sensor|"
+    "(load)?cell|actuator|machine|ch(annel)?|[xyz]|axial|lateral|vertical|horizontal|relative|"
+    "absolute|calibrated|zeroed|command|cmd|feedback|fbk|analog|digital|signal|data|scaled|elapsed|"
+    "test|local|utc|fwd|bwd|forward|backward"
+)
+"""Words that people put in brackets behind a name, and that are no units."""
+
+
+def header_unit(name: str) -> str | None:
+    """Last part of a column's name: ``"kip"`` of ``"force_kip"`` or ``"Force [kip]"``.
+
+    None where the name has one part. The last part may be no unit: ``"force"`` of
+    ``"axial_force"``.
+    """
+    name = normalize("NFKC", name)  # as the brackets of a Japanese keyboard, and ㎜
+    match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
+    if match is None or match[1].strip(" :,;0123456789") == "" != match[1].strip():  # "log(:,1)"
+        return None
+    return match[1].strip().replace("_per_", "/")
+
+
+def stated_unit(name: str, row: str = "") -> str | None:
+    """What a file says to be the unit of a column, whether known or not; None where it says none.
+
+    In brackets, as a last word that is known to be one ("load_tonf"), or in its row of units.
+    """
+    if bare_unit(row):
+        return bare_unit(row)
+    name = normalize("NFKC", name)
+    for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
+        text = bare_unit(square or round_ or angle)
+        if not re.search(r"[^\W\d_]|[%°\"″′”]", text) or _REMARKS.fullmatch(text.lower()):
+            continue
+        words = re.findall(r"[^\W\d_]+", text)
+        is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
+        if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
+            return text
+    last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
+    return last[1] if last and last[1].lower() in UNREAD else None
+
+
+def unit_of(
+    table: Table, role: str, name: str, units: Mapping[str, str], axes: Axes = DAMPER
+) -> str:
+    """Unit of a column: as given, or from its name, or from the file's row of units."""
+    word = axes.name(role)
+    if given := units.get(role):
+        return given
+    ours, theirs = header_unit(own_name(name)), table.units.get(name)
+    if theirs is None:
+        if ours is None:
+            if name not in table.names:
+                raise table.no_column(name)
+            raise RecordError(
+                f"column {name!r} of {table.path} has no unit in its name; give the unit of {word}"
+            )
+        return ours
+    if ours is None or measure(ours) in (None, "ratio"):  # "force" of "axial_force", 1 of "force_1"
+        return theirs
+    if not same_unit(ours, theirs):
+        raise RecordError(
+            f"column {name!r} of {table.path} is in {ours!r} by its name and in {theirs!r} by the "
+            f"file's own units; give the unit of {word}"
+        )
+    return ours
+
+
+SHARE = 0.1  # of a half-cycle: the length over which the acceleration is smoothed
+DATE = 1e8  # s: a time that begins later, after three years, is a date, and its first row is 0 s
+
+
+@dataclass(frozen=True)
+class Subtracted:
+    """A column that is taken off, times a quantity such as an area."""
+
+    column: str | int
+    unit: str | None = None
+    times: str = ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A column of a file, by its name or its number from 1, and what is done to it.
+
+    The keys of a column in a campaign file (`campaign.schema`), which checks which role may have
+    which; `rate` stands in place of a column of times.
+    """
+
+    column: str | int | None = None
+    unit: str | None = None
+    minus: Subtracted | None = None
+    minus_mass: str = ""
+    tare: str = ""
+    arm: str = ""
+    measured_at: str = ""
+    sign: int = 1
+    rate: str = ""
+    dates: str = ""
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is the column alone."""
+        return self == Source(self.column, self.unit)
+
+    def words(self) -> str:
+        """What the signal is, in words."""
+        text = f"{'-1 × ' if self.sign < 0 else ''}{self.column} [{self.unit}]"
+        if self.measured_at:
+            text += f" measured at a radius of {self.measured_at}, wanted at {self.arm}"
+        elif self.arm:
+            text += f" {'×' if measure(str(self.unit)) == 'ratio' else '÷'} an arm of {self.arm}"
+        if self.minus is not None:
+            times = f" × {self.minus.times}" if self.minus.times else ""
+            text += f" − {self.minus.column}{times}"
+        if self.minus_mass:
+            text += f" − {self.minus_mass} × acceleration"
+        if self.tare:
+            text += f" − {'its mean over ' if ' to ' in self.tare else ''}{self.tare}"
+        return text
+
+    def scale(self, role: str, unit: str, of: str, axes: Axes = DAMPER) -> tuple[float, str]:
+        """Factor from a unit of the column to the internal one of its role, and a unit of the role.
+
+        `of` is what has the unit, for messages.
+        """
+        if self.measured_at and not self.arm:
+            raise UnitError(f"measured_at of {of} needs an arm, the radius of interest")
+        if not self.arm:
+            return self.sign * axes.factor(unit, role, of=of), unit
+        radius = _radius(self.arm, f"arm of {of}")
+        if self.measured_at:
+            ratio = radius / _radius(self.measured_at, f"measured_at of {of}")
+            scale = ratio if role == "displacement" else 1 / ratio
+            return self.sign * factor(unit, role, of=of) * scale, unit
+        arm, length = split_quantity(self.arm)
+        if role == "displacement":
+            if measure(unit) == "ratio":
+                return self.sign * factor(unit, "dimensionless", of=of) * radius, length
+            raise UnitError(
+                f"unit {unit!r} of {of} is no angle: with an arm it must be one such as 'deg' or "
+                "'rad', or a length with measured_at, the radius at which it was measured"
+            )
+        scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
+        parts = [part.strip() for part in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
+        return self.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
+
+
+NO_ACTUATION = "100 %"
+"""That of tests which have none, of a model in which nothing follows it."""
+
+NUMBERED = Source(rate="1 Hz")
+"""The time of samples that are numbered."""
+
+
+def used_columns(table: Table, sources: Mapping[str, Source]) -> list[str]:
+    """Names of all columns that the sources need, each once."""
+    columns = [source.column for source in sources.values() if source.column is not None]
+    columns += [s.minus.column for s in sources.values() if s.minus is not None]
+    return list(dict.fromkeys(table.name_of(column) for column in columns))
+
+
+def step_of(rate: str, of: str) -> float:
+    """Step of time, s, of a rate, "100 Hz", or of a step itself, "10 ms"."""
+    value, unit = split_quantity(rate, of=of, example="100 Hz")
+    if not value > 0.0:
+        raise UnitError(f"{of}: expected a rate above 0, got {rate!r}")
+    if measure(unit) == "time":
+        return value * factor(unit, "time", of=of)
+    return 1.0 / (value * factor(unit, "rate", of=of))
+
+
+def _take_off(
+    table: Table,
+    role: str,
+    source: Source,
+    signals: Mapping[str, Array],
+    raw: Mapping[str, Array],
+    axes: Axes,
+) -> Array:
+    """Signal of a role, internal units, less all that its source takes off."""
+    signal, of = signals[role], f"the {role} of {table.path}"
+    if source.minus is not None:
+        other, minus = source.minus, f"minus of {role}"
+        name = table.name_of(other.column)
+        unit = unit_of(table, minus, name, {} if other.unit is None else {minus: other.unit})
+        column = f"column {name!r} of {table.path}"
+        if other.times:
+            value, by = split_quantity(other.times, of=f"times of {column}")
+            scale = axes.factor(f"{unit}*{by}", role, of=f"{column} times {other.times}")
+            signal = signal - raw[name] * value * scale
+        else:
+            signal = signal - raw[name] * axes.factor(unit, role, of=column)
+    if source.minus_mass:
+        mass = parse_mass(source.minus_mass, of=f"minus_mass of {of}")
+        if mass < 0.0:
+            raise UnitError(
+                f"minus_mass of {of}: expected a mass of 0 or more, got {source.minus_mass!r}"
+            )
+        check_increasing(table, signals["time"])
+        signal = signal - mass * acceleration(signals["time"], signals["displacement"])
+    if " to " in source.tare:
+        start, end = parse_window(source.tare, timed=axes.timed)
+        inside = (signals["time"] >= start) & (signals["time"] <= end)
+        if not inside.any():
+            raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
+        signal = signal - float(np.mean(signal[inside]))
+    elif source.tare:
+        number, unit = split_quantity(source.tare, of=f"tare of {of}")
+        try:  # what the column reads at zero, or what the signal does
+            signal = signal - number * source.scale(role, unit, f"tare of {of}", axes)[0]
+        except UnitError:
+            signal = signal - parse_quantity(source.tare, role, of=f"tare of {of}")
+    return signal
+
+
+def acceleration(time: Array, displacement: Array) -> Array:
+    """Acceleration, (T,), in/s², of a displacement in in at times in s.
+
+    The second derivative of a cubic fitted to the samples about each (Savitzky and Golay, 1964),
+    over a tenth of the median half-cycle; uneven times are evened first. Each piece between gaps
+    in time is taken by itself; one of fewer than `SAMPLES` samples has none.
+    """
+    from scipy.signal import savgol_filter
+
+    result = np.zeros(time.size)
+    for piece in np.split(np.arange(time.size), after_gaps(time)):
+        if piece.size < SAMPLES:
+            continue
+        t, x = time[piece], displacement[piece]
+        even = np.linspace(t[0], t[-1], t.size)
+        turns = turning_points(x, smallest_turn(x))
+        half = float(np.median(np.diff(turns))) if turns.size > 1 else float(t.size)
+        window = min(max(2 * int(0.5 * SHARE * half) + 1, 5), t.size - 1 + t.size % 2)
+        smooth = np.interp(even, t, x)
+        smooth = savgol_filter(smooth, window, 3, deriv=2, delta=even[1] - even[0])
+        result[piece] = np.interp(t, even, smooth)
+    return result
+
+
+def _radius(text: str, of: str) -> float:
+    radius = parse_quantity(text, "displacement", of=of)
+    if not radius > 0.0:
+        raise UnitError(f"{of}: expected a radius above 0, got {text!r}")
+    return radius
+
+
+def sources_of(
+    table: Table,
+    columns: Mapping[str, str | int | Source] | None,
+    units: Mapping[str, str] | None,
+    actuation: str | None,
+    axes: Axes = DAMPER,
+) -> dict[str, Source]:
+    """Role to its source, as given or from headers such as ``time_s``, with its column and unit.
+
+    A column for the actuation is looked for only where `actuation`, a constant, is not given; one
+    for the time only where there is no rate.
+    """
+    examples = {"columns": {"force": "load"}, "units": {"force": "kN"}}
+    for name, mapping in (("columns", columns), ("units", units)):
+        if mapping is not None and not isinstance(mapping, Mapping):
+            raise RecordError(f"{name} must be a mapping such as {examples[name]}, got {mapping!r}")
+    given = {
+        axes.role(r): c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()
+    }
+    stated = {r: s.unit for r, s in given.items() if s.unit is not None}
+    stated |= {axes.role(r): unit for r, unit in (units or {}).items()}
+    if not axes.timed:
+        given["time"] = NUMBERED
+        stated.pop("time", None)
+    if unknown := next((role for role in (*given, *stated) if role not in ROLES), ""):
+        names = ", ".join(map(axes.name, ROLES))
+        raise RecordError(f"unknown role {unknown!r} of a column; expected {names}")
+    roles = {r: table.name_of(s.column) for r, s in given.items() if s.column is not None}
+    chosen = bool({"time", "displacement"} & roles.keys())  # then what is not named is not used
+    rated = "time" in given and bool(given["time"].rate)
+    for role in ("time", "displacement") if chosen else ROLES:
+        skipped = {"time": rated, "actuation": actuation is not None}.get(role, False)
+        if role not in roles and not skipped:
+            for name in _columns_called(table, axes.name(role)):
+                roles[role] = name
+    if actuation is not None and "actuation" in roles:
+        raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
+    if missing := [
+        r for r in ("time", "displacement") if r not in roles and not (r == "time" and rated)
+    ]:
+        raise _no_column_for(missing[0], table, axes)
+    sources = {"time": given["time"]} if rated else {}
+    for role in (role for role in ROLES if role in roles):
+        name, source = roles[role], given.get(role, Source(roles[role]))
+        sources[role] = replace(source, column=name, unit=unit_of(table, role, name, stated, axes))
+    return sources
+
+
+def _columns_called(table: Table, role: str) -> list[str]:
+    """Name of the column that is called like the role, with or without a unit, if there is one."""
+    pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
+    matches = [name for name in table.names if pattern.fullmatch(own_name(name))]
+    if len(matches) > 1:
+        raise RecordError(
+            f"{table.path} has several columns for {role}, {', '.join(matches)}; say which, as "
+            f"{role} = {{ column = {table.number_of(matches[0])} }}"
+        )
+    return matches
+
+
+def _no_column_for(role: str, table: Table, axes: Axes) -> RecordError:
+    """Error for a role that no column of a table has."""
+    name, shown = axes.name(role), ", ".join(table.names[:20])
+    if not table.headed:
+        return RecordError(
+            f"{table.path} has no names, only {shown}: say in a campaign "
+            'which is which, as time = { column = 1, unit = "ms" }; mfd-bayes init guesses it'
+        )
+    examples = {"time": "time_s", "displacement": "displacement_mm"}
+    example = examples.get(name, f"{name}_{axes.motion.unit}")
+    rate = '; where it has none, give its rate: rate = "100 Hz"' if role == "time" else ""
+    return RecordError(
+        f"no column for {name} in {table.path}, which has {shown}: rename it in the file, as "
+        f"{example}, or name it in [columns] of a campaign, or in Python by columns{rate}"
+    )
+
+
+def signals_of(
+    table: Table, sources: Mapping[str, Source], axes: Axes = DAMPER
+) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
+    """Role to signal, internal units, and to name and unit; unit of a measured actuation."""
+    raw = table.columns(used_columns(table, sources), sources["time"].dates)
+    signals: dict[str, Array] = {}
+    columns: dict[str, tuple[str, str]] = {}
+    internal: ActuationUnit | None = None
+    for role, source in sources.items():
+        name, unit = str(source.column), str(source.unit)
+        of = f"column {name!r} of {table.path}"
+        with np.errstate(over="ignore"):  # check_size refuses infinity
+            if role == "time":
+                signals[role] = _times(table, source, raw)
+            elif role == "actuation":
+                scale, internal = actuation_factor(unit, of=of)
+                signals[role] = raw[name] * scale
+            else:
+                scale, unit = source.scale(role, unit, of, axes)
+                signals[role] = raw[name] * scale
+        check_size(of, role, signals[role])
+        if source.rate:
+            name, unit = f"sample number at {source.rate}", "s"
+        if other := next((r for r, (taken, _) in columns.items() if taken == name), ""):
+            raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
+        columns[role] = name, unit
+    if not axes.timed:
+        del columns["time"]
+    for role, source in sources.items():
+        if not source.plain and source.column is not None:
+            signals[role] = _take_off(table, role, source, signals, raw, axes)
+            check_size(f"the {role} of {table.path}", role, signals[role])
+    if "actuation" in signals:
+        if np.mean(signals["actuation"]) < 0:
+            raise RecordError(f"the actuation of {table.path} is negative on average")
+        # Single samples below zero are the sensor's noise.
+        signals["actuation"] = np.maximum(signals["actuation"], 0.0)
+    for signal in signals.values():
+        signal.flags.writeable = False
+    return signals, columns, internal
+
+
+def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
+    """Times, s: of a rate, or of a column; dates, counted since 1904 or 1970, from the first row.
+
+    NaN where a cell holds none.
+    """
+    if source.rate:
+        rows = next(iter(raw.values())).size
+        return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows, dtype=np.float64)
+    name = str(source.column)
+    scale, _ = source.scale("time", str(source.unit), f"column {name!r} of {table.path}")
+    start = raw[name][np.argmax(np.isfinite(raw[name]))]
+    with np.errstate(over="ignore", invalid="ignore"):  # check_size refuses infinity
+        times: Array = (raw[name] - start if start * scale >= DATE else raw[name]) * scale
+    return times
+
+
+def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
+    """The table, or the rows about a window, s, where cells outside it hold no numbers."""
+    raw = table.values(used_columns(table, sources), sources["time"].dates)
+    bad = np.flatnonzero(np.any([np.isnan(column) for column in raw.values()], axis=0))
+    time = _times(table, sources["time"], raw)
+    inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
+    if not bad.size or not inside.size or np.any((bad >= inside[0]) & (bad <= inside[-1])):
+        return table  # whose columns are refused, with the place of the cell
+    first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
+    last = int(np.min(bad[bad > inside[-1]], initial=time.size))
+    return table.part(
+        first,
+        last,
+        f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
+        f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
+    )
+
 
 Window = tuple[float, float]
 

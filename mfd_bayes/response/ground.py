@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, MfdError, UnitError
-from mfd_bayes.records.channels import header_unit
 from mfd_bayes.records.inputs import path_of, real_number, real_numbers, why_no_file
-from mfd_bayes.records.readers import Table, read_table
+from mfd_bayes.records.readers import read_table
+from mfd_bayes.records.record import header_unit
+from mfd_bayes.records.table import Table
 from mfd_bayes.units import GRAVITY, convert, factor, split_quantity
 
 Array = NDArray[np.float64]

@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
@@ -55,6 +54,7 @@ from mfd_bayes.store.files import (
     read_json,
     write_json,
 )
+from mfd_bayes.units import DAMPER, Axes
 
 # --- verdicts and warnings
 

@@ -7,7 +7,7 @@ import pytest
 
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.records.channels import Source, Subtracted
+from mfd_bayes.records.record import Source, Subtracted
 
 COLUMNS = """
 [columns]

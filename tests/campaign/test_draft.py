@@ -15,7 +15,7 @@ from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps, own_priors
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.records.channels import Source
+from mfd_bayes.records.record import Source
 
 HEADER = "time_s,displacement_in,force_kip"
 TIME = np.arange(401) / 50.0

@@ -22,8 +22,7 @@ from mfd_bayes.planning.candidate import (
     typical_of,
 )
 from mfd_bayes.planning.goal import Goal, check_session, parse_goal
-from mfd_bayes.records.sine import Harmonic
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Harmonic, Trace
 from mfd_bayes.runs.unit_system import US
 
 TYPICAL = Candidate(1.0, 0.5, 1.0, 3.0)

@@ -7,8 +7,7 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.simulation import Loop
 from mfd_bayes.records.loops import loop_estimate
-from mfd_bayes.records.sine import Harmonic
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.trace import Harmonic, Trace
 
 GAP = 0.16
 THETA = np.array([[80, 0.02, 0.015, 1.5, 1.3, 1.9, 1.65, 0.6, 20, 0.09, 0.07, 1, 0.02, 0.4]])

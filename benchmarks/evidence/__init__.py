@@ -1,1 +1,0 @@
-"""Log evidence beside closed forms and beside nested sampling."""
