@@ -15,8 +15,7 @@ import numpy as np
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.evaluation.acceptance import DRAWS, LIMITS, Acceptance, accept
 from mfd_bayes.pipeline.predict import stated_actuation, stated_conditions
-from mfd_bayes.population.given import Forecaster
-from mfd_bayes.population.stopping import NARROWING, Estimate, is_enough
+from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enough
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace

@@ -35,9 +35,9 @@ from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import left_out_shown, write_report
+from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.settings import setting_of
-from mfd_bayes.population.storage import save_population, save_test_draws
+from mfd_bayes.population.population import save_population, save_test_draws
 from mfd_bayes.reporting.tables import comparison_csv
 from mfd_bayes.runs.folder import (
     CAMPAIGN,

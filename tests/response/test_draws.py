@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population.discrepancy import KNOTS, TravelBasis
-from mfd_bayes.population.starts import Starts
+from mfd_bayes.population.joint_fit import KNOTS, TravelBasis
+from mfd_bayes.population.population import Starts
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import SETTLE, Choice, Leftover, draw_dampers
