@@ -19,8 +19,13 @@ import pytest
 
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.local import context, run_in_processes, started_alike
-from mfd_bayes.jobs.parallel import meanwhile, several_processes
+from mfd_bayes.jobs.local import (
+    context,
+    meanwhile,
+    run_in_processes,
+    several_processes,
+    started_alike,
+)
 
 ERRORS = {
     "disk": OSError(28, "No space left on device", "/tmp/block.npz"),
