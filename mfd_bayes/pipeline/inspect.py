@@ -12,9 +12,7 @@ from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.findings import faults_for, findings_together, gap_of, tested_of
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.data_quality import Inspection, inspect_record
-from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.reporting.tables import convert_trace
 from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.units import split_quantity
@@ -45,9 +43,8 @@ def inspect(
         for inspection, record in zip(inspections, records, strict=True)
     ]
     for inspection, picture in zip(shown, pictures, strict=True):
-        trace = convert_trace(inspection.trace, system)
         title = f"{inspection.name}: as read"
-        figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
+        figure = draw_inspection(title, inspection.trace, inspection.faults, system)
         write_bytes(picture, to_png(figure))
     return list(zip(shown, pictures, strict=True)), system
 

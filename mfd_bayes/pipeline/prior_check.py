@@ -20,7 +20,6 @@ from mfd_bayes.pipeline.inspect import system_of_records
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.loops import Scales, scales_of
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.tables import convert_fan, convert_trace
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes
 
@@ -60,8 +59,7 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
         if trace.force is None:
             raise RecordError(f"test {name!r} of {path} has no force to compare with")
         fan = prior_fan(campaign, priors, trace)
-        shown = convert_trace(trace, system), [convert_fan(fan, system.factor("kip"))]
-        figure = draw_loops(f"{name}: data over what the priors allow", *shown, system)
+        figure = draw_loops(f"{name}: data over what the priors allow", trace, [fan], system)
         write_bytes(pictures[name], to_png(figure))
         shares[name] = share_inside(fan, trace)
     still = [name for name, trace in traces.items() if trace.reference_actuation == 0.0]
