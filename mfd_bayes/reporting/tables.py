@@ -18,12 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfd_bayes.evaluation.next_test import advice_rows
-from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
+from mfd_bayes.evaluation.views import CampaignView, Fan, LeftOutView, Row, Rows, TestView
 from mfd_bayes.planning.study import Advice
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.settings import KIND_NAMES
+from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import to_units
 from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
 from mfd_bayes.runs.manifest import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
@@ -31,6 +29,83 @@ from mfd_bayes.units import Axes, percent
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_OF_UNIT = frozenset(
+    {
+        *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
+        *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "loop_estimate"),
+        *("other_lower", "other_median", "other_upper", "smallest", "largest"),
+        *("measured_low", "measured_high", "observed", "expected"),
+        *("joint_q2.5", "joint_q50", "joint_q97.5"),
+    }
+)
+"""Keys of a row, and columns of a table, that are in the unit that the row names."""
+
+_OF_FORCE = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
+
+_ENDINGS = {"_kip": "kip", "_in": "in", "_in_per_s": "in/s"}
+"""Internal units at the ends of columns' names."""
+
+
+def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
+    """A table in the units of a system.
+
+    A column `unit` is the unit of the numbers in its row; other columns have theirs at the end of
+    their name: "width_95_kip".
+    """
+    if system == US:
+        return frame
+    shown, axes = frame.copy(), system.axes
+    for name in ("quantity", "feature", "condition", "note"):
+        if name in frame and not axes.of_damper:
+            shown[name] = [_renamed(v, axes) for v in frame[name]]
+    if "unit" in frame:
+        by = frame["unit"].map(system.factor)
+        for name in _OF_UNIT.intersection(frame.columns):
+            shown[name] = frame[name] * by
+        shown["unit"] = frame["unit"].map(system.unit)
+    names = {}
+    for name in frame.columns:
+        ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
+        if ending:
+            names[name] = system.column(str(name).removesuffix(ending), _ENDINGS[ending])
+            shown[name] = frame[name] * system.factor(_ENDINGS[ending])
+    shown = shown.rename(columns=names)
+    if axes.timed:
+        return shown
+    lost = [n for n in shown if n == "frequency_Hz" or "in_per_s" in str(n)]
+    lost += [n for n in names.values() if n == system.column("velocity", "in/s")]
+    return shown.drop(columns=lost).rename(columns={"time_s": "sample"})
+
+
+def _renamed(words: Any, axes: Axes) -> Any:
+    """Words of the package in the names of a model's axes; a parameter's name stays."""
+    if words == "peak_force":
+        return f"peak_{axes.response.name}"
+    is_ours = isinstance(words, str) and (" " in words or words == "stroke")
+    return axes.text(words) if is_ours else words
+
+
+def convert_rows(rows: Rows, system: System) -> Rows:
+    """Rows with a key `unit`, in the units of a system."""
+    return tuple(
+        {
+            name: value * system.factor(row["unit"]) if name in _OF_UNIT else value
+            for name, value in row.items()
+        }
+        | {"unit": system.unit(row["unit"])}
+        for row in rows
+    )
+
+
+def convert_scores(scores: LeftOutView, by: float) -> LeftOutView:
+    """Scores of what was left out times a factor: those that are forces."""
+
+    def converted(row: Row) -> Row:
+        return row | {name: by * row[name] for name in _OF_FORCE}
+
+    return replace(scores, rows=tuple(map(converted, scores.rows)), mean=converted(scores.mean))
 
 
 CROSSVALIDATION = "crossvalidation.csv"

@@ -1,10 +1,11 @@
-"""Force against displacement, velocity and time."""
+"""Force against displacement, velocity and time: of tests, of bands, and of a record as read."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from dataclasses import replace
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,24 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import Array, Fan, TestView
-from mfd_bayes.population.settings import SAME_LEVEL
+from mfd_bayes.population.design import SAME_LEVEL
+from mfd_bayes.records.data_quality import Fault
+from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
-from mfd_bayes.reporting import colours
-from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import Symbols, plain
+from mfd_bayes.reporting.figures import agg as look
+from mfd_bayes.reporting.symbols import (
+    BAND_NAMES,
+    BANDS,
+    BLUE,
+    DATA,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VALIDATE,
+    VERMILLION,
+    plain,
+)
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System
 
@@ -32,8 +46,20 @@ TURNS = 24
 """Most turning points of a record that is shown in one column, without the strongest motion."""
 PANELS = 60
 """Most panels of an overview."""
-NAMES = Symbols()
 _NOT_FITTED, _GIVEN = "#eeeeee", "#fff3d6"
+
+
+def in_units(system: System, trace: Trace, fans: Sequence[Fan]) -> tuple[Trace, list[Fan]]:
+    """A motion with its force, and bands of it, in the units of a system."""
+    length, force = system.factor("in"), system.factor("kip")
+    trace = replace(
+        trace,
+        displacement=trace.displacement * length,
+        velocity=trace.velocity * length,
+        force=None if trace.force is None else trace.force * force,
+        hysteresis=trace.hysteresis * length,
+    )
+    return trace, [fan.times(force) for fan in fans]
 
 
 @look.style()
@@ -42,21 +68,18 @@ def draw_loops(
     trace: Trace,
     fans: Sequence[Fan] = (),
     system: System = US,
-    symbols: Symbols = NAMES,
 ) -> Figure:
-    """Force against displacement and against velocity, over bands, the widest fan first.
-
-    Trace and fans are in the units of `system`.
-    """
+    """Force against displacement and against velocity, over bands, the widest fan first."""
+    trace, fans = in_units(system, trace, fans)
     figure = look.new_figure(10, 4.3, title)
     left, *others = figure.subplots(1, 2 if trace.timed else 1, sharey=True, squeeze=False)[0]
     _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
-    left.set(xlabel=symbols.motion(system), ylabel=symbols.response(system))
+    left.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
     left.set_title(system.text("Force–displacement"))
     for right in others:
         span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
         _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
-        right.set(xlabel=system.label("velocity", "in/s"), ylabel=symbols.response(system))
+        right.set(xlabel=system.label("velocity", "in/s"), ylabel=system.label("force", "kip"))
         right.set_title(system.text("Force–velocity"))
     _legend(figure, fans, trace.force is not None)
     return figure
@@ -68,17 +91,17 @@ def draw_history(
     trace: Trace,
     fans: Sequence[Fan] = (),
     system: System = US,
-    symbols: Symbols = NAMES,
     first: int = 0,
     given: tuple[float, float] | None = None,
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
     The residual is the force minus the first fan's median. There is none where the force is NaN at
-    a sample. Trace and fans are in the units of `system`. A long record has a second column with
-    its strongest motion. Shaded: samples before `first`, which were not fitted, and the times, s,
-    between which the force was `given` to the prediction.
+    a sample. A long record has a second column with its strongest motion. Shaded: samples before
+    `first`, which were not fitted, and the times, s, between which the force was `given` to the
+    prediction.
     """
+    trace, fans = in_units(system, trace, fans)
     whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
     rows = 3 if fans and whole else 2
     windows = _windows(trace)
@@ -91,25 +114,23 @@ def draw_history(
         for fan in fans:
             _draw_bands(column[1], time, fan, window)
         if trace.force is not None:
-            column[1].plot(*thinned(time, trace.force[window]), color=colours.DATA, linewidth=0.6)
+            column[1].plot(*thinned(time, trace.force[window]), color=DATA, linewidth=0.6)
             if rows == 3:
                 residual = (trace.force - fans[0].median)[window]
                 _draw_bands(column[2], time, fans[0], window, fans[0].median)
-                column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
-                column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
+                column[2].plot(*thinned(time, residual), color=DATA, linewidth=0.6)
+                column[2].axhline(0.0, color=BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
-            begin, end = float(time[0]), float(time[-1])
-            if trace.time[first] > begin:
-                axes.axvspan(begin, float(trace.time[first]), color=_NOT_FITTED, zorder=0)
-            if given is not None and max(given[0], begin) < min(given[1], end):
-                axes.axvspan(max(given[0], begin), min(given[1], end), color=_GIVEN, zorder=0)
-                axes.axvline(min(given[1], end), color=colours.DATA, lw=0.8, linestyle="--")
+            axes.set_xlim(time[0], time[-1])
+            if first > 0:
+                axes.axvspan(trace.time[0], trace.time[first], color=_NOT_FITTED, zorder=0)
+            if given is not None:
+                axes.axvspan(*given, color=_GIVEN, zorder=0)
+                axes.axvline(given[1], color=DATA, lw=0.8, linestyle="--")
         column[-1].set_xlabel(clock(trace))
-        column[-1].margins(x=0.005)
-    below = symbols.response(system), symbols.response(system, "residual")
-    names = (system.label("displ.", "in"), *below)
-    for axes, name in zip(grid[:, 0], names, strict=False):
-        axes.set_ylabel(name)
+    labels = (("displ.", "in"), ("force", "kip"), ("residual", "kip"))
+    for axes, label in zip(grid[:, 0], labels, strict=False):
+        axes.set_ylabel(system.label(*label))
     if len(windows) > 1:
         grid[0, 0].set_title("Whole record")
         grid[0, 1].set_title("Strongest motion")
@@ -125,12 +146,11 @@ def draw_overview(
     tests: Sequence[TestView],
     system: System = US,
     actuation_unit: str = "ksi",
-    symbols: Symbols = NAMES,
 ) -> Figure:
     """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
 
-    Tests are in the units of `system`, but for their actuation. Where the grid would be mostly
-    empty, as of earthquake records, the tests follow each other by actuation and frequency.
+    Where the grid would be mostly empty, as of earthquake records, the tests follow each other by
+    actuation and frequency.
     """
     shown = tests[:PANELS]
     places, rows, columns = _places(shown, actuation_unit)
@@ -143,11 +163,11 @@ def draw_overview(
     for (row, column), test in zip(places, shown, strict=True):
         axes = grid[row, column]
         axes.set_visible(True)
-        _draw_panel(axes, test)
+        _draw_panel(axes, test, system, system.actuation(test.trace, actuation_unit))
         if (row + 1, column) not in places:
-            axes.set_xlabel(symbols.motion(system))
+            axes.set_xlabel(system.label("displacement", "in"))
         if (row, column - 1) not in places:
-            axes.set_ylabel(symbols.response(system))
+            axes.set_ylabel(system.label("force", "kip"))
             axes.tick_params(labelleft=True)
     if shown:
         _legend(figure, [shown[0].observation], True)
@@ -176,15 +196,14 @@ def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]]
     return [divmod(int(at), wide) for at in order], -(-len(tests) // wide), wide
 
 
-def _draw_panel(axes: Axes, test: TestView) -> None:
+def _draw_panel(axes: Axes, test: TestView, system: System, actuation: str) -> None:
     held_out = test.role == "validate"
-    colour = colours.VALIDATE if held_out else colours.DATA
-    trace = test.trace
-    _draw_loop(axes, [test.observation], trace.displacement, trace.turning_points, trace.force)
+    colour = VALIDATE if held_out else DATA
+    trace, fans = in_units(system, test.trace, [test.observation])
+    _draw_loop(axes, fans, trace.displacement, trace.turning_points, trace.force)
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    fitted = ", held out" if held_out else ""
-    name = f"{plain(test.id)}\n{plain(test.actuation)}{fitted}"
-    axes.set_title(name, fontsize=8, color=colour)
+    role = ", held out" if held_out else ""
+    axes.set_title(f"{plain(test.id)}\n{plain(actuation)}{role}", fontsize=8, color=colour)
     if held_out:
         for spine in axes.spines.values():
             spine.set(edgecolor=colour, linewidth=1.3, visible=True)
@@ -198,10 +217,11 @@ def draw_band(
     system: System,
     force: Array | None = None,
 ) -> Axes:
-    """Axes with a band in the units of a system over time, s, or over a displacement.
+    """Axes with a band in the units of a system over time, s, or over a displacement, in.
 
     Over it are its median, or a measured force. `axes` are None for those of a new figure.
     """
+    by, fan = system.factor("kip"), fan.times(system.factor("kip"))
     if axes is None:
         pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
         figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
@@ -210,14 +230,15 @@ def draw_band(
         raise ReportError(f"axes must be axes of Matplotlib, got {axes!r}")
     if displacement is None:
         _draw_bands(axes, time, fan)
-        axes.plot(*thinned(time, fan.median), color=colours.BANDS[fan.kind][2], lw=0.9)
+        axes.plot(*thinned(time, fan.median), color=BANDS[fan.kind][2], lw=0.9)
         axes.set_xlabel("time, s" if system.axes.timed else "sample")
     else:
+        displacement = displacement * system.factor("in")
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
-        _draw_loop(axes, [fan], displacement, turns, force)
-        axes.set_xlabel(NAMES.motion(system))
-    axes.set_ylabel(NAMES.response(system))
-    axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
+        _draw_loop(axes, [fan], displacement, turns, None if force is None else force * by)
+        axes.set_xlabel(system.label("displacement", "in"))
+    axes.set_ylabel(system.label("force", "kip"))
+    axes.set_title(f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
 
 
@@ -248,17 +269,17 @@ def _draw_loop(
         for interval, colour in look.shades(fan):
             outlines = []
             for part in stretches(turns, abscissa.size):
-                pick = np.unique(np.append(np.arange(part.start, part.stop, step), part.stop - 1))
-                there = np.concatenate([abscissa[pick], abscissa[pick][::-1]])
-                edge = np.concatenate([interval.lower[pick], interval.upper[pick][::-1]])
-                outlines.append(np.column_stack([there, edge]))
+                pick = np.append(np.arange(part.start, part.stop, step), part.stop - 1)
+                forth = np.column_stack([abscissa[pick], interval.lower[pick]])
+                back = np.column_stack([abscissa[pick], interval.upper[pick]])
+                outlines.append(np.concatenate([forth, back[::-1]]))
             # the thin edge shows a narrow band where the force is steep
             bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
             axes.add_collection(bands)
             axes.autoscale_view()
-    colour = colours.DATA
+    colour = DATA
     if force is None and fans:
-        force, colour = fans[0].median, colours.BANDS[fans[0].kind][2]
+        force, colour = fans[0].median, BANDS[fans[0].kind][2]
     if force is not None:
         axes.plot(abscissa[::step], force[::step], color=colour, linewidth=0.6)
 
@@ -302,11 +323,91 @@ def _legend(
 ) -> None:
     handles: list[Line2D | Patch] = []
     if measured:
-        handles.append(Line2D([], [], color=colours.DATA, linewidth=0.9, label="measured"))
+        handles.append(Line2D([], [], color=DATA, linewidth=0.9, label="measured"))
     for fan in fans:
-        wide, narrow, _ = colours.BANDS[fan.kind]
-        text = f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}"
+        wide, narrow, _ = BANDS[fan.kind]
+        text = f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}"
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
     handles += [Patch(facecolor=colour, label=name) for name, colour in (shades or {}).items()]
     if handles:
         figure.legend(handles=handles, loc="outside lower left", ncols=4)
+
+
+_SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
+_COLOURS = (
+    *(VERMILLION, BLUE, GREEN),
+    *(PURPLE, ORANGE, SKY),
+)
+_MARKS = 60  # more of one kind would hide the curve
+
+
+@look.style()
+def draw_inspection(
+    title: str, trace: Trace, faults: Sequence[Fault] = (), system: System = US
+) -> Figure:
+    """Loop, displacement and force over time, and energy per cycle of a record at its own rate.
+
+    Faults are marked at their samples, if they have any, and named below the panels. Without
+    a force there is only the displacement.
+    """
+    trace, _ = in_units(system, trace, ())
+    figure, x, time = look.new_figure(10, 5.6, title), trace.displacement, trace.time
+    curves: list[tuple[Axes, Array, Array]]
+    if trace.force is None:
+        place = figure.subplots()
+        curves = [(place, time, x)]
+    else:
+        panels = figure.subplot_mosaic(
+            [["loop", "displacement"], ["loop", "force"], ["energy", "force"]],
+            width_ratios=(1.0, 1.35),
+        )
+        loop, place, history = (panels[name] for name in ("loop", "displacement", "force"))
+        curves = [(loop, x, trace.force), (place, time, x), (history, time, trace.force)]
+        step = max(1, trace.samples // (2 * POINTS))
+        loop.plot(x[::step], trace.force[::step], color=DATA, linewidth=0.5)
+        loop.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
+        loop.set_title(system.text("Force–displacement"))
+        history.sharex(place)
+        history.plot(*thinned(time, trace.force), color=DATA, linewidth=0.6)
+        history.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
+        history.set_title("Force")
+        _draw_energy(panels["energy"], find_loops(trace), system)
+    turns = trace.turning_points
+    place.plot(*thinned(time, x), color="#555555", linewidth=0.8)
+    place.plot(time[turns], x[turns], ".", color="#999999", markersize=3)
+    place.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
+    place.set_title(f"Displacement, {turns.size} turning points")
+    place.margins(x=0.01, y=0.12)  # space for the marks at the turns
+    handles, looks = [], zip(cycle(_SIGNS), cycle(_COLOURS), strict=False)
+    for fault in faults:  # one without samples has no mark
+        sign, colour = next(looks) if fault.samples.size else ("", DATA)
+        at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
+        mark: dict[str, Any] = {
+            "marker": sign,
+            "mfc": "none",
+            "mec": colour,
+            "mew": 1.1,
+            "ms": 5,
+            "ls": "",
+        }
+        for axes, across, up in curves if at.size else ():
+            axes.plot(across[at], up[at], **mark)
+        handles.append(Line2D([], [], label=f"warning: {fault.name}", **mark))
+    if handles:
+        figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
+    """Energy of each loop; loops of a ramp, with a shorter stroke, are hollow."""
+    axes.set(xlabel="loop", ylabel=system.label("energy", "kip*in"))
+    axes.set_title("Energy per full loop (hollow: shorter stroke)")
+    axes.axhline(0.0, color="#999999", linewidth=0.7)
+    if loops.energy is None or not loops.energy.size:
+        axes.text(0.5, 0.5, "no full loop", transform=axes.transAxes, ha="center", va="center")
+        return
+    number = np.arange(1, loops.energy.size + 1)
+    axes.plot(number, loops.energy, color="#bbbbbb", linewidth=0.7)
+    faces = [BLUE if strong else "white" for strong in loops.strong]
+    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=BLUE, linewidths=0.8)
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
