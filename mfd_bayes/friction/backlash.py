@@ -11,7 +11,7 @@ recurrence. A record, a step in time and a building go through the same cuts and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -47,8 +47,9 @@ cell shows 0.02, some of these springs bear 0.1.
 """
 
 # How a motion is cut into steps. Lengths are over the one in which slip sets in.
-RESOLVED = (2.0, 0.4)  # longest step near a turn, and n times it: 0.07 % off steps a tenth as long
+RESOLVED = (1.7, 0.34)  # longest step near a turn, and n times it: 0.07 % off steps a tenth as long
 SURE = 7.0  # way after which it surely slips
+FARTHEST = 256.0  # steps near a turn, at most
 FAR, MOST_FAR = 2.0, 8  # in slip a step may be longer by FAR, and a sample has so many at most
 MOST = 128  # a way that would have more is not cut: slip then sets in within a small part of it
 STIFF = 8.0  # a longer step ends in slip, or slides none
@@ -63,10 +64,9 @@ TINY = 1e-12  # force, kip, that stands for one that does not push against frict
 ITERATIONS = 100  # most steps; three are the rule
 CUTS = 6  # most times that deflections are cut at what friction can hold
 CLOSE, CLOSE_BLUNT = 8e-7, 2e-7  # a step is solved when Newton moves it less; where n < 2
-PATIENCE = 7  # steps after which vectors that are not solved go on without the others
 FAR_OFF = 1e13  # error, over its limit, from which Newton may be beyond what friction can hold
 
-WORTH = 2000  # numbers of an array whose computation takes as long as one more call
+TOGETHER = 32  # dampers that are cut into steps together
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,15 +207,13 @@ class Damper:
         """Longest step near a turn, and way after a turn beyond which it surely slips, (n,), in.
 
         They depend on a damper's own parameters alone, so that its force does not depend on the
-        others. They are rounded to powers of √2, so that many dampers share them.
+        others.
         """
         c, (fine, coarse) = self.columns, RESOLVED
         step = np.minimum(fine, coarse * c["n"]) / self.rate
         static = self.kinetic * (1.0 + self.excess) / np.stack([c["k_fwd"], c["k_bwd"]])
         window = c["gap"] + (static[0] + static[1]) + SURE / self.rate
-        fineness = np.clip(np.floor(2.0 * np.log2(step)), -99.0, 99.0)
-        times = np.clip(2.0 * np.ceil(np.log2(window)) - fineness, 0.0, 16.0)
-        return 2.0 ** (0.5 * fineness), 2.0 ** (0.5 * (fineness + times))
+        return step, np.clip(window, step, FARTHEST * step)
 
     def slip(self, sign: Array, rate: Array, shares: Columns) -> tuple[Array, Array, Array]:
         """`level`, `bound` and `length` of `Steps`.
@@ -274,17 +272,6 @@ class Cut(NamedTuple):
     ends: Index
 
 
-def _parts(length: Array, since: Array, step: Array, window: Array) -> tuple[Array, ...]:
-    """Length of each step near a turn and far from it, in, and number of steps of both."""
-    near = np.minimum(np.maximum(window - since, 0.0), length)
-    far = length - near
-    close, loose = near / step, far / (FAR * step)
-    close = np.where(close <= MOST, np.ceil(close), 1.0)
-    loose = np.where(loose <= MOST, np.ceil(np.minimum(loose, MOST_FAR)), 1.0)
-    close[close + loose == 0.0] = 1.0
-    return near, far, close, loose
-
-
 def cut(length: Array, since: Array, step: Array, window: Array) -> Cut:
     """Steps that are short where slip sets in, and long in slip; (M, 1) against (n,), or (1, n).
 
@@ -297,7 +284,12 @@ def cut(length: Array, since: Array, step: Array, window: Array) -> Cut:
     step, window : (n,), in
         `Damper.steps`. Where a damper has fewer steps than another, some have length zero.
     """
-    near, far, close, loose = _parts(length, since, step, window)
+    near = np.minimum(np.maximum(window - since, 0.0), length)
+    far = length - near
+    close, loose = near / step, far / (FAR * step)
+    close = np.where(close <= MOST, np.ceil(close), 1.0)
+    loose = np.where(loose <= MOST, np.ceil(np.minimum(loose, MOST_FAR)), 1.0)
+    close[close + loose == 0.0] = 1.0
     count = close + loose
     most = count.max(axis=1).astype(np.intp)
     ends = np.cumsum(most)
@@ -337,13 +329,6 @@ class Steps:
     length: Array
     slip: Array | None = None
 
-    def of(self, vectors: Index) -> Steps:
-        """Those of some vectors."""
-        columns = (self.way, self.sign, self.level, self.bound, self.length)
-        some = (c if c.shape[1] == 1 else c[:, vectors] for c in columns)
-        way, sign, level, bound, length = some
-        return Steps(way, sign, level, bound, length)
-
     @property
     def turns(self) -> Index:
         """The first step, and those that turn, (B,)."""
@@ -377,11 +362,6 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
             most = np.minimum(steps.sign * now, steps.bound + 2.0 * steps.length)
             np.multiply(steps.sign, most, out=now, where=steps.way > 0.0)  # at rest more may stay
         if moved.max() <= 1.0:
-            break
-        hard = (np.square(step) * error > 1.0).any(axis=0)
-        if done == PATIENCE and 0 < hard.sum() < 0.5 * n.size:
-            rows = np.flatnonzero(hard)
-            force[:, rows], z[-1, rows] = advance(damper.of(rows), steps.of(rows), first[rows])
             break
     else:
         lost |= (np.square(step) * error > 1.0).any(axis=0)
@@ -553,7 +533,10 @@ class BacklashLuGre(Model):
         sign, since = strokes_of(moves)
         force, last = np.empty((trace.samples, damper.size)), np.empty(damper.size)
         force[0] = damper.spring.evaluate(first)[0]
-        for rows, cuts in _courses(damper, np.abs(moves)[:, None], since[:, None]):
+        step, window = damper.steps
+        # those with similar steps go together
+        for rows in np.array_split(np.argsort(step), -(-step.size // TOGETHER)):
+            cuts = cut(np.abs(moves)[:, None], since[:, None], step[rows], window[rows])
             own = {k: f if f.shape[1] == 1 else f[:, rows] for k, f in factors.items()}
             motion = sign[:, None], (moves / np.diff(time))[:, None]
             found, last[rows] = follow(damper.of(rows), cuts, motion, own, first[rows])
@@ -695,26 +678,6 @@ def strokes_of(moves: Array) -> tuple[Array, Array]:
     turns = np.append(0, 1 + np.flatnonzero(sign[1:] != sign[:-1]))
     stretch = np.searchsorted(turns, np.arange(moves.size), side="right") - 1
     return sign, total[:-1] - total[turns][stretch]
-
-
-def _courses(damper: Damper, length: Array, since: Array) -> Iterator[tuple[Index, Cut]]:
-    """Cuts of a motion, each with the vectors that follow it.
-
-    Vectors with similar steps go together, which is faster than one kind after the other.
-    """
-    kinds, which = np.unique(np.stack(damper.steps), axis=1, return_inverse=True)
-    members = [np.flatnonzero(which.ravel() == i) for i in range(kinds.shape[1])]
-    _, _, close, loose = _parts(length, since, *kinds)
-    sizes = (close + loose).sum(axis=0)
-    left = sorted(range(len(sizes)), key=lambda i: -sizes[i])
-    while left:
-        group = [i for i in left if (sizes[left[0]] - sizes[i]) * members[i].size <= WORTH]
-        left = [i for i in left if i not in group]
-        cuts = cut(length, since, *kinds[:, group])
-        if len(group) > 1:
-            own = np.repeat(np.arange(len(group)), [members[i].size for i in group])
-            cuts = cuts._replace(way=cuts.way[:, own], share=cuts.share[:, own])
-        yield np.concatenate([members[i] for i in group]), cuts
 
 
 def follow(
