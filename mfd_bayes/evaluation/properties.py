@@ -19,9 +19,8 @@ from mfd_bayes.evaluation.scores import spread_of
 from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.design import LEVELS
-from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
+from mfd_bayes.population.bands import KIND_NAMES, Band
+from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
 from mfd_bayes.records.loops import (
     FORMULAS,
     MeasuredCycles,

@@ -21,7 +21,7 @@ from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.storage import save_population, save_test_draws
+from mfd_bayes.population.population import save_population, save_test_draws
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
     MANIFEST,

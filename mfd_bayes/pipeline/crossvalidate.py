@@ -11,7 +11,7 @@ from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibrate import Observe, calibrate_locked, working_in
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
-from mfd_bayes.population.settings import setting_of
+from mfd_bayes.population.design import setting_of
 from mfd_bayes.runs.folder import remove_partial_files
 from mfd_bayes.runs.manifest import CampaignCrossValidation
 from mfd_bayes.runs.run import Run

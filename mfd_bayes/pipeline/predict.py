@@ -15,8 +15,8 @@ from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draw
 from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import Fan, Interval, Rows
 from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.population.bands import DRAWS, Band
-from mfd_bayes.population.settings import CONDITIONS, KIND_NAMES
+from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
+from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
 from mfd_bayes.records.trace import Trace, parse_sine

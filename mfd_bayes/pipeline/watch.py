@@ -13,8 +13,7 @@ import numpy as np
 from mfd_bayes.errors import MfdError, RecordError
 from mfd_bayes.pipeline.accept import read_as_tests
 from mfd_bayes.pipeline.predict import stated_actuation, stated_conditions
-from mfd_bayes.population.given import Forecaster
-from mfd_bayes.population.stopping import NARROWING, Estimate, is_enough
+from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enough
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import conditions_of

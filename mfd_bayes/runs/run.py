@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -17,29 +15,29 @@ from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
 from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError
-from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import (
     MOST,
     NEW_DEVICE,
     Candidate,
+    Goal,
     Limits,
     Parts,
     Shown,
+    check_goal,
+    check_session,
     grid_of,
     harmonic_of,
+    parse_goal,
     parse_limits,
     parse_tests,
     typical_of,
 )
-from mfd_bayes.planning.goal import Goal, check_goal, check_session, parse_goal
 from mfd_bayes.planning.study import Advice, Effort, Situation, advise
-from mfd_bayes.population.bands import FEWEST, Band, Forecast, Predictor, check_flag
+from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor, check_flag
+from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import CONDITIONS, THIS_TEST, planned_setting, same_level
-from mfd_bayes.population.starts import Ending
 from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (
@@ -68,6 +66,11 @@ from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.population.population import Ending, Population
     from mfd_bayes.response.result import Response
 
 Item = TypeVar("Item")
@@ -206,7 +209,7 @@ class Run:
     @cached_property
     def population(self) -> Population:
         """Laws and scatter across tests."""
-        from mfd_bayes.population.storage import load_population
+        from mfd_bayes.population.population import load_population
 
         with self.unchanged():
             path = check_stored(self.folder, POPULATION, self.manifest.files)

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import THIS_TEST
-from mfd_bayes.population.starts import Ending
+from mfd_bayes.population.bands import THIS_TEST, Forecast, Predictor
+from mfd_bayes.population.population import Ending, Population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import check_stored, pooled_of
 from mfd_bayes.runs.manifest import Manifest
