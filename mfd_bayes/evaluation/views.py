@@ -8,7 +8,7 @@ have: `test`, `name` and `unit` of a quantity; `mean`, `sd`, and `lower`, `media
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,10 +19,9 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Comparison
+from mfd_bayes.runs.manifest import Comparison, Finding, Use, Verdict
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
-from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 if TYPE_CHECKING:
     from mfd_bayes.evaluation.laws import DriftRow
@@ -156,6 +155,11 @@ class Fan:
         """The band of the largest probability."""
         return max(self.intervals, key=lambda interval: interval.probability)
 
+    def times(self, by: float) -> Fan:
+        """The fan times a factor."""
+        scaled = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in self.intervals)
+        return Fan(self.kind, self.median * by, tuple(scaled))
+
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
@@ -175,8 +179,6 @@ class TestView:
     Attributes
     ----------
     role : {"calibrate", "validate"}
-    actuation : str
-        With its unit.
     trace : Trace
         With its force.
     first : int
@@ -214,7 +216,6 @@ class TestView:
 
     id: str
     role: str
-    actuation: str
     trace: Trace
     first: int
     observation: Fan

@@ -22,10 +22,9 @@ from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgeme
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary
-from mfd_bayes.runs.manifest import Comparison, ComparisonRow
+from mfd_bayes.runs.manifest import Comparison, ComparisonRow, Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SI
-from mfd_bayes.runs.verdict import Finding, Use, Verdict
-from mfd_bayes.store.toml import commented, quoted
+from mfd_bayes.store.files import commented, quoted
 
 OWN = "tests/p800_f0.25/page.html"
 PAGES = ("report.html", "datasheet.html", OWN, "tests/held/page.html")
@@ -231,7 +230,7 @@ def hostile(tmp_path, campaign):
         Check(name, name, name, 0.0, 1.0, Verdict.NOTE, note=name),
     )
     rows = tuple(row | {"note": name} for row in one.rows)
-    one = replace(one, rows=rows, identifiability=study, checks=checks, actuation=name)
+    one = replace(one, rows=rows, identifiability=study, checks=checks)
     message = Message("{text}", {"text": name})
     return replace(
         campaign,
