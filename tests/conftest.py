@@ -29,7 +29,7 @@ for variable in {"MFD_BAYES_DATA", "MFD_BAYES_FINISHED_RUN"} & set(os.environ):
 
 # On its first import of a day ArviZ writes a file, and two processes that do so at once fail: the
 # one that starts the others is first.
-importlib.import_module("mfd_bayes.store.arviz").import_arviz()
+importlib.import_module("mfd_bayes.store.netcdf").import_arviz()
 
 # A shell starts what runs in its background with Ctrl-C ignored, and processes inherit it. The
 # tests that interrupt a process need it heard.

@@ -48,7 +48,7 @@ from mfd_bayes.records.record import (
     read_record,
 )
 from mfd_bayes.records.table import own_name
-from mfd_bayes.store.toml import TomlError, faults_text, nearest, read_toml
+from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, actuation_kind, measure
 
 

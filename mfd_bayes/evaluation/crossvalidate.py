@@ -48,11 +48,9 @@ from mfd_bayes.runs.manifest import (
     Prediction,
     Score,
 )
-from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.test_sequence import TestSequence
+from mfd_bayes.runs.run import Run, TestSequence, open_run
 from mfd_bayes.runs.unit_system import US
-from mfd_bayes.store.files import read_json, write_json
-from mfd_bayes.store.schema import AtLeastOne, Part, check
+from mfd_bayes.store.files import AtLeastOne, Part, check, read_json, write_json
 
 Array = NDArray[np.float64]
 

@@ -32,9 +32,8 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
-from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.manifest import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
-from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]

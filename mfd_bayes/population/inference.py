@@ -44,7 +44,7 @@ from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
-from mfd_bayes.jobs.parallel import Evaluate, in_turn, several_processes
+from mfd_bayes.jobs.local import Evaluate, in_turn, several_processes
 from mfd_bayes.population.design import (
     CONDITIONS,
     LEVELS,
