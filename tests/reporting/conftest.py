@@ -70,7 +70,6 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
     view = TestView(
         id=identity,
         role=role,
-        actuation="800 psi",
         trace=trace,
         first=5,
         device=make_fan("device", force),

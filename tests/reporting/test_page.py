@@ -268,7 +268,7 @@ def hostile(tmp_path, campaign):
         Check(name, name, name, 0.0, 1.0, Verdict.NOTE, note=name),
     )
     rows = tuple(row | {"note": name} for row in one.rows)
-    one = replace(one, rows=rows, identifiability=study, checks=checks, actuation=name)
+    one = replace(one, rows=rows, identifiability=study, checks=checks)
     return replace(
         campaign,
         title=name,
