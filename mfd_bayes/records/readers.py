@@ -598,20 +598,15 @@ def _v73(path: Path) -> Arrays:
 
 
 class _Clock(NamedTuple):
-    """Sampling times of a waveform: its step and first time, s."""
+    """Sampling times of a waveform: step and first time, s, and number of samples."""
 
     step: float
     begin: float
     samples: int
-    dated: bool  # whether the file says when it began
 
     @property
     def end(self) -> float:
         return self.begin + self.step * self.samples
-
-    def even(self, other: _Clock) -> bool:
-        """Whether the steps are the same."""
-        return math.isclose(self.step, other.step, rel_tol=EVEN)
 
 
 def read_tdms(path: Path) -> Table:
@@ -629,7 +624,6 @@ def read_tdms(path: Path) -> Table:
     if not channels:
         raise RecordError(f"{path} holds no channel with data")
     columns: dict[str, Column] = {name: arrays[str(k)] for k, name in enumerate(channels)}
-    starts = [c["began"] for c in channels.values() if c["began"] is not None]
     units = {name: c["unit"] for name, c in channels.items() if c["unit"]}
     numeric = {name: c for name, c in channels.items() if c["numeric"]}
     timed = {  # channels that are a time by their kind, their name or their unit
@@ -637,31 +631,31 @@ def read_tdms(path: Path) -> Table:
         for name, c in numeric.items()
         if "time" in c["name"].lower() or measure(c["unit"]) == "time"
     }
-    clocks: dict[str, _Clock] = {}
-    for name, c in numeric.items():
-        if c["step"] is not None:
-            began = 0.0 if c["began"] is None else c["began"] - min(starts)
-            dated = c["began"] is not None
-            clocks[name] = _Clock(c["step"], began + c["offset"], len(columns[name]), dated)
+    waves = {name: c["clock"] for name, c in numeric.items() if c["clock"] and name not in timed}
+    zero = min((began for _, began, _ in waves.values() if began is not None), default=0.0)
+    clocks = {
+        name: _Clock(step, offset + (0.0 if began is None else began - zero), len(columns[name]))
+        for name, (step, began, offset) in waves.items()
+    }
     times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
     for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
         inside = [clock for name, clock in clocks.items() if channels[name]["group"] == group]
-        first = min(inside, key=lambda clock: clock.begin)
-        if all(clock.even(first) for clock in inside):
-            ends = [round((c.begin - first.begin) / c.step) + c.samples for c in inside]
-            times[f"{group}/time"] = first._replace(samples=max(ends))
+        step, begin, _ = min(inside, key=lambda clock: clock.begin)
+        if all(_same(clock.step, step) for clock in inside):
+            end = max(clock.end for clock in inside)
+            times[f"{group}/time"] = _Clock(step, begin, round((end - begin) / step))
     if len(set(times.values())) == 1:  # one for all
         times = {"time": next(iter(times.values()))}
     times = {name: clock for name, clock in times.items() if name not in columns}
     values: dict[str, Column] = {
-        name: clock.begin + clock.step * np.arange(clock.samples) for name, clock in times.items()
+        name: begin + step * np.arange(samples) for name, (step, begin, samples) in times.items()
     }
     texts = channels.keys() - numeric.keys()
     return Table(
         path,
         values | columns,
         units=units | dict.fromkeys(times, "s"),
-        align=lambda used: _align(path, used, times | clocks, texts, timed),
+        align=lambda used: _align(path, used, times | clocks, texts, timed=bool(timed)),
         notes=_differences(clocks),
         head=tuple(facts["settings"]),
     )
@@ -696,12 +690,6 @@ def _channels(path: Path) -> Content:
                 values, unit = (stamps - stamps[0]) / np.timedelta64(1, "s"), "s"
             elif kind in "fiub":
                 values = np.asarray(channel[:], dtype=np.float64)
-            step, offset = (own.get(f"wf_{name}", 0.0) for name in ("increment", "start_offset"))
-            step_unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
-            numbers = all(isinstance(v, int | float | np.number) for v in (step, offset))
-            if not (numbers and measure(step_unit) == "time" and 0.0 < step < math.inf):
-                step = offset = math.nan
-            scale = factor(step_unit, "time") if math.isfinite(step * offset) else math.nan
             arrays[str(len(channels))] = values
             channels.append(
                 {
@@ -709,9 +697,7 @@ def _channels(path: Path) -> Content:
                     "name": channel.name,
                     "numeric": kind in "fiubM",
                     "unit": unit,
-                    "step": float(step) * scale if math.isfinite(scale) else None,
-                    "offset": float(offset) * scale if math.isfinite(scale) else 0.0,
-                    "began": _moment(own.get("wf_start_time")),
+                    "clock": _clock(own),
                 }
             )
         settings = [
@@ -722,27 +708,42 @@ def _channels(path: Path) -> Content:
     return {"channels": channels, "settings": settings}, arrays
 
 
-def _moment(value: Any) -> float | None:
-    """Seconds since 2020 of a start time, None where there is none; 1904 is a writer's zero."""
-    if not isinstance(value, np.datetime64) or np.isnat(value) or value < np.datetime64("1914"):
+def _clock(properties: Mapping[str, Any]) -> tuple[float, float | None, float] | None:
+    """Step of a waveform, its start since 2020 and what is added to it, s; None without a step.
+
+    The start is None where it is not given, or is a writer's zero of 1904.
+    """
+    step, offset = (properties.get(f"wf_{name}", 0.0) for name in ("increment", "start_offset"))
+    unit = bare_unit(str(properties.get("wf_xunit_string", ""))) or "s"
+    numbers = all(isinstance(v, int | float | np.number) for v in (step, offset))
+    if not numbers or measure(unit) != "time" or not 0.0 < step < math.inf > abs(offset):
         return None
-    return float((value - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
+    start, scale = properties.get("wf_start_time"), factor(unit, "time")
+    began = None
+    if isinstance(start, np.datetime64) and start > np.datetime64("1914"):
+        began = float((start - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
+    return float(step) * scale, began, float(offset) * scale
+
+
+def _same(step: float, other: float) -> bool:
+    return math.isclose(step, other, rel_tol=EVEN)
 
 
 def _differences(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
-    """Sentence on a channel that does not begin, end or step as the first of them does."""
+    """Sentence on a channel that does not begin or end as the first of them does."""
     first = min(clocks, key=lambda name: clocks[name].begin, default="")
-    for name, clock in clocks.items():
+    for name, (step, begin, samples) in clocks.items():
         earliest = clocks[first]
-        if clock.begin >= earliest.end or (clock[1:3] == earliest[1:3] and clock.even(earliest)):
-            continue  # of another test, or no difference
-        if not clock.even(earliest):
-            steps = f"{first} has a step of {earliest.step:g}, {name} of {clock.step:g}"
+        if begin >= earliest.end:
+            continue  # of another test
+        if not _same(step, earliest.step):
+            steps = f"{first} has a step of {earliest.step:g}, {name} of {step:g}"
             return (f"{steps}: they cannot be used together",)
-        what = f"{name} has {clock.samples} samples, {first} {earliest.samples}"
-        if clock.begin > earliest.begin:
-            what = f"{name} begins {clock.begin - earliest.begin:.6g} s after {first}"
-        return (f"{what}: only what channels share is used",)
+        what = f"{name} begins {begin - earliest.begin:.6g} s after {first}"
+        if begin == earliest.begin:
+            what = f"{name} has {samples} samples, {first} {earliest.samples}"
+        if (begin, samples) != earliest[1:]:
+            return (f"{what}: only what channels share is used",)
     return ()
 
 
@@ -751,44 +752,40 @@ def _align(
     columns: Mapping[str, Column],
     every: Mapping[str, _Clock],
     texts: Collection[str],
-    timed: Collection[str],
+    *,
+    timed: bool,
 ) -> Mapping[str, Column]:
     """Columns while all of them were measured, at the samples of the one that began last.
 
-    Refused where they have no numbers or other steps, are never measured together, or differ though
-    the file has channels that are its time, `timed`.
+    Refused where they have no numbers or other steps, are never measured together, or begin at
+    different times though the file has a channel of its time.
     """
     if wrong := next((name for name in columns if name in texts), None):
         raise RecordError(f"channel {wrong!r} of {path} holds no real numbers; expected numbers")
-    clocks = {n: every[n] for n in columns if n in every and n not in timed}
+    clocks = {name: every[name] for name in columns if name in every}
     if len(set(clocks.values())) < 2:
         return columns
-    first, reference = next(iter(clocks.items()))
+    first, (step, begin, _) = next(iter(clocks.items()))
     for name, clock in clocks.items():
-        late, problem = clock.begin - reference.begin, ""
-        if not clock.even(reference):
-            problem = f"has a step of {clock.step:g} s, {first} one of {reference.step:g} s"
-        elif timed and abs(late) > SHARE * reference.step:
+        late, problem = clock.begin - begin, ""
+        if not _same(clock.step, step):
+            problem = f"has a step of {clock.step:g} s, {first} one of {step:g} s"
+        elif timed and abs(late) > SHARE * step:
             way = "after" if late > 0 else "before"
             problem = f"begins {abs(late):.6g} s {way} {first}, and the file has one time"
-        elif clock.dated != reference.dated and late:
-            problem = f"has another start than {first}, and wf_start_time is not given for both"
         if problem:
             raise RecordError(f"{path}: {name} {problem}: they cannot be aligned")
     if timed:
         return columns
     start = max(clock.begin for clock in clocks.values())
     end = min(clock.end for clock in clocks.values())
-    size = math.floor((end - start) / reference.step + SHARE)
-    if size < 1:
+    grid = start + step * np.arange(math.floor((end - start) / step + SHARE))
+    if not grid.size:
         raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
     aligned = dict(columns)
     for name, clock in clocks.items():
-        begin = (start - clock.begin) / reference.step
-        begin = round(begin) if abs(begin - round(begin)) < SHARE else begin
-        values = np.asarray(columns[name], dtype=np.float64)
-        at = begin + np.arange(min(size, math.floor(values.size - begin)))
-        aligned[name] = np.interp(at, np.arange(values.size), values)
+        own = clock.begin + clock.step * np.arange(clock.samples)
+        aligned[name] = np.interp(grid, own, np.asarray(columns[name], dtype=np.float64))
     return aligned
 
 
