@@ -35,7 +35,7 @@ from mfd_bayes.evaluation.acceptance import (
     judge,
     trace_of,
 )
-from mfd_bayes.evaluation.drift import drift_row
+from mfd_bayes.evaluation.laws import drift_row
 from mfd_bayes.population.design import design_of
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.mixed_model import MixedModel

@@ -11,7 +11,6 @@ from typing import Any, ClassVar, NamedTuple
 
 from pydantic import ValidationError
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.campaign.schema import (
     TABLES,
     CampaignFile,
@@ -43,7 +42,7 @@ from mfd_bayes.records.record import (
 )
 from mfd_bayes.records.table import own_name
 from mfd_bayes.store.toml import TomlError, faults_text, nearest, read_toml
-from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
+from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, actuation_kind, measure
 
 
 @dataclass(frozen=True, eq=False)

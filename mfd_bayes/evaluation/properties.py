@@ -1,36 +1,42 @@
-"""Properties of a device from its force: by the same rules as they are measured, and for design."""
+"""Properties of a device from its force: measured, for design, and on its data sheet."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import Axes
-from mfd_bayes.calibration.predictive import derive_from_parameters
+from mfd_bayes.calibration.posterior import derive_from_parameters
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
+from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.scores import spread_of
 from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.friction.model import Model
+from mfd_bayes.messages import Message
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import LEVELS
 from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
 from mfd_bayes.records.loops import (
+    FORMULAS,
     MeasuredCycles,
     cycle_values,
     find_loops,
     mean_of,
     measured_cycles,
 )
-from mfd_bayes.records.record import Record
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
+from mfd_bayes.records.record import NO_ACTUATION, Record
+from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.runs.run import ModelAverage, Run
+from mfd_bayes.runs.verdict import Use
+from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]
 
@@ -457,3 +463,301 @@ def places_of(run: Run) -> tuple[tuple[str, str], ...]:
 def sessions_of(run: Run) -> tuple[str, ...]:
     """Sessions of the calibrated tests; "" where none are declared."""
     return tuple(dict.fromkeys(run.session(name) for name in run.tests))
+
+
+# --- the data sheet: measured values, nominal ones and bounds, at each condition
+
+PROBABILITY = 0.95
+"""Of the interval between lower and upper bound."""
+
+DRAWS = 400
+CYCLES = 3
+"""Cycles of which the energy is given one by one."""
+
+HARMONIC = 0.2
+"""Least share of the cycles at full stroke, by which a test counts as harmonic."""
+
+_QUANTITIES = (
+    ("slip_force", "forward", "slip_fwd"),
+    ("slip_force", "backward", "slip_bwd"),
+    ("peak_force", "forward", "peak_fwd"),
+    ("peak_force", "backward", "peak_bwd"),
+    ("effective_stiffness", "", "effective_stiffness"),
+    ("effective_damping", "", "effective_damping"),
+    ("energy", "", "energy"),
+    ("gap", "", "gap"),
+)
+
+
+_COLUMNS = [
+    *("condition", "actuation", "actuation_unit", "stroke", "frequency", "tested"),
+    *("quantity", "direction", "unit", "cycle", "measured_low", "measured", "measured_high"),
+    *("n_cycles", "n_outside", "nominal", "lower", "upper", "lambda_min", "lambda_max"),
+    *("lambda_min_other", "lambda_max_other", "note"),
+]
+"""Of `Datasheet.rows`, there even where no test is harmonic."""
+
+
+class Condition(NamedTuple):
+    """An actuation, ksi or kip, an amplitude, in, and a frequency, Hz, of harmonic motion."""
+
+    actuation: float
+    stroke: float
+    frequency: float
+
+
+@dataclass(frozen=True, eq=False)
+class Datasheet:
+    """What an engineer needs to use a device, in internal units.
+
+    Attributes
+    ----------
+    rows : DataFrame
+        A row for each condition, quantity, direction and cycle (0: all cycles at full stroke).
+        `stroke` is the amplitude of the motion. `measured` is the mean over the cycles, and
+        `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was
+        tested. `nominal` is the mean of the mean property (the device at this actuation), `lower`
+        and `upper` hold a cycle of a new test with 95 %, offset, noise and chatter included.
+        `n_outside` counts the measured cycles outside of them. `lambda_min_other` and
+        `lambda_max_other` are those of another device: NaN where all tests are of one.
+    tested : mapping of str to Message
+        Ranges and numbers of what was tested, by name.
+    verdict : tuple of Message
+        Three; a fourth of other devices, where there are several.
+    not_known : tuple of Message
+        What a standard asks for and these tests cannot tell.
+    formulas : mapping of str to str
+        How each quantity is computed.
+    """
+
+    rows: pd.DataFrame
+    tested: Mapping[str, Message]
+    verdict: tuple[Message, ...]
+    not_known: tuple[Message, ...]
+    formulas: Mapping[str, str]
+
+
+def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:
+    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency."""
+    if not axes.actuated:
+        text = f"{NO_ACTUATION}, {text}"
+    level, _, motion = text.partition(",")
+    if text.count(",") != (2 if axes.timed else 1):
+        raise CampaignError(f"a condition reads '35 lbf, 1 in, 0.5 Hz', got {text!r}")
+    actuation, unit = parse_actuation(level.strip(), of=f"the actuation of {text!r}")
+    if unit != actuation_unit:
+        raise CampaignError(
+            f"the actuation of {text!r} must be {actuation_kind(actuation_unit)}, as in the tests"
+        )
+    harmonic = parse_sine(f"{motion}, {CYCLES} cycles", axes)
+    return Condition(actuation, harmonic.amplitude, harmonic.frequency)
+
+
+def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
+    """Data sheet of a run: every condition that was tested, and those of `at`."""
+    peaks, tests = peaks_of(run), _harmonic_tests(run)
+    table, lacking = [], []
+    for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *at]):
+        own = [test for test in tests if test[0] == condition]
+        label = condition_words(run, condition)
+        try:
+            table += _rows(run, condition, label, own, peaks)
+        except MfdError as error:
+            if condition in at:
+                raise
+            lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
+    rows = pd.DataFrame(table, columns=_COLUMNS)
+    return Datasheet(
+        rows=rows,
+        tested=_tested(run),
+        verdict=_verdict(run, rows),
+        not_known=(*lacking, *_not_known(run)),
+        formulas={
+            run.system.text(quantity): run.system.text(FORMULAS[quantity])
+            for quantity, _, name in _QUANTITIES
+            if run.system.axes.has(name)
+        },
+    )
+
+
+def condition_words(run: Run, condition: Condition) -> str:
+    """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
+    words, axes = run.system.words, run.system.axes
+    parts = [words([condition.stroke], "in", 3)]
+    if axes.actuated:
+        parts.insert(0, words([condition.actuation], run.actuation_unit, actuation=True))
+    if axes.timed:
+        parts.append(f"{condition.frequency:.3g} Hz")
+    return ", ".join(parts)
+
+
+Tested = tuple[Condition, str, Trace, MeasuredCycles]
+
+
+def _harmonic_tests(run: Run) -> list[Tested]:
+    """Condition and measured cycles of every harmonic test, also of those held out."""
+    traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
+    tests = []
+    for name in run.manifest.tests:
+        if name not in traces:
+            continue
+        cycles = measured_of(run.manifest, name)
+        full = cycles.full_stroke
+        if full.size and full.mean() >= HARMONIC:
+            amplitude = 0.5 * float(np.median(cycles.stroke[full]))
+            timed = run.system.axes.timed
+            frequency = float(np.median(cycles.frequency[full])) if timed else 1.0
+            level, by = traces[name].reference_actuation, run.system.factor("in")
+            condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
+            tests.append((condition, name, traces[name], cycles))
+    return tests
+
+
+def _rounded(value: float) -> float:
+    """A value with two digits where they are right within 2 %, else with three."""
+    two = float(f"{value:.2g}")
+    return two if abs(value - two) <= 0.02 * value else float(f"{value:.3g}")
+
+
+def _rows(
+    run: Run, condition: Condition, label: str, own: Sequence[Tested], peaks: Peaks
+) -> list[dict[str, object]]:
+    """Rows of one condition; `own` are its tests."""
+    axes = run.system.axes
+    if own:
+        trace = own[0][2]
+    else:
+        trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
+    devices = run.manifest.settings.devices
+    names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in own) or places_of(run)
+    nominal, bounded = _predicted(run, trace, list(names), peaks)
+    others = _predicted(run, trace, [(NEW, NEW)], peaks)[1] if len(run.devices) > 1 else {}
+    remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
+    head = {
+        "condition": label,
+        "actuation": condition.actuation,
+        "actuation_unit": run.actuation_unit,
+        "stroke": condition.stroke,
+        "frequency": condition.frequency,
+        "tested": bool(own),
+    }
+    rows = []
+    for quantity, direction, name in _QUANTITIES:
+        if not axes.has(name):
+            continue
+        values = [getattr(cycles, name)[cycles.full_stroke] for _, _, _, cycles in own]
+        for cycle in range(CYCLES + 1 if name == "energy" else 1):
+            kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
+            mean, drawn = nominal[name][:, kept], bounded[name][:, kept]
+            if cycle and not np.any(np.isfinite(drawn)):
+                continue
+            row = bounds(mean, drawn, PROBABILITY)
+            other = bounds(mean, others[name][:, kept] if others else np.empty(0), PROBABILITY)
+            seen = np.concatenate([np.empty(0), *(v[kept] for v in values)])
+            seen = seen[np.isfinite(seen)]
+            low, middle, high = (
+                (seen.min(), seen.mean(), seen.max()) if seen.size else (np.nan,) * 3
+            )
+            outside = (seen < row["lower"]) | (seen > row["upper"])
+            rows.append(
+                head
+                | {"quantity": quantity, "direction": direction, "unit": CYCLE_UNITS[name]}
+                | {"cycle": cycle, "measured_low": low, "measured": middle, "measured_high": high}
+                | {"n_cycles": seen.size}
+                | {"n_outside": int(outside.sum()), **row}
+                | {f"{key}_other": other[key] for key in ("lambda_min", "lambda_max")}
+                | {"note": "; ".join(remarks)}
+            )
+    return rows
+
+
+def _predicted(
+    run: Run, trace: Trace, places: Sequence[tuple[str, str]], peaks: Peaks
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Draws of the nominal values of the cycles at full stroke, and of those of a measurement."""
+    nominal, bounded = [], []
+    draws = max(DRAWS // len(places), 10)
+    for session, name in places:
+        device, test, seen = (
+            run.predict(trace, kind, PROBABILITY, draws=draws, session=session, device=name)
+            for kind in ("device", "new_test", "observation")
+        )
+        middle = cycles_of(trace, device.draws)
+        for side, factor in peaks.items():
+            middle[f"peak_{side}"] *= factor.expected
+        nominal.append(middle)
+        with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
+        bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
+    first, second = (
+        {name: np.concatenate([part[name] for part in parts]) for name in CYCLE_UNITS}
+        for parts in (nominal, bounded)
+    )
+    return first, second
+
+
+def _tested(run: Run) -> dict[str, Message]:
+    """Ranges and numbers of what was tested."""
+    more = {"stroke": " from end to end"}
+    ranges = {
+        run.system.text(span.name): Message(
+            f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)}
+        )
+        for span in run.tested
+        if run.system.axes.actuated or span.name != "actuation"
+    }
+    sessions = [session for session in sessions_of(run) if session]
+    return ranges | {
+        "devices": Message(f"{len(run.devices)}"),
+        "sessions": Message(f"{len(sessions)}" if sessions else "1 (none declared)"),
+        "tests": Message(f"{len(run.tests)} calibrated, {len(run.held_out)} held out"),
+    }
+
+
+def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
+    """What the run may be used for, how many measured values its bounds hold, and where."""
+    use = run.manifest.verdicts.get("campaign", "") or "not yet judged"
+    count = len(run.tests)
+    fine = " All tests are reproduced within tolerance." if use == Use.USABLE else ""
+    first = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
+    tested = rows[(rows["cycle"] == 0) & rows["tested"].astype(bool)]
+    cycles, outside = int(tested["n_cycles"].sum()), int(tested["n_outside"].sum())
+    most = ""
+    if outside:
+        worst = tested.sort_values("n_outside").to_dict("records")[-1]
+        quantity = worst["quantity"].replace("_", " ")
+        most = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
+    second = Message("No test is harmonic: there are no measured cycles to compare.")
+    if cycles:
+        second = Message(
+            f"{outside} of {cycles} measured values ({100 * outside / cycles:.1f} %) lie outside "
+            "their 95 % bounds{most}.",
+            {"most": most},
+        )
+    spans = {span.name: span for span in run.tested}
+    actuated = ("actuation",) if run.system.axes.actuated else ()
+    where = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
+    third = Message(
+        "Bounds hold for one device within {where}; outside they rest on the form of the laws.",
+        {"where": ", ".join(span.words(run.system) for span in where)},
+    )
+    if len(run.devices) < 2:
+        return first, second, third
+    slip = rows[(rows["cycle"] == 0) & (rows["quantity"] == "slip_force")]
+    low, high = slip["lambda_min_other"].min(), slip["lambda_max_other"].max()
+    fourth = Message(
+        f"Another device of the make, from {len(run.devices)} devices: slip force of "
+        f"{low:.2f} to {high:.2f} times the nominal one."
+    )
+    return first, second, third, fourth
+
+
+def _not_known(run: Run) -> tuple[Message, ...]:
+    """What ASCE/SEI 7 and EN 15129 ask of property factors and these tests cannot tell."""
+    followed = {c for those in run.manifest.settings.dependence.values() for c in those}
+    ageing = "Ageing, wear and contamination: all tests are of a few cycles of a new device."
+    unknown = {
+        "Other devices of the same make: all tests are of one device.": len(run.devices) < 2,
+        ageing: not followed & {"date", "cycles"},
+        "Temperature: no law of these tests follows one.": "temperature" not in followed,
+    }
+    return tuple(Message(text) for text, lacking in unknown.items() if lacking)

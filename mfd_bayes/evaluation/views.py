@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.identifiability import Identifiability
+from mfd_bayes.calibration.diagnostics import Identifiability
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer
 from mfd_bayes.planning.study import Advice
@@ -25,7 +25,7 @@ from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 if TYPE_CHECKING:
-    from mfd_bayes.evaluation.drift import DriftRow
+    from mfd_bayes.evaluation.laws import DriftRow
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.evaluation.compare import Candidate, candidates, check_cycles, compare_runs
+from mfd_bayes.evaluation.crossvalidate import Candidate, candidates, check_cycles, compare_runs
 from mfd_bayes.evaluation.views import LeftOutView
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.pipeline.calibrate import Observe, calibrate_locked, working_in

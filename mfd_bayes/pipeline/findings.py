@@ -8,7 +8,7 @@ import numpy as np
 
 from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.campaign.campaign import Campaign, Test
-from mfd_bayes.evaluation.verdict import zero_pressure_sentences
+from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.population.design import Design

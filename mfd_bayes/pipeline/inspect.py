@@ -14,7 +14,7 @@ from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.data_quality import Inspection, inspect_record
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.reporting.conversion import convert_trace
+from mfd_bayes.reporting.tables import convert_trace
 from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.units import split_quantity

@@ -20,7 +20,7 @@ from mfd_bayes.pipeline.inspect import system_of_records
 from mfd_bayes.pipeline.outputs import check_outputs
 from mfd_bayes.records.loops import Scales, scales_of
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import convert_fan, convert_trace
+from mfd_bayes.reporting.tables import convert_fan, convert_trace
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes
 

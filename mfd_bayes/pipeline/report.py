@@ -12,15 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mfd_bayes.errors import MfdError, ReportError
-from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
-from mfd_bayes.evaluation.properties import stored_peaks
+from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_peaks
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.conversion import convert_scores
 from mfd_bayes.reporting.publish import PLAIN, Forms
-from mfd_bayes.reporting.tables import CROSSVALIDATION
+from mfd_bayes.reporting.tables import CROSSVALIDATION, convert_scores
 from mfd_bayes.runs.folder import alone_in, check_places
 from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import Run, open_run

@@ -38,7 +38,7 @@ from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes, write_text
 
 if TYPE_CHECKING:
-    from mfd_bayes.evaluation.datasheet import Datasheet
+    from mfd_bayes.evaluation.properties import Datasheet
 
 ALL_DRAWN = 12
 """In a run of more tests, the pictures of single tests are drawn only where asked for."""

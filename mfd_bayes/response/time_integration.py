@@ -10,20 +10,27 @@ bend: where they do so too much, the step is halved, for each draw by itself.
 
 from __future__ import annotations
 
+import io
+import shutil
+import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from mfd_bayes.friction.elastoplastic import ElastoPlastic
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
+from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.response.building import Building
-from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.device_draws import Dampers, ElastoPlastic, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.recorder import Piece, Recorder
-from mfd_bayes.response.result import Response
+from mfd_bayes.response.result import Response, combined
+from mfd_bayes.store.files import write_bytes
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -40,6 +47,182 @@ JUMP = 30.0
 
 EASY = 1 / 8  # share of the largest bend below which the next step is twice as long
 RUNAWAY = 1e5  # travel, in, beyond which a draw diverged
+BEND = 2.0  # largest bend of the forces at first (see `integrate`), over the tolerance
+LARGEST_BEND = 0.1
+SHARPER = 0.25  # share of this for the draws that are computed again
+ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
+BOOLE = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # weights of Boole's rule
+CHUNK = 128  # steps of draws that are taken in together, at least
+
+
+# --- what is kept of histories: peaks, residuals, energies, samples
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One step of some draws.
+
+    Attributes
+    ----------
+    inner : callable
+        States after ¼, ½ and ¾ of the step, (3, r, 2N), from those at its begin, the ground's
+        acceleration at its ends, (r, 2), and the forces.
+    size : float, s
+        Its length.
+    rows : (r,)
+        Which draws.
+    time : float, s
+        Its begin.
+    shaking : (2,), in/s²
+        Ground's acceleration at both ends.
+    begin, end : (r, 2N), in and in/s
+        Displacements and velocities.
+    forces : three of (r, m), kip
+        Of the devices, beyond those at rest: at the begin, in the middle and at the end.
+    """
+
+    inner: Callable[[Array, Array, Sequence[Array]], Array]
+    size: float
+    rows: NDArray[np.intp]
+    time: float
+    shaking: Array
+    begin: Array
+    end: Array
+    forces: Sequence[Array]
+
+
+class Recorder:
+    """Peaks, energies and histories of n draws under one ground motion.
+
+    The devices' forces do work against the forces that they hold at rest, in which the building is
+    in equilibrium.
+    """
+
+    def __init__(
+        self,
+        building: Building,
+        ground: Ground,
+        places: Array,
+        brace: Array,
+        rest: Array,
+        kept: int,
+    ) -> None:
+        self.building, self.places, self.brace, self.rest = building, places, brace, rest
+        self.inverse = linalg.inv(building.mass)
+        n, samples, storeys = len(rest), ground.acceleration.size, len(building.drifts)
+        m = self.dampers = len(building.devices)
+        self.late = float(ground.time[-1] - 2.0 * building.modes.periods[0])
+        widths = {"drift": storeys, "acceleration": building.freedoms, "base_shear": 1}
+        widths |= {"force": m, "travel": m}
+        self.peaks = {name: np.zeros((n, width)) for name, width in widths.items()}
+        self.work = np.zeros((n, 2 + len(places)))  # of the ground, of damping, of each device
+        self.residual, self.late_time = np.zeros((n, storeys)), np.zeros((n, 1))
+        self.most_input, self.most_lost = np.zeros((2, n))
+        self.histories = np.zeros((n, samples, storeys), dtype=np.float32)
+        self.loops = np.zeros((2, min(kept, n), samples, m), dtype=np.float32)
+        self.pieces: list[Piece] = []
+        self.samples: list[tuple[Array, Array]] = []
+        self.sampled = 0
+
+    def include(self, pieces: Sequence[Piece], state: Array, force: Array, *, last: bool) -> None:
+        """Take in the steps to the next sample of the ground motion, and all draws there.
+
+        All that waits is worked up together when it is enough, and with the last sample.
+        """
+        self.pieces += pieces
+        self.samples.append((state.copy(), force))
+        if not last and sum(piece.rows.size for piece in self.pieces) < CHUNK:
+            return
+        n, m, building, kept = (
+            self.building.freedoms,
+            self.dampers,
+            self.building,
+            self.loops.shape[1],
+        )
+        states, forces = (np.stack(column, axis=1) for column in zip(*self.samples, strict=True))
+        span = slice(self.sampled, self.sampled + states.shape[1])
+        self.histories[:, span] = states[..., :n] @ building.drifts.T
+        pulled = (forces - self.rest[:, None])[:kept, :, :m]
+        travels = states[:kept, :, :n] @ self.places[:m].T - pulled * self.brace[:m]
+        self.loops[:, :, span] = travels, forces[:kept, :, :m]
+        self.sampled = span.stop
+        for size in {piece.size for piece in self.pieces}:
+            self._take_in([piece for piece in self.pieces if piece.size == size])
+        self.pieces, self.samples = [], []
+        # energy that is not accounted for, now
+        x, v = state[:, :n], state[:, n:]
+        stored = 0.5 * ((v @ building.mass) * v + (x @ building.stiffness) * x).sum(axis=1)
+        lost = self.work[:, 0] - self.work[:, 1:].sum(axis=1) - stored
+        self.most_lost = np.maximum(self.most_lost, np.abs(lost))
+        self.most_input = np.maximum(self.most_input, np.abs(self.work[:, 0]))
+        self.elastic = 0.5 * (self.brace * (force - self.rest) ** 2)[:, :m]
+
+    def _take_in(self, pieces: Sequence[Piece]) -> None:
+        """Peaks, work and residual drift of steps of one length; those of a draw together."""
+        n, m, building, size = self.building.freedoms, self.dampers, self.building, pieces[0].size
+        rows = np.concatenate([piece.rows for piece in pieces])
+        order = np.argsort(rows, kind="stable")
+        rows, counts = rows[order], [piece.rows.size for piece in pieces]
+        starts = np.flatnonzero(np.diff(rows, prepend=-1))
+        draws = rows[starts]
+        begin, end = (
+            np.concatenate([getattr(piece, name) for piece in pieces])[order]
+            for name in ("begin", "end")
+        )
+        first, half, last = (
+            np.concatenate([piece.forces[i] for piece in pieces])[order] for i in range(3)
+        )
+        ground, time = (
+            np.repeat([getattr(piece, name) for piece in pieces], counts, axis=0)[order]
+            for name in ("shaking", "time")
+        )
+        # (5, P, ...): at the begin, after ¼, ½ and ¾, and at the end of every step
+        share = np.linspace(0.0, 1.0, 5)[:, None, None]
+        state = np.concatenate(
+            [begin[None], pieces[0].inner(begin, ground, (first, half, last)), end[None]]
+        )
+        pulled = (1.0 - share) * first + share * last
+        pulled += 4.0 * share * (1.0 - share) * (half - 0.5 * (first + last))
+        x, v = state[..., :n], state[..., n:]
+        weights = building.mass @ building.influence
+        load = x @ building.stiffness + v @ building.damping + pulled @ self.places
+        acceleration, drift = -load @ self.inverse, x @ building.drifts.T  # absolute
+        peaks = {
+            "drift": drift,
+            "acceleration": acceleration,
+            "base_shear": (acceleration @ weights)[..., None],
+            "force": pulled[::2, :, :m] + self.rest[rows, :m],
+            "travel": x @ self.places[:m].T - pulled[..., :m] * self.brace[:m],
+        }
+        for name, values in peaks.items():
+            most = np.maximum.reduceat(np.abs(values).max(axis=0), starts, axis=0)
+            self.peaks[name][draws] = np.maximum(self.peaks[name][draws], most)
+        shaking = (1.0 - share[..., 0]) * ground[:, 0] + share[..., 0] * ground[:, 1]
+        given = -shaking * (v @ weights)
+        damped = ((v @ building.damping) * v).sum(axis=-1)
+        taken = pulled * (v @ self.places.T)
+        power = np.concatenate([given[..., None], damped[..., None], taken], axis=2)
+        work = size * np.tensordot(BOOLE, power, axes=1)
+        self.work[draws] += np.add.reduceat(work, starts, axis=0)
+        late = size * (time + size > self.late)[:, None]
+        self.residual[draws] += np.add.reduceat(late * drift[2], starts, axis=0)
+        self.late_time[draws] += np.add.reduceat(late, starts, axis=0)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What was found of n draws, by the names of a response."""
+        return {
+            **self.peaks,
+            "base_shear": self.peaks["base_shear"][:, 0],
+            "energy": self.work[:, 2 : 2 + self.dampers] - self.elastic,
+            "residual": self.residual / np.maximum(self.late_time, 1e-300),
+            "imbalance": self.most_lost / np.maximum(self.most_input, 1e-300),
+            "histories": self.histories,
+            "travels": self.loops[0],
+            "forces": self.loops[1],
+        }
+
+
+# --- the integration
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,3 +611,184 @@ def integrate(
     found |= {"open": draws.open / ground.time[-1]}
     found |= {"steps": ground.step / draws.parts / 2.0**draws.deepest}
     return Response.of_ground(building, ground, dampers, found)
+
+
+# --- blocks of draws, here or in processes
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How exactly a response is computed.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest estimated error of a draw's drift, relative.
+    rounds : int
+        Most times that a draw is computed again with shorter steps.
+    halvings : int
+        Most halvings of a step.
+    kept : int
+        Draws of each block whose dampers' histories are kept.
+    """
+
+    tolerance: float = 0.01
+    rounds: int = 2
+    halvings: int = HALVINGS
+    kept: int = 8
+
+
+def settle(
+    building: Building,
+    ground: Ground,
+    dampers: Dampers,
+    accuracy: Accuracy,
+    tick: Callable[[float], object] = lambda share: None,
+) -> Response:
+    """Response of every draw to one ground motion, at steps that suit each."""
+    bend = min(BEND * accuracy.tolerance, LARGEST_BEND)
+    halvings, kept = accuracy.halvings, accuracy.kept
+    found = integrate(building, ground, dampers, bend, halvings=halvings, kept=kept, tick=tick)
+    for _ in range(accuracy.rounds):
+        far = (found.change > accuracy.tolerance) & ~found.unstable
+        rows = np.flatnonzero(far[:, 0])
+        if not rows.size:
+            break
+        bend *= SHARPER
+        keep = int(np.searchsorted(rows, kept))
+        some = dampers.chosen(rows)
+        fine = integrate(building, ground, some, bend, halvings=halvings, kept=keep, tick=tick)
+        found.put(rows, fine)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some draws of a building under one ground motion: work for one process.
+
+    The blocks do not depend on the number of processes, so that the draws do not either.
+    """
+
+    id: str
+    building: Building
+    ground: Ground
+    dampers: Dampers
+    accuracy: Accuracy
+    file: str = "block.npz"
+
+    @property
+    def makes(self) -> tuple[str, ...]:
+        """File that it stores."""
+        return (self.file,)
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """No files."""
+        return ()
+
+    def solve(self, observe: Callable[[Step], Any]) -> Response:
+        """Response of its draws."""
+
+        def tick(share: float) -> None:
+            observe(Step(self.id, "in the earthquake", message=f"{share:.0%}"))
+
+        return settle(self.building, self.ground, self.dampers, self.accuracy, tick)
+
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Compute the response and store its arrays.
+
+        Raises
+        ------
+        StoreError
+            When they cannot be written.
+        """
+        begun, stored = time.perf_counter(), io.BytesIO()
+        observe(Step(self.id, "in the earthquake"))
+        np.savez(stored, **self.solve(observe).arrays)  # type: ignore[arg-type]
+        write_bytes(out / self.file, stored.getbuffer())
+        return Outcome(self.id, State.DONE, time.perf_counter() - begun)
+
+    def stored(self, out: Path) -> Response:
+        """The response that it stored."""
+        with np.load(out / self.file) as arrays:
+            return Response.of_ground(self.building, self.ground, self.dampers, arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A building under ground motions.
+
+    Attributes
+    ----------
+    building : Building
+    grounds : sequence of Ground
+    dampers : Dampers
+        Of n draws of the building.
+    accuracy : Accuracy
+        Of the steps.
+    bounds : mapping of str to Dampers
+        Those of one more building each, such as "lower" and "upper".
+    """
+
+    building: Building
+    grounds: Sequence[Ground]
+    dampers: Dampers
+    accuracy: Accuracy = field(default_factory=Accuracy)
+    bounds: Mapping[str, Dampers] = field(default_factory=dict)
+
+    def respond(
+        self, jobs: int = 1, observe: Callable[[Step], None] = lambda step: None
+    ) -> Response:
+        """Response of every draw to every ground motion, and its `references`.
+
+        Parameters
+        ----------
+        jobs : int
+            Number of processes; 0 for one per processor. The result does not depend on it.
+        observe : callable, optional
+            Called with every step.
+        """
+        dampers, size = self.dampers, max(10, ROWS // max(self.dampers.count, 1))
+        rows = np.split(np.arange(dampers.draws), np.arange(size, dampers.draws, size))
+        plain = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
+        # the longest work first, so that no process waits for another at the end
+        kinds = [(f"part {k}", self.building, dampers.chosen(r)) for k, r in enumerate(rows, 1)]
+        references = {"bare": ("without dampers", self.building.bare(), no_dampers())}
+        references["plain"] = ("with plain friction", self.building, plain)
+        for name, bound in self.bounds.items():
+            references[name] = (f"all at the {name} bound", self.building, bound)
+        kinds += references.values()
+        blocks = [
+            Block(f"ground motion {g}, {ground.name}, {name}", built, ground, some, self.accuracy)
+            for name, built, some in kinds
+            for g, ground in enumerate(self.grounds, 1)
+        ]
+        found = iter(_solved_blocks(blocks, min(Workplace(jobs).processes, len(blocks)), observe))
+        each = [[next(found) for _ in self.grounds] for _ in kinds]
+        whole = combined(list(zip(*each[: len(rows)], strict=True)), dampers)
+        single = {
+            name: combined([[part] for part in row], row[0].dampers)
+            for name, row in zip(references, each[len(rows) :], strict=True)
+        }
+        return replace(whole, references=single, tolerance=self.accuracy.tolerance)
+
+
+def _solved_blocks(
+    blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None]
+) -> list[Response]:
+    """Responses of the blocks in their order."""
+    if jobs == 1:
+        found = []
+        for block in blocks:
+            observe(Step(block.id, "in the earthquake"))
+            found.append(block.solve(observe))
+            observe(Step(block.id, State.DONE))
+        return found
+    with (
+        tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder,
+        before_end(lambda: shutil.rmtree(folder, ignore_errors=True)),
+    ):
+        out = Path(folder)
+        numbered = [replace(block, file=f"{n}.npz") for n, block in enumerate(blocks, start=1)]
+        for outcome in run_jobs(numbered, out, Workplace(jobs), observe):
+            observe(Step(outcome.id, outcome.status))
+        return [block.stored(out) for block in numbered]

@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError
@@ -28,6 +27,7 @@ from mfd_bayes.runs.unit_system import System, system_of
 from mfd_bayes.runs.verdict import Finding
 from mfd_bayes.store.files import json_text, read_json, write_json
 from mfd_bayes.store.schema import AtLeastOne, Figure, Index, Part, Positive, Three, check
+from mfd_bayes.units import DAMPER, Axes
 
 FORMAT: Literal[2] = 2
 """Format of a run folder, raised when another version cannot read what this one writes."""

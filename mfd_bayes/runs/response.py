@@ -13,11 +13,11 @@ import numpy as np
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.records.inputs import path_of, real_number, whole_number
-from mfd_bayes.response.analysis import Accuracy, Analysis
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
+from mfd_bayes.response.time_integration import Accuracy, Analysis
 from mfd_bayes.runs.tested_range import MARGIN, Departure, Span
 from mfd_bayes.units import actuation_kind
 

@@ -16,7 +16,7 @@ from mfd_bayes.calibration.proposal import Evidence
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.evaluation.compare import (
+from mfd_bayes.evaluation.crossvalidate import (
     ALL,
     LARGEST_K,
     Validation,
@@ -25,8 +25,8 @@ from mfd_bayes.evaluation.compare import (
     comparison_of,
     cross_validate,
     difference,
-    leave_out,
     log_evidence,
+    psis_loo,
     standard_error,
 )
 from mfd_bayes.friction.bouc_wen import BoucWen
@@ -255,7 +255,7 @@ def normal_mean(blocks, n=4000, seed=0):
 def test_elpd_is_exact_where_every_block_tells_little():
     rng = np.random.default_rng(2)
     _, given, exact = normal_mean([rng.normal(size=5) for _ in range(12)])
-    found = np.array([leave_out(column) for column in given.T])
+    found = np.array([psis_loo(column) for column in given.T])
     np.testing.assert_allclose(found[:, 0], exact, atol=0.02)
     assert np.all(found[:, 1] > found[:, 0])
     assert np.all(found[:, 2] < LARGEST_K)
@@ -265,7 +265,7 @@ def test_a_block_that_moves_the_posterior_far_has_a_large_k():
     rng = np.random.default_rng(3)
     blocks = [rng.normal(size=5), rng.normal(size=5), rng.normal(6.0, 1.0, size=20)]
     draws, given, exact = normal_mean(blocks)
-    elpd, _, k = leave_out(given[:, 2])
+    elpd, _, k = psis_loo(given[:, 2])
     assert k > LARGEST_K
     assert elpd > exact[2] + 3.0  # and PSIS is far too good to be true
 

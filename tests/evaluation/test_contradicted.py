@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.evaluation.outliers import contradicted_order
+from mfd_bayes.evaluation.checks import contradicted_order
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
 from tests.run_folders import write_run

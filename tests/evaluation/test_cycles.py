@@ -8,7 +8,7 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.errors import FitError
-from mfd_bayes.evaluation.compare import (
+from mfd_bayes.evaluation.crossvalidate import (
     FEWEST_CYCLES,
     conditional_density,
     cycle_log_likelihood,

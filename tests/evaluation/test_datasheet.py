@@ -7,7 +7,7 @@ import pytest
 
 from mfd_bayes import open_run
 from mfd_bayes.errors import MfdError
-from mfd_bayes.evaluation.datasheet import datasheet, parse_condition
+from mfd_bayes.evaluation.properties import datasheet, parse_condition
 from tests.run_folders import FORCE, MOTION, write_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.outliers import standing_out
+from mfd_bayes.evaluation.checks import standing_out
 
 
 @pytest.mark.parametrize("count", [5, 8, 20])

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mfd_bayes.calibration.identifiability import (
+from mfd_bayes.calibration.diagnostics import (
     Directions,
     Identifiability,
     Pair,
 )
-from mfd_bayes.evaluation.datasheet import Datasheet
+from mfd_bayes.evaluation.properties import Datasheet
 from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     CampaignView,

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.identifiability import Pair
+from mfd_bayes.calibration.diagnostics import Pair
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.reporting.figures import style, to_png
-from mfd_bayes.reporting.response import (
+from mfd_bayes.pipeline.respond import (
     ResponseView,
     peaks_frame,
     render_response,
@@ -17,9 +16,9 @@ from mfd_bayes.reporting.response import (
     sweep_frame,
     sweep_sentence,
 )
+from mfd_bayes.reporting.figures import agg, to_png
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.response.result import Passing, Row
-from mfd_bayes.response.sweep import Sweep
+from mfd_bayes.response.result import Passing, Row, Sweep
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.units import GRAVITY
@@ -93,7 +92,7 @@ def test_a_page_without_a_draw_that_stayed_and_without_a_sweep_is_refused():
 
 
 def test_a_page_of_a_response_has_both_systems_of_units():
-    dot = to_png(style.new_figure(1, 1))
+    dot = to_png(agg.new_figure(1, 1))
     names = ("profile", "building", "history_1", "history_2", "loops_1", "loops_2")
     images = {f"{name}_{system}": dot for name in names for system in ("us", "si")}
     text = render_response(view((ROW,)), images)

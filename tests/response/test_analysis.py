@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.response.analysis import Accuracy, Analysis, Block
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import plain_friction
 from mfd_bayes.response.ground import Ground
+from mfd_bayes.response.time_integration import Accuracy, Analysis, Block
 
 BUILDING = """
 [building]

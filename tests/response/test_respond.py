@@ -19,12 +19,11 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.properties import design_rows
 from mfd_bayes.population.population import LawDraws
-from mfd_bayes.response.analysis import Accuracy, Analysis
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import Choice, draw_dampers
 from mfd_bayes.response.ground import Ground, read_ground
-from mfd_bayes.response.result import variance_shares
-from mfd_bayes.response.sweep import sweep_of
+from mfd_bayes.response.result import sweep_of, variance_shares
+from mfd_bayes.response.time_integration import Accuracy, Analysis
 from mfd_bayes.units import GRAVITY
 
 PLACES = "".join(f'[[damper]]\nstorey = {i}\nactuation = "1000 psi"\n' for i in (1, 2))
@@ -420,7 +419,7 @@ def test_samples_go_to_other_programs(finished_run, tmp_path, to):
 
 @pytest.mark.slow
 def test_the_same_bits_whatever_the_number_of_processes(run, path, ground, monkeypatch):
-    monkeypatch.setattr("mfd_bayes.response.analysis.ROWS", 20)
+    monkeypatch.setattr("mfd_bayes.response.time_integration.ROWS", 20)
     one = run.respond(path, [ground], draws=20, jobs=1)
     two = run.respond(path, [ground], draws=20, jobs=2)
     assert np.array_equal(one.drift, two.drift)

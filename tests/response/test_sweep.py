@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.response.schema import Limits
-from mfd_bayes.response.sweep import sweep_of
+from mfd_bayes.response.building import Limits
+from mfd_bayes.response.result import sweep_of
 
 LEVELS = np.array([3.0, 4.0, 5.0, 6.0])
 

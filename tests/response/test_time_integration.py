@@ -8,17 +8,14 @@ import pytest
 from scipy import signal
 
 from mfd_bayes.friction.bouc_wen import BoucWen
-from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.friction.quantity import Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.analysis import Accuracy, settle
-from mfd_bayes.response.building import building_of
+from mfd_bayes.response.building import Content, building_of
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.schema import Content
-from mfd_bayes.response.time_integration import integrate
+from mfd_bayes.response.time_integration import Accuracy, integrate, settle
 
 RATIO = 0.05
 FINE = 0.01
