@@ -598,15 +598,14 @@ def _v73(path: Path) -> Arrays:
 
 
 class _Clock(NamedTuple):
-    """Sampling times of a waveform: step and first time, s, and number of samples."""
+    """Sampling times of a waveform: step and first time, s."""
 
     step: float
     begin: float
-    samples: int
 
-    @property
-    def end(self) -> float:
-        return self.begin + self.step * self.samples
+    def differs(self, other: _Clock) -> bool:
+        even = math.isclose(self.step, other.step, rel_tol=EVEN)
+        return not even or abs(self.begin - other.begin) > SHARE * self.step
 
 
 def read_tdms(path: Path) -> Table:
@@ -634,29 +633,35 @@ def read_tdms(path: Path) -> Table:
     waves = {name: c["clock"] for name, c in numeric.items() if c["clock"] and name not in timed}
     zero = min((began for _, began, _ in waves.values() if began is not None), default=0.0)
     clocks = {
-        name: _Clock(step, offset + (0.0 if began is None else began - zero), len(columns[name]))
+        name: _Clock(step, offset + (0.0 if began is None else began - zero))
         for name, (step, began, offset) in waves.items()
     }
-    times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
+    times: dict[str, tuple[_Clock, int]] = {}  # for each group whose channels share a clock
+    notes = []
     for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
-        inside = [clock for name, clock in clocks.items() if channels[name]["group"] == group]
-        step, begin, _ = min(inside, key=lambda clock: clock.begin)
-        if all(_same(clock.step, step) for clock in inside):
-            end = max(clock.end for clock in inside)
-            times[f"{group}/time"] = _Clock(step, begin, round((end - begin) / step))
+        inside = [name for name in clocks if channels[name]["group"] == group]
+        sizes = [len(columns[name]) for name in inside]
+        if not any(clocks[name].differs(clocks[inside[0]]) for name in inside):
+            times[f"{group}/time"] = clocks[inside[0]], max(sizes)
+        if min(sizes) < max(sizes):
+            notes.append(
+                f"channels of {group!r} have {min(sizes)} to {max(sizes)} samples: only those that "
+                "the used ones share are read"
+            )
     if len(set(times.values())) == 1:  # one for all
         times = {"time": next(iter(times.values()))}
-    times = {name: clock for name, clock in times.items() if name not in columns}
+    times = {name: time for name, time in times.items() if name not in columns}
     values: dict[str, Column] = {
-        name: begin + step * np.arange(samples) for name, (step, begin, samples) in times.items()
+        name: begin + step * np.arange(size) for name, ((step, begin), size) in times.items()
     }
+    clocks |= {name: clock for name, (clock, _) in times.items()}
     texts = channels.keys() - numeric.keys()
     return Table(
         path,
         values | columns,
         units=units | dict.fromkeys(times, "s"),
-        align=lambda used: _align(path, used, times | clocks, texts, timed=bool(timed)),
-        notes=_differences(clocks),
+        align=lambda used: _align(path, used, clocks, texts),
+        notes=tuple(notes),
         head=tuple(facts["settings"]),
     )
 
@@ -725,68 +730,29 @@ def _clock(properties: Mapping[str, Any]) -> tuple[float, float | None, float] |
     return float(step) * scale, began, float(offset) * scale
 
 
-def _same(step: float, other: float) -> bool:
-    return math.isclose(step, other, rel_tol=EVEN)
-
-
-def _differences(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
-    """Sentence on a channel that does not begin or end as the first of them does."""
-    first = min(clocks, key=lambda name: clocks[name].begin, default="")
-    for name, (step, begin, samples) in clocks.items():
-        earliest = clocks[first]
-        if begin >= earliest.end:
-            continue  # of another test
-        if not _same(step, earliest.step):
-            steps = f"{first} has a step of {earliest.step:g}, {name} of {step:g}"
-            return (f"{steps}: they cannot be used together",)
-        what = f"{name} begins {begin - earliest.begin:.6g} s after {first}"
-        if begin == earliest.begin:
-            what = f"{name} has {samples} samples, {first} {earliest.samples}"
-        if (begin, samples) != earliest[1:]:
-            return (f"{what}: only what channels share is used",)
-    return ()
-
-
 def _align(
     path: Path,
     columns: Mapping[str, Column],
     every: Mapping[str, _Clock],
     texts: Collection[str],
-    *,
-    timed: bool,
 ) -> Mapping[str, Column]:
-    """Columns while all of them were measured, at the samples of the one that began last.
+    """Columns as far as all waveforms among them go.
 
-    Refused where they have no numbers or other steps, are never measured together, or begin at
-    different times though the file has a channel of its time.
+    Refused where one has no numbers, or another step or start than the first.
     """
     if wrong := next((name for name in columns if name in texts), None):
         raise RecordError(f"channel {wrong!r} of {path} holds no real numbers; expected numbers")
     clocks = {name: every[name] for name in columns if name in every}
-    if len(set(clocks.values())) < 2:
-        return columns
-    first, (step, begin, _) = next(iter(clocks.items()))
-    for name, clock in clocks.items():
-        late, problem = clock.begin - begin, ""
-        if not _same(clock.step, step):
-            problem = f"has a step of {clock.step:g} s, {first} one of {step:g} s"
-        elif timed and abs(late) > SHARE * step:
-            way = "after" if late > 0 else "before"
-            problem = f"begins {abs(late):.6g} s {way} {first}, and the file has one time"
-        if problem:
-            raise RecordError(f"{path}: {name} {problem}: they cannot be aligned")
-    if timed:
-        return columns
-    start = max(clock.begin for clock in clocks.values())
-    end = min(clock.end for clock in clocks.values())
-    grid = start + step * np.arange(math.floor((end - start) / step + SHARE))
-    if not grid.size:
-        raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
-    aligned = dict(columns)
-    for name, clock in clocks.items():
-        own = clock.begin + clock.step * np.arange(clock.samples)
-        aligned[name] = np.interp(grid, own, np.asarray(columns[name], dtype=np.float64))
-    return aligned
+    for name, (step, begin) in clocks.items():
+        first, clock = next(iter(clocks.items()))
+        if clocks[name].differs(clock):
+            problem = f"has a step of {step:g} s, {first} one of {clock.step:g} s"
+            if math.isclose(step, clock.step, rel_tol=EVEN):
+                way = "after" if begin > clock.begin else "before"
+                problem = f"begins {abs(begin - clock.begin):.6g} s {way} {first}"
+            raise RecordError(f"{path}: {name} {problem}: they cannot be used together")
+    size = min((len(columns[name]) for name in clocks), default=None)
+    return {name: c[:size] if name in clocks else c for name, c in columns.items()}
 
 
 FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(
