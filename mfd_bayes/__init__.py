@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.model import Model, Parameter
     from mfd_bayes.friction.three_stage import LuGre, ThreeStage
-    from mfd_bayes.planning.candidate import Candidate, Limits
-    from mfd_bayes.planning.goal import Goal
+    from mfd_bayes.planning.candidate import Candidate, Goal, Limits
     from mfd_bayes.planning.study import Advice
     from mfd_bayes.population.bands import Band
     from mfd_bayes.population.given import Forecaster
@@ -33,7 +32,7 @@ _HOMES = {
     "BoucWen": "mfd_bayes.friction.bouc_wen",
     "Candidate": "mfd_bayes.planning.candidate",
     "Draws": "mfd_bayes.calibration.sampling",
-    "Goal": "mfd_bayes.planning.goal",
+    "Goal": "mfd_bayes.planning.candidate",
     "Limits": "mfd_bayes.planning.candidate",
     "Forecaster": "mfd_bayes.population.given",
     "LuGre": "mfd_bayes.friction.three_stage",

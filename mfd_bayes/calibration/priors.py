@@ -22,7 +22,7 @@ from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model, Quantity
-from mfd_bayes.store.toml import TomlError, read_toml
+from mfd_bayes.store.files import TomlError, read_toml
 from mfd_bayes.units import DAMPER, parse_quantity
 
 Array = NDArray[np.float64]

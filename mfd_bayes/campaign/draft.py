@@ -36,7 +36,7 @@ from mfd_bayes.records.loops import Scales, channels_swapped, middle, scales_of
 from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import without_spikes
-from mfd_bayes.store.toml import commented, quoted, read_toml
+from mfd_bayes.store.files import commented, quoted, read_toml
 from mfd_bayes.units import (
     DAMPER,
     ActuationUnit,

@@ -39,7 +39,7 @@ from mfd_bayes.evaluation.properties import (
 )
 from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.population.bands import Band
-from mfd_bayes.population.settings import CONDITIONS
+from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.loops import UNITS, MeasuredCycles, measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace

@@ -29,10 +29,10 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.settings import Setting
+from mfd_bayes.population.design import Setting
 from mfd_bayes.records.loops import MeasuredCycles
+from mfd_bayes.runs.manifest import Finding, Verdict
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.verdict import Finding, Verdict
 
 Array = NDArray[np.float64]
 

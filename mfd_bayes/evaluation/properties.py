@@ -19,9 +19,8 @@ from mfd_bayes.evaluation.scores import spread_of
 from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.design import LEVELS
-from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
+from mfd_bayes.population.bands import KIND_NAMES, Band
+from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
 from mfd_bayes.records.loops import (
     FORMULAS,
     MeasuredCycles,
@@ -33,9 +32,8 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
-from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.manifest import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
-from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]

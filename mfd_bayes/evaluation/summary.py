@@ -57,15 +57,14 @@ from mfd_bayes.evaluation.views import (
     Rows,
     TestView,
 )
-from mfd_bayes.jobs.parallel import in_turn, several_processes
+from mfd_bayes.jobs.local import in_turn, several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.manifest import Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, US, both_systems
-from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 MILD = 3.0
 """Misfit, in tolerances, of a fault of a record that does not spoil it."""

@@ -14,9 +14,8 @@ from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import Fan, Interval, Rows
-from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.population.bands import DRAWS, Band
-from mfd_bayes.population.settings import CONDITIONS, KIND_NAMES
+from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
+from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
 from mfd_bayes.records.trace import Trace, parse_sine
@@ -28,6 +27,7 @@ from mfd_bayes.reporting.tables import (
     design_csv,
     predicted_csv,
 )
+from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System

@@ -33,8 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import RecordError
-from mfd_bayes.records.inputs import why_invalid, why_no_file
+from mfd_bayes.errors import RecordError, why_invalid, why_no_file
 from mfd_bayes.records.table import (
     COLUMNS,
     SEARCHED,

@@ -39,8 +39,8 @@ from mfd_bayes.reporting.tables import (
     score_sheet,
     table_of,
 )
+from mfd_bayes.runs.manifest import Use
 from mfd_bayes.runs.unit_system import System
-from mfd_bayes.runs.verdict import Use
 from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:

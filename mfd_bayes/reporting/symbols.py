@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model, html_of
-from mfd_bayes.population.settings import KIND_NAMES
+from mfd_bayes.population.bands import KIND_NAMES
 from mfd_bayes.runs.unit_system import System
 
 _SYMBOLS = {

@@ -20,8 +20,7 @@ import numpy as np
 from mfd_bayes.evaluation.next_test import advice_rows
 from mfd_bayes.evaluation.views import CampaignView, Fan, LawView, LeftOutView, Row, Rows, TestView
 from mfd_bayes.planning.study import Advice
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.settings import KIND_NAMES
+from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
 from mfd_bayes.runs.manifest import ComparisonRow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.evaluation.properties import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
-from mfd_bayes.population.settings import KIND_NAMES, KINDS
+from mfd_bayes.population.bands import KIND_NAMES, KINDS
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import BAND_NAMES, BANDS
 from mfd_bayes.reporting.tables import convert_rows, design_csv

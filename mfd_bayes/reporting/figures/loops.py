@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import Array, Fan, TestView
-from mfd_bayes.population.settings import SAME_LEVEL
+from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import Loops
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
