@@ -12,12 +12,9 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.acceptance import Acceptance, accept
     from mfd_bayes.friction.backlash import BacklashLuGre
     from mfd_bayes.friction.bouc_wen import BoucWen
-    from mfd_bayes.friction.lugre import LuGre
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.friction.quantity import Parameter
-    from mfd_bayes.friction.three_stage import ThreeStage
-    from mfd_bayes.planning.candidate import Candidate, Limits
-    from mfd_bayes.planning.goal import Goal
+    from mfd_bayes.friction.model import Model, Parameter
+    from mfd_bayes.friction.three_stage import LuGre, ThreeStage
+    from mfd_bayes.planning.candidate import Candidate, Goal, Limits
     from mfd_bayes.planning.study import Advice
     from mfd_bayes.population.bands import Band
     from mfd_bayes.population.given import Forecaster
@@ -35,13 +32,13 @@ _HOMES = {
     "BoucWen": "mfd_bayes.friction.bouc_wen",
     "Candidate": "mfd_bayes.planning.candidate",
     "Draws": "mfd_bayes.calibration.sampling",
-    "Goal": "mfd_bayes.planning.goal",
+    "Goal": "mfd_bayes.planning.candidate",
     "Limits": "mfd_bayes.planning.candidate",
     "Forecaster": "mfd_bayes.population.given",
-    "LuGre": "mfd_bayes.friction.lugre",
+    "LuGre": "mfd_bayes.friction.three_stage",
     "MfdError": "mfd_bayes.errors",
     "Model": "mfd_bayes.friction.model",
-    "Parameter": "mfd_bayes.friction.quantity",
+    "Parameter": "mfd_bayes.friction.model",
     "ModelAverage": "mfd_bayes.runs.run",
     "Posterior": "mfd_bayes.calibration.posterior",
     "Record": "mfd_bayes.records.record",

@@ -29,7 +29,7 @@ for variable in {"MFD_BAYES_DATA", "MFD_BAYES_FINISHED_RUN"} & set(os.environ):
 
 # On its first import of a day ArviZ writes a file, and two processes that do so at once fail: the
 # one that starts the others is first.
-importlib.import_module("mfd_bayes.store.arviz").import_arviz()
+importlib.import_module("mfd_bayes.store.netcdf").import_arviz()
 
 # A shell starts what runs in its background with Ctrl-C ignored, and processes inherit it. The
 # tests that interrupt a process need it heard.
@@ -110,7 +110,7 @@ def no_figures(monkeypatch) -> None:
 def small_pictures(monkeypatch) -> None:
     """The pictures of a prediction and an inspection are empty ones, which are drawn at once."""
     from mfd_bayes.reporting import figures
-    from mfd_bayes.reporting.figures.style import new_figure
+    from mfd_bayes.reporting.figures.agg import new_figure
 
     dot = figures.to_png(new_figure(1, 1))
     for name in ("draw_loops", "draw_history", "draw_inspection"):
@@ -130,14 +130,13 @@ class FinishedRun:
         The parameters that the records are made with.
     out : Path
         Run folder. Tests read it, or change a copy of it.
-    code, stdout, stderr
-        How the command ended, and what it printed.
+    stdout, stderr : str
+        What the command printed.
     """
 
     campaign: Path
     truth: dict[str, Any]
     out: Path
-    code: int
     stdout: str
     stderr: str
 
@@ -158,9 +157,9 @@ def finished_run(tmp_path_factory) -> FinishedRun:
         ended = home / "ended.json"
         if not ended.is_file():
             ended.write_text(json.dumps(calibrate_once(home)))
-    return FinishedRun(
-        home / "campaign" / "campaign.toml", out=home / "out", **json.loads(ended.read_text())
-    )
+    ended = json.loads(ended.read_text())
+    assert ended.pop("code") == 0, ended["stderr"]
+    return FinishedRun(home / "campaign" / "campaign.toml", out=home / "out", **ended)
 
 
 def calibrate_once(home: Path) -> dict[str, Any]:

@@ -15,13 +15,10 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import find_priors, units
 from mfd_bayes.evaluation.crossvalidate import Fold
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.design import design_of
-from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
+from mfd_bayes.population.design import design_of, setting_of
+from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES
-from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import setting_of
-from mfd_bayes.population.starts import Starts
-from mfd_bayes.population.storage import save_population
+from mfd_bayes.population.population import LawDraws, Population, Starts, save_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.store.files import write_json

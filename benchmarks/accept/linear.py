@@ -23,7 +23,7 @@ from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.evaluation.acceptance import Level, birge_ratios, compare_record, expect, trace_of
 from mfd_bayes.evaluation.properties import stored_peaks
 from mfd_bayes.population import inference
-from mfd_bayes.population.exact import CHAINS, Draws
+from mfd_bayes.population.inference import CHAINS, Draws
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.runs.run import Run
 

@@ -36,10 +36,9 @@ from mfd_bayes.evaluation.acceptance import (
     trace_of,
 )
 from mfd_bayes.evaluation.laws import drift_row
-from mfd_bayes.population.design import design_of
+from mfd_bayes.population.design import Setting, design_of
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.mixed_model import MixedModel
-from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.record import Record
 
 LIMITS = complete_limits({"all": 0.15})

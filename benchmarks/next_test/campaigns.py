@@ -13,8 +13,7 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of
-from mfd_bayes.planning.goal import Goal, parse_goal
+from mfd_bayes.planning.candidate import Candidate, Goal, Limits, harmonic_of, parse_goal
 from mfd_bayes.planning.study import Advice, Effort, Situation, advise, goals_of
 from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.population.population import Population

@@ -19,9 +19,8 @@ from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.design import WIDER, Design, design_of
+from mfd_bayes.population.design import WIDER, Design, design_of, setting_of
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
-from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 from tests.statistical.sbc_study import narrow_priors
 

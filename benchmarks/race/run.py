@@ -27,8 +27,8 @@ from numpyro.infer import MCMC, NUTS
 
 from benchmarks.race.density import jax_density
 from mfd_bayes.calibration.diagnostics import measure
-from mfd_bayes.calibration.modes import find_modes
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.proposal import find_modes
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.record import read_record
 from tests.pipeline.devices import DEVICES, write_device

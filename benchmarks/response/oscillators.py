@@ -12,9 +12,8 @@ from scipy.special import expit
 
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
-from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.response.building import Building, Device, Limits
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground

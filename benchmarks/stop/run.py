@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 
 import mfd_bayes as mb
-from mfd_bayes.population.stopping import is_enough
+from mfd_bayes.population.given import is_enough
 from mfd_bayes.units import parse_actuation
 
 CYCLES, FREQUENCY = 10, 0.5

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.model import Quantity
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]

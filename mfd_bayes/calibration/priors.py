@@ -18,14 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.axes import DAMPER
 from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.friction import models
-from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.quantity import Quantity
-from mfd_bayes.store.toml import TomlError, read_toml
-from mfd_bayes.units import parse_quantity
+from mfd_bayes.friction.model import Model, Quantity
+from mfd_bayes.store.files import TomlError, read_toml
+from mfd_bayes.units import DAMPER, parse_quantity
 
 Array = NDArray[np.float64]
 Figures = Mapping[str, Any]

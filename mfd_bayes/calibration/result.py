@@ -18,12 +18,10 @@ from mfd_bayes.calibration.diagnostics import (
     intervals_of,
     measure_draws,
 )
-from mfd_bayes.calibration.modes import find_modes
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.calibration.posterior import Posterior, replicate
 from mfd_bayes.calibration.priors import PriorFile, units
-from mfd_bayes.calibration.proposal import Evidence, log_evidence, nearest_modes
+from mfd_bayes.calibration.proposal import Evidence, find_modes, log_evidence, nearest_modes
 from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step

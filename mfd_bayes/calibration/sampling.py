@@ -24,13 +24,16 @@ from mfd_bayes.calibration.diagnostics import (
     intervals_of,
     measure,
 )
-from mfd_bayes.calibration.modes import Density, Mode, Rows, find_modes
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import (
+    Density,
     Evidence,
     Mixture,
+    Mode,
     Proposal,
+    Rows,
     around_modes,
+    find_modes,
     learn,
     log_evidence,
 )

@@ -11,7 +11,6 @@ from typing import Any, ClassVar, NamedTuple
 
 from pydantic import ValidationError
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.campaign.schema import (
     TABLES,
     CampaignFile,
@@ -26,10 +25,17 @@ from mfd_bayes.campaign.schema import (
 from mfd_bayes.errors import CampaignError, UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
-from mfd_bayes.planning.candidate import Limits, Parts, parse_limits, parse_tests
-from mfd_bayes.planning.goal import Goal, check_goal, check_session
+from mfd_bayes.planning.candidate import (
+    Goal,
+    Limits,
+    Parts,
+    check_goal,
+    check_session,
+    parse_limits,
+    parse_tests,
+)
+from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.population.settings import CONDITIONS
 from mfd_bayes.records.inputs import file_inside
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import (
@@ -42,8 +48,8 @@ from mfd_bayes.records.record import (
     read_record,
 )
 from mfd_bayes.records.table import own_name
-from mfd_bayes.store.toml import TomlError, faults_text, nearest, read_toml
-from mfd_bayes.units import ActuationUnit, actuation_factor, actuation_kind, measure
+from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
+from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, actuation_kind, measure
 
 
 @dataclass(frozen=True, eq=False)

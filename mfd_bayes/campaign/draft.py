@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.calibration.priors import SCALED, WRITTEN, find_priors, load_priors
 from mfd_bayes.campaign.guesses import (
     ESSENTIAL,
@@ -37,8 +36,16 @@ from mfd_bayes.records.loops import Scales, channels_swapped, middle, scales_of
 from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import without_spikes
-from mfd_bayes.store.toml import commented, quoted, read_toml
-from mfd_bayes.units import ActuationUnit, actuation_factor, convert, in_digits, measures
+from mfd_bayes.store.files import commented, quoted, read_toml
+from mfd_bayes.units import (
+    DAMPER,
+    ActuationUnit,
+    Axes,
+    actuation_factor,
+    convert,
+    in_digits,
+    measures,
+)
 
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip"}
 _BANDS = {"lower", "median", "upper"}  # first words of columns of a prediction

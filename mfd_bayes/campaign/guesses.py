@@ -12,7 +12,6 @@ from unicodedata import normalize
 
 import numpy as np
 
-from mfd_bayes.axes import Axes, Axis, check_unit
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
@@ -21,8 +20,11 @@ from mfd_bayes.records.table import Table, own_name
 from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
     ActuationUnit,
+    Axes,
+    Axis,
     actuation_factor,
     actuation_kind,
+    check_unit,
     factor,
     force_meant,
     parse_actuation,

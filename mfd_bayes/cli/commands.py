@@ -6,15 +6,22 @@ import atexit
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mfd_bayes.cli.data import init, inspect, prior_check
-from mfd_bayes.cli.errors import Command, Commands, checked_streams
-from mfd_bayes.cli.fit import calibrate, check, demo, draws, report
+from mfd_bayes.cli.calibration import (
+    calibrate,
+    check,
+    demo,
+    draws,
+    init,
+    inspect,
+    prior_check,
+    report,
+)
+from mfd_bayes.cli.options import Command, Commands, checked_streams
 from mfd_bayes.cli.use import (
     accept,
     compare,
@@ -24,9 +31,12 @@ from mfd_bayes.cli.use import (
     predict,
     respond,
     serve,
+    watch,
 )
-from mfd_bayes.cli.watch import watch
 from mfd_bayes.jobs.signals import end_on_signals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 app = typer.Typer(
     cls=Commands,

@@ -1,18 +1,181 @@
-"""Arguments and options that several commands have, and the settings made of them."""
+"""What the commands share: their arguments and options, and how each of them ends."""
 
 from __future__ import annotations
 
+import errno
+import os
+import re
+import shlex
+import sys
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TextIO, TypeVar
 
 import typer
 from typer import Argument, Option
+from typer.core import TyperCommand, TyperGroup
 
-from mfd_bayes.cli.errors import this_command
+from mfd_bayes.cli.console import clean, say
+from mfd_bayes.errors import MfdError
+from mfd_bayes.jobs.signals import hinting
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from mfd_bayes.pipeline.plan import Options
+
+
+class Command(TyperCommand):
+    """A command that refuses an empty text, as of a variable that is not set, for an option."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, when no option was given an empty text."""
+        for param in self.params:
+            value = ctx.params.get(param.name)
+            source = ctx.get_parameter_source(param.name)
+            if isinstance(value, str) and not value.strip() and source.name == "COMMANDLINE":
+                name = next(reversed(param.opts), param.name)
+                raise typer.BadParameter(
+                    "got an empty text: give a value, or leave it out", param_hint=name
+                )
+        return super().invoke(ctx)
+
+
+class Commands(TyperGroup):
+    """The commands; a word typed wrongly is answered in click's own lines, without a box."""
+
+    def main(self, args: Any = None, *, standalone_mode: bool = True, **extra: Any) -> Any:  # type: ignore[override]
+        """Run a command; where it stands alone, exit as it asks for."""
+        try:
+            code = super().main(args, standalone_mode=False, **extra)
+        except Exception as error:
+            usage: Any = error
+            if not standalone_mode or not hasattr(error, "show"):
+                raise
+            usage.message = str(usage.message).removeprefix("Value error, ")
+            if usage.format_message():  # else the help was shown
+                usage.show()
+            sys.exit(2)
+        if not standalone_mode:
+            return code
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def mistakes(resume: str | Callable[[], str] = "") -> Iterator[None]:
+    """Turn errors that a user can cause into one sentence and exit code 2."""
+
+    def hint() -> str:
+        command = resume() if callable(resume) else resume
+        return f"; what is finished is kept, go on with: {clean(command)}" if command else ""
+
+    try:
+        with hinting(hint):
+            yield
+    except MfdError as error:
+        _fail(str(error))
+    except MemoryError as error:
+        _fail(f"memory is too short{f': {error}' if str(error) else ''}{hint()}")
+    except CannotPrintError:
+        raise
+    except OSError as error:
+        _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
+
+
+def _fail(sentence: str) -> NoReturn:
+    """End with a sentence, in which words that no one reads to their end are cut."""
+    sentence = re.sub(r"\S{500,}", lambda word: f"{word[0][:60]}…", sentence)
+    try:
+        say(f"mfd-bayes: {sentence}", err=True)
+        sys.stderr.flush()
+    except CannotPrintError as error:  # there may still be the output
+        _drop(error.number)
+        say(f"mfd-bayes: {sentence}")
+    raise typer.Exit(2)
+
+
+def this_command() -> str:
+    """The command as it was given."""
+    return shlex.join(["mfd-bayes", *sys.argv[1:]])
+
+
+def resumption() -> str:
+    """The command that resumes this one."""
+    words = [word for word in sys.argv[1:] if word not in ("--force", "--resume")]
+    return shlex.join(["mfd-bayes", *words, "--resume"])
+
+
+class CannotPrintError(OSError):
+    """A standard stream takes nothing more."""
+
+    def __init__(self, number: int, error: Exception) -> None:
+        name = "the output" if number == 1 else "the messages"
+        reason = getattr(error, "strerror", None) or str(error)
+        super().__init__(f"cannot write {name}: {reason}")
+        self.number = number
+
+
+class _Stream:
+    """A standard stream, whose errors say that they are its own."""
+
+    def __init__(self, stream: TextIO | None, number: int) -> None:
+        self._closed = stream is None
+        self._stream = stream or Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+        self._number = number
+
+    def write(self, text: str) -> int:
+        self._try(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        if not self._closed:
+            self._try(self._stream.flush)
+
+    def _try(self, act: Callable[..., Any], *words: str) -> None:
+        try:
+            if self._closed:
+                raise OSError(errno.EBADF, "it is closed")
+            act(*words)
+        except (OSError, ValueError) as error:  # ValueError: closed in between
+            if not (isinstance(error, BrokenPipeError) and self._number == 1):
+                raise CannotPrintError(self._number, error) from error
+            _drop(1)  # its reader has seen enough
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def checked_streams() -> Iterator[None]:
+    """End with exit code 2 and a sentence where what is printed cannot be written.
+
+    The sentence goes to the other stream, where that takes it. A reader that has seen enough, such
+    as `head`, is no error.
+    """
+    for number in (0, 1, 2):  # else the next file that is opened would get what is printed
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    sys.stdout, sys.stderr = _Stream(sys.stdout, 1), _Stream(sys.stderr, 2)
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+    except CannotPrintError as error:
+        with suppress(OSError):
+            os.write(3 - error.number, f"mfd-bayes: {error}\n".encode())
+        _drop(error.number)
+        sys.exit(2)
+
+
+def _drop(number: int) -> None:
+    """Let a standard stream that takes nothing more forget what it holds."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), number)  # Python writes the rest at its end
+
 
 Settings = TypeVar("Settings")
 

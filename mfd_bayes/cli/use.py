@@ -1,4 +1,4 @@
-"""The commands that use a finished run: from predict to serve."""
+"""The commands that use a finished run: from predict to watch."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import typer
 from typer import Argument, Context, Option
 
 from mfd_bayes.cli import console, options
-from mfd_bayes.cli.errors import mistakes, resumption
-from mfd_bayes.cli.progress import watch
+from mfd_bayes.cli.console import show_progress
+from mfd_bayes.cli.options import mistakes, resumption
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
     from mfd_bayes.pipeline.predict import Answer, Question
+
 
 _COMPARED = "three_stage,lugre,bouc_wen,backlash"
 
@@ -161,11 +162,11 @@ def crossvalidate(
       mfd-bayes crossvalidate campaign.toml -o out --by level --resume
     """
     with mistakes(resumption()):
-        from mfd_bayes.pipeline import crossvalidate as pipeline
+        from mfd_bayes.pipeline import calibrate as pipeline
         from mfd_bayes.pipeline.report import left_out_shown
 
         run_options = options.run_options(ctx, out)
-        with watch(quiet=quiet) as observe:
+        with show_progress(quiet=quiet) as observe:
             view = pipeline.crossvalidate(campaign, out, run_options, observe)
         console.print_left_out(*left_out_shown(view), quiet=quiet)
         console.print_end(view, out, quiet=quiet)
@@ -212,7 +213,7 @@ def compare(
       mfd-bayes compare campaign.toml -o out --noises ou,iid,staged
     """
     with mistakes(resumption()):
-        from mfd_bayes.pipeline import compare as pipeline
+        from mfd_bayes.pipeline import calibrate as pipeline
 
         if models is None:
             models = "" if noises else _COMPARED
@@ -221,7 +222,7 @@ def compare(
             for text in (models, noises)
         )
         run_options = options.run_options(ctx, out, noises=others)
-        with watch(quiet=quiet) as observe:
+        with show_progress(quiet=quiet) as observe:
             comparison, left_out = pipeline.compare(campaign, out, names, run_options, observe)
         console.print_comparison(comparison, quiet=quiet)
         for model, (view, unit) in left_out.items():
@@ -435,7 +436,7 @@ def respond(
         prepared = pipeline.prepare(out, options.settings(pipeline.Query, ctx))
         for ground in () if quiet else prepared.grounds:
             console.say(ground.words)
-        with watch(quiet=quiet) as observe:
+        with show_progress(quiet=quiet) as observe:
             view = pipeline.respond(prepared, observe)
     for remark in view.remarks:
         console.say(f"warning: {remark}", err=True)
@@ -510,3 +511,42 @@ def serve(
         from mfd_bayes.pipeline import serve as pipeline
 
         pipeline.serve(source, port, motion, sine, actuation, console.say)
+
+
+def watch(
+    ctx: typer.Context,
+    record: Annotated[
+        Path, Argument(parser=options.path, help="The file of the test; it may still grow.")
+    ],
+    run: Annotated[
+        Path, Option("--run", metavar="OUT", parser=options.path, help="The run of this device.")
+    ],
+    actuation: Annotated[str, Option(help='Such as "1000 psi".')] = "",
+    session: Annotated[str, Option(help="Of the test, where the campaign has sessions.")] = "",
+    device: Annotated[str, Option(help="A device of the campaign; else a new one.")] = "",
+    date: options.Date = "",
+    cycles: options.Cycles = None,
+    temperature: options.Temperature = "",
+    narrowing: Annotated[
+        str, Option(metavar='"2 %"', help="Enough where one more cycle narrows no interval so far.")
+    ] = "2 %",
+    wait: Annotated[
+        str, Option(metavar='"10 s"', help="End when the file has not grown for so long.")
+    ] = "10 s",
+) -> None:
+    """Follow a test while it runs: a line for each cycle, and when the test is long enough.
+
+    Prints and writes no file. Each line has the slip forces and the gap of this
+    test, with intervals of 95 % and their place among new tests of the run's
+    device, and by how much one more cycle would narrow the interval of the
+    device's property. What tests of one device scatter stays, however long a test
+    is: a test is long enough when one more cycle would narrow no interval by 2 %.
+
+    Example:
+      mfd-bayes watch record.csv --run out --actuation "1000 psi"
+    """
+    with mistakes():
+        from mfd_bayes.pipeline import accept as pipeline
+
+        for cycle in pipeline.watch(run, options.settings(pipeline.Watched, ctx)):
+            console.say(cycle.sentence)

@@ -27,7 +27,6 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import interpolate, special
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.properties import (
     NO_FACTOR,
@@ -40,12 +39,13 @@ from mfd_bayes.evaluation.properties import (
 )
 from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.population.bands import Band
-from mfd_bayes.population.settings import CONDITIONS
+from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.loops import UNITS, MeasuredCycles, measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.units import DAMPER, Axes
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

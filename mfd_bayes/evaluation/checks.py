@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.identifiability import Directions
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import COVERAGES, Replicas, check_predictive
+from mfd_bayes.calibration.diagnostics import Directions, Effort
+from mfd_bayes.calibration.posterior import COVERAGES, Posterior, Replicas, check_predictive
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import EXTREME, TOLERANCE_OF, measured_properties
@@ -31,10 +29,10 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.settings import Setting
+from mfd_bayes.population.design import Setting
 from mfd_bayes.records.loops import MeasuredCycles
+from mfd_bayes.runs.manifest import Finding, Verdict
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.verdict import Finding, Verdict
 
 Array = NDArray[np.float64]
 

@@ -26,8 +26,7 @@ from scipy import special
 
 from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import replicate
+from mfd_bayes.calibration.posterior import Posterior, replicate
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
@@ -37,8 +36,8 @@ from mfd_bayes.friction import models
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
+from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import Inference, infer_population
-from mfd_bayes.population.settings import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
 from mfd_bayes.runs.manifest import (
@@ -49,11 +48,9 @@ from mfd_bayes.runs.manifest import (
     Prediction,
     Score,
 )
-from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.test_sequence import TestSequence
+from mfd_bayes.runs.run import Run, TestSequence, open_run
 from mfd_bayes.runs.unit_system import US
-from mfd_bayes.store.files import read_json, write_json
-from mfd_bayes.store.schema import AtLeastOne, Part, check
+from mfd_bayes.store.files import AtLeastOne, Part, check, read_json, write_json
 
 Array = NDArray[np.float64]
 

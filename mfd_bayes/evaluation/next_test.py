@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from mfd_bayes.planning.candidate import Candidate, typical_of
-from mfd_bayes.planning.goal import AT_MOTIONS, GAP
+from mfd_bayes.planning.candidate import AT_MOTIONS, GAP, Candidate, typical_of
 from mfd_bayes.planning.study import CURVE, TOGETHER, Advice, Row, Together
 from mfd_bayes.runs.unit_system import System
 

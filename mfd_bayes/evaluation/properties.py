@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import DAMPER, Axes
-from mfd_bayes.calibration.predictive import derive_from_parameters
+from mfd_bayes.calibration.posterior import derive_from_parameters
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
@@ -20,9 +19,8 @@ from mfd_bayes.evaluation.scores import spread_of
 from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
-from mfd_bayes.population.bands import Band
-from mfd_bayes.population.design import LEVELS
-from mfd_bayes.population.settings import KIND_NAMES, levels_of, setting_of, with_zeros
+from mfd_bayes.population.bands import KIND_NAMES, Band
+from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
 from mfd_bayes.records.loops import (
     FORMULAS,
     MeasuredCycles,
@@ -34,10 +32,9 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
-from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.runs.manifest import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
-from mfd_bayes.runs.verdict import Use
-from mfd_bayes.units import actuation_kind, parse_actuation
+from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]
 

@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.identifiability import Identifiability
+from mfd_bayes.calibration.diagnostics import Identifiability
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Comparison
+from mfd_bayes.runs.manifest import Comparison, Finding, Use, Verdict
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
-from mfd_bayes.runs.verdict import Finding, Use, Verdict
 
 if TYPE_CHECKING:
     from mfd_bayes.evaluation.laws import DriftRow

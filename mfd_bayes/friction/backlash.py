@@ -21,9 +21,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from mfd_bayes.friction.lugre import PIECE, of_direction, solve
-from mfd_bayes.friction.model import Columns, Model, State, through_vertices
-from mfd_bayes.friction.quantity import QUANTITIES, Array, named_columns
+from mfd_bayes.friction.model import (
+    QUANTITIES,
+    Array,
+    Columns,
+    Model,
+    State,
+    named_columns,
+    through_vertices,
+)
+from mfd_bayes.friction.three_stage import PIECE, of_direction, solve
 from mfd_bayes.records.trace import Trace
 
 Index = NDArray[np.intp]

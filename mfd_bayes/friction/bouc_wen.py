@@ -14,9 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.lugre import PIECE
-from mfd_bayes.friction.model import Columns, Model, Rows, State, through_vertices
-from mfd_bayes.friction.quantity import QUANTITIES, Array
+from mfd_bayes.friction.model import (
+    QUANTITIES,
+    Array,
+    Columns,
+    Model,
+    Rows,
+    State,
+    through_vertices,
+)
+from mfd_bayes.friction.three_stage import PIECE
 from mfd_bayes.records.trace import Trace
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")

@@ -15,9 +15,8 @@ from typing import Any
 from mfd_bayes.errors import FitError, MfdError
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
-from mfd_bayes.friction.lugre import LuGre
 from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 
 MODELS: Mapping[str, Model] = MappingProxyType(
     {model.name: model for model in (ThreeStage(), LuGre(), BoucWen(), BacklashLuGre())}

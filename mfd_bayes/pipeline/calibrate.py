@@ -1,11 +1,15 @@
-"""Calibration of a campaign into a run folder: every test's posterior, then the population."""
+"""Calibration of a campaign into a run folder: every test's posterior, then the population.
+
+And what is built on it: cross-validation, where each part of a campaign is predicted from all
+others, and the comparison of a campaign under several models or noises.
+"""
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,14 +18,27 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.evaluation.views import CampaignView
+from mfd_bayes.evaluation.crossvalidate import (
+    Candidate,
+    candidates,
+    check_cycles,
+    compare_runs,
+    fold_id,
+    folds_of,
+    part_kind,
+    parts_of,
+    run_folds,
+)
+from mfd_bayes.evaluation.views import CampaignView, LeftOutView
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.pipeline.report import write_report
+from mfd_bayes.pipeline.report import left_out_shown, write_report
+from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.storage import save_population, save_test_draws
+from mfd_bayes.population.population import save_population, save_test_draws
+from mfd_bayes.reporting.tables import comparison_csv
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
     MANIFEST,
@@ -32,6 +49,7 @@ from mfd_bayes.runs.folder import (
     alone_in,
     check_apart,
     check_links,
+    check_outputs,
     discard,
     hash_stored,
     pooled_of,
@@ -40,10 +58,17 @@ from mfd_bayes.runs.folder import (
     remove_partial_files,
     remove_stale,
 )
-from mfd_bayes.runs.manifest import Manifest, Status, Truth
-from mfd_bayes.runs.resume import check_free, prepare_folder
+from mfd_bayes.runs.manifest import (
+    CampaignCrossValidation,
+    Comparison,
+    Manifest,
+    Status,
+    Truth,
+    check_free,
+    prepare_folder,
+)
 from mfd_bayes.runs.run import Run
-from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
+from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write_text
 from mfd_bayes.store.netcdf import save_trace
 
 PRELOAD = "mfd_bayes.pipeline.preload"
@@ -249,3 +274,96 @@ def _infer_population(
         dependence_scores=inference.dependence,
         population_sampler={"accepted": inference.accepted, "sweeps": sweeps},
     )
+
+
+def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:
+    """Calibrate a campaign, then predict every part of it from all the others."""
+    plan = plan_campaign(campaign, options)
+    parts = check_parts(plan)
+    for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
+        observe(Step(name, State.WAITING))
+    with working_in(plan, out):
+        run = leave_out_parts(calibrate_locked(plan, out, observe), options, observe)
+        return write_report(run, observe, jobs=options.jobs)
+
+
+def check_parts(plan: Plan) -> Collection[str]:
+    """Names of the parts that will be left out; a campaign with fewer than two is refused."""
+    sessions = plan.manifest.settings.sessions
+    settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
+    return parts_of(
+        settings,
+        part_kind(plan.options.by),
+        plan.campaign.settings.actuation_unit,
+        plan.campaign.path,
+    )
+
+
+def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
+    """The run with predictions of every part from all others; its folder must be locked."""
+    kind = part_kind(options.by)
+    try:
+        predictions = run_folds(run, folds_of(run, kind, options.effort), options, observe)
+        return run.rewrite(crossvalidation=CampaignCrossValidation(kind, predictions))
+    finally:
+        remove_partial_files(run.folder)
+
+
+def compare(
+    campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
+) -> tuple[Comparison, dict[str, tuple[LeftOutView, str]]]:
+    """Calibrate a campaign under several models or noises, and compare what they predict."""
+    plans = _plan_models(campaign, out, candidates(models, options.noises), options)
+    for model, plan in plans.items():
+        for task in plan.tasks:
+            observe(Step(f"{model}/{task.id}", State.WAITING))
+    runs: dict[str, Run] = {}
+    with ExitStack() as locks:
+        locks.enter_context(alone_in(out))
+        for model, plan in plans.items():
+            locks.enter_context(working_in(plan, out / model))
+        for model, plan in plans.items():
+            observe_model = _observer_of(model, observe)
+            runs[model] = calibrate_locked(plan, out / model, observe_model)
+            if options.by:
+                runs[model] = leave_out_parts(runs[model], plan.options, observe_model)
+        observe(Step("comparison", "leaving out one cycle after another"))
+        comparison = compare_runs(runs)
+        write_text(out / "comparison.csv", comparison_csv(comparison.rows))
+        observe(Step("comparison", State.DONE))
+        left_out: dict[str, tuple[LeftOutView, str]] = {}
+        for model, run in runs.items():
+            run = run.rewrite(comparison=comparison)
+            view = write_report(run, _observer_of(model, observe), jobs=options.jobs)
+            shown, force = left_out_shown(view)
+            if options.by and shown:
+                left_out[model] = shown, force
+    return comparison, left_out
+
+
+def _plan_models(
+    campaign: Path, out: Path, chosen: Sequence[Candidate], options: Options
+) -> dict[str, Plan]:
+    """Plan of a campaign under each candidate, checked for what the comparison needs."""
+    plans: dict[str, Plan] = {}
+    table, replaces = [out / "comparison.csv"], options.force or options.resume
+    check_outputs(table, [campaign], force=replaces)
+    for candidate in chosen:
+        own = replace(options, model=candidate.model, noise=candidate.noise)
+        plans[candidate.name] = plan = plan_campaign(campaign, own)
+        if options.by:
+            check_parts(plan)
+        check_outputs(table, [t.path for t in plan.campaign.tests], force=replaces)
+        for task in plan.tasks:
+            check_cycles(task)
+        folder = out / candidate.name
+        if folder.exists() and not replaces:
+            raise StoreError(
+                f"{folder} exists: give --resume to finish it or --force to replace it"
+            )
+    return plans
+
+
+def _observer_of(model: str, observe: Observe) -> Observe:
+    """Observer of the steps of one model's run, which adds the model's name to theirs."""
+    return lambda step: observe(replace(step, id=f"{model}/{step.id}"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.next_test import (
@@ -14,15 +15,15 @@ from mfd_bayes.evaluation.next_test import (
     shown_rows,
     together_words,
 )
-from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.planning.study import Advice
 from mfd_bayes.records.inputs import why_no_file
 from mfd_bayes.reporting.tables import next_csv
-from mfd_bayes.runs.folder import ADVICE, alone_in
+from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.unit_system import System
-from mfd_bayes.store.files import json_text, write_bytes, write_text
-from mfd_bayes.store.toml import commented, quoted
+from mfd_bayes.store.files import commented, json_text, quoted, write_bytes, write_text
+
+if TYPE_CHECKING:
+    from mfd_bayes.planning.study import Advice
+    from mfd_bayes.runs.unit_system import System
 
 SHOWN = 10  # candidates on a terminal
 _LARGEST = 2**20  # bytes of a file of candidates

@@ -9,25 +9,30 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from mfd_bayes.axes import Axes
 from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
 from mfd_bayes.evaluation.scores import Compared, compare
 from mfd_bayes.evaluation.views import Fan, Interval, Rows
-from mfd_bayes.pipeline.outputs import check_outputs
-from mfd_bayes.population.bands import DRAWS, Band
-from mfd_bayes.population.settings import CONDITIONS, KIND_NAMES
+from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
+from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
 from mfd_bayes.records.trace import Trace, parse_sine
-from mfd_bayes.reporting.conversion import convert_fan, convert_rows, convert_trace
-from mfd_bayes.reporting.tables import bands_csv, design_csv, predicted_csv
+from mfd_bayes.reporting.tables import (
+    bands_csv,
+    convert_fan,
+    convert_rows,
+    convert_trace,
+    design_csv,
+    predicted_csv,
+)
+from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
-from mfd_bayes.units import actuation_kind, parse_quantity
+from mfd_bayes.units import Axes, actuation_kind, parse_quantity
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""

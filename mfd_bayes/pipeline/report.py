@@ -6,7 +6,6 @@ import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,17 +16,17 @@ from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.conversion import convert_scores
 from mfd_bayes.reporting.publish import PLAIN, Forms
-from mfd_bayes.reporting.tables import CROSSVALIDATION
+from mfd_bayes.reporting.tables import CROSSVALIDATION, convert_scores
 from mfd_bayes.runs.folder import alone_in, check_places
-from mfd_bayes.runs.manifest import read_manifest
+from mfd_bayes.runs.manifest import Verdict, read_manifest
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, System, named_system
-from mfd_bayes.runs.verdict import Verdict
 from mfd_bayes.store.files import write_bytes
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pandas as pd
 
 Observe = Callable[[Step], None]

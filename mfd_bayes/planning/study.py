@@ -1,33 +1,31 @@
-"""Candidates simulated, and judged one by one and together: the table of advice."""
+"""Candidates simulated, and judged one by one and together: the table of advice.
+
+Goal and simulated tests come from one set of draws of the population; what a test would leave
+unknown is found by regression of the goal on the summaries of its simulated records.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg, special
 
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, FitError, NotThereError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.planning.candidate import Candidate, Limits, repeats, typical_of
-from mfd_bayes.planning.goal import GAP, OF_LAWS, Goal
-from mfd_bayes.planning.information_gain import (
-    Gain,
-    Goals,
-    directions_of,
-    fit_left_out,
-    gain_of,
-    greedy,
-)
-from mfd_bayes.planning.simulation import Devices, Loop
-from mfd_bayes.population.discrepancy import slip_force_of
+from mfd_bayes.planning.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
+from mfd_bayes.population.bands import Drawn, Predictor
+from mfd_bayes.population.design import Setting, setting_of
+from mfd_bayes.population.joint_fit import slip_force_of
 from mfd_bayes.population.population import Population
-from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
+from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -45,6 +43,342 @@ NEXT = "(the session of the next test)"  # session of candidates, where tests we
 # shorter one for one with zeros at its end
 DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
 COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
+DENSE, LOOSE = 14, 8  # samples of a stroke up to `REACH` times the gap, and in the rest
+REACH = 2.5
+LEAD = 4  # every so many samples of a stroke are enough before the loop
+FAST = (0.4, 0.8)
+SLOW = (0.92, 1.0)  # shares of a stroke: slip near the peak speed, and slip just before the turn
+IN_GAP = 0.4  # share of the typical gap at which the force in the gap is read
+RISES = (0.3, 0.5, 0.8)  # shares of the slip force that the force reaches after a turn
+FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
+# a direction of the summaries with less than this share of their variance repeats others
+SAME = 1e-6
+BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
+PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
+RESAMPLES = 200  # number of bootstrap resamples of the draws
+# information is about the principal directions of the goals with this share of their variance, at
+# most so many
+EXPLAINED, MOST = 0.99, 5
+SMALL = 1e-3  # penalty of the regression by which sets of tests are chosen
+
+
+# --- simulated tests ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A full stroke forward, and then a full loop of backward and forward stroke.
+
+    The stroke before the loop makes the place at which the test began without effect.
+    """
+
+    trace: Trace  # with the actuation
+    first: int  # sample at which the loop begins, at the forward end
+    travel: Array  # (S + 1,), in: travel since the turn at the samples of one stroke of the loop
+
+    @classmethod
+    def of(cls, candidate: Candidate, gap: float) -> Loop:
+        """Loop of a test of a damper with a gap of about this width, in."""
+        stroke, amplitude = candidate.stroke, candidate.amplitude
+        dense = min(REACH * gap, 0.5 * stroke)
+        # closer towards the end, where a sine is slow
+        rest = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, LOOSE + 1))[1:]
+        build = np.linspace(0.0, dense, DENSE + 1)
+        travel = np.concatenate([build, dense + (stroke - dense) * rest])
+        lead = np.unique(np.append(travel[::LEAD], travel[-1]))
+        time, place, speed, clock = [], [], [], 0.0
+        for along, way in ((lead, 1.0), (travel[1:], -1.0), (travel[1:], 1.0)):
+            if candidate.waveform == "triangle":
+                since, fast = along / candidate.speed, np.full(along.size, candidate.speed)
+            else:
+                angle = np.arccos(np.clip(1.0 - along / amplitude, -1.0, 1.0))
+                since, fast = angle / (2.0 * np.pi * candidate.frequency), np.sin(angle)
+                fast = candidate.speed * fast
+            time.append(clock + since)
+            place.append(way * (along - amplitude))
+            speed.append(way * fast)
+            clock += since[-1]
+        times, places, speeds = (np.concatenate(column) for column in (time, place, speed))
+        trace = Trace.from_arrays(times, places, candidate.actuation, velocity=speeds)
+        return cls(trace, lead.size - 1, travel)
+
+    def halves(self, force: Array) -> tuple[Array, Array]:
+        """Force along the backward and along the forward stroke of the loop, (n, S + 1) each.
+
+        The backward one is given as a positive number where the force resists the motion.
+        """
+        strokes = self.travel.size - 1
+        middle = self.first + strokes
+        return -force[:, self.first : middle + 1], force[:, middle : middle + strokes + 1]
+
+    def energy(self, force: Array) -> Array:
+        """Energy dissipated in the loop, (n,), kip·in."""
+        x = self.trace.displacement[self.first :]
+        return np.asarray(np.trapezoid(force[:, self.first :], x, axis=1))
+
+    def summaries(self, force: Array, gap: float) -> Mapping[str, Array]:
+        """Summaries of forces (n, T), kip, that carry what a calibration would learn; (n,) each.
+
+        Energy of the loop, kip·in; of each direction the peak, the slip force near the peak speed
+        and just before the turn, and the force in the gap (of about this width, in), kip; the width
+        of the gap, where half of the slip force is reached, and the travel of the build-up, in.
+        """
+        found = {"energy": self.energy(force)}
+        travel, stroke = self.travel, float(self.travel[-1])
+        share = travel / stroke
+        place = min(IN_GAP * gap, 0.5 * stroke)
+        for side, half in zip(("bwd", "fwd"), self.halves(force), strict=True):
+            fast = half[:, (share >= FAST[0]) & (share <= FAST[1])].mean(axis=1)
+            slow = half[:, (share >= SLOW[0]) & (share < SLOW[1])].mean(axis=1)
+            low, middle, high = (_reached(travel, half, level * fast) for level in RISES)
+            right = int(np.clip(np.searchsorted(travel, place), 1, travel.size - 1))
+            part = (place - travel[right - 1]) / (travel[right] - travel[right - 1])
+            found |= {
+                f"peak_{side}": half.max(axis=1),
+                f"slip_fast_{side}": fast,
+                f"slip_slow_{side}": slow,
+                f"in_gap_{side}": (1.0 - part) * half[:, right - 1] + part * half[:, right],
+                f"gap_{side}": middle,
+                f"rise_{side}": high - low,
+            }
+        return found
+
+
+def _reached(travel: Array, force: Array, level: Array) -> Array:
+    """Travel at which the force of each loop first reaches a level (n,), in."""
+    above = force >= level[:, None]
+    above[:, -1] = True
+    right, row = np.maximum(np.argmax(above, axis=1), 1), np.arange(len(force))
+    before, after = force[row, right - 1], force[row, right]
+    rising = after > before
+    part = np.where(rising, (level - before) / np.where(rising, after - before, 1.0), 0.0)
+    left = travel[right - 1]
+    return np.asarray(left + np.clip(part, 0.0, 1.0) * (travel[right] - left))
+
+
+@dataclass(frozen=True, eq=False)
+class Devices:
+    """Draws of a device: laws, effects and discrepancy are the same for all that is asked of it."""
+
+    predictor: Predictor
+    index: NDArray[np.intp]  # (n,) int: draws of the population
+    grid: Array  # (G,): actuations that will be asked for, ksi or kip
+    effects: Mapping[str, Mapping[str, Array]]  # (n, G), by session and quantity
+    # (n, d), standard normal: of sessions without a test, and, under "", of motions outside those
+    unknown: Mapping[str, Array]
+    knots: Array  # (n, K), kip: discrepancy
+
+    @classmethod
+    def draw(
+        cls,
+        population: Population,
+        kinds: tuple[Model, Noise],
+        settings: Sequence[Setting],
+        draws: int,
+        rng: np.random.Generator,
+    ) -> Devices:
+        """Devices for all settings that will be asked for.
+
+        No draw of the population is taken twice, so there may be fewer than asked for.
+        """
+        count = min(draws, population.size)
+        index = np.sort(rng.choice(population.size, size=count, replace=False))
+        grid = np.unique([setting.actuation for setting in settings])
+        effects, unknown = {}, {}
+        for session in dict.fromkeys(["", *(setting.session for setting in settings)]):
+            numbers = population.draw_numbers(count, grid.size, rng)
+            effects[session] = population.level_effects(index, session, grid, numbers.level)
+            unknown[session] = numbers.session
+        knots = population.residual.draw_knots(rng, count)
+        return cls(Predictor(population, *kinds), index, grid, effects, unknown, knots)
+
+    def drawn(
+        self, setting: Setting, rng: np.random.Generator, *, scattered: bool = False
+    ) -> Drawn:
+        """Ingredients of the force under a setting, without noise."""
+        population = self.predictor.population
+        d = len(population.design.names)
+        chance = population.draw_numbers(self.index.size, 0, rng)
+        flat = chance.flat.copy()
+        flat[:, d : 2 * d], flat[:, 2 * d : 3 * d] = self.unknown[""], self.unknown[setting.session]
+        numbers = replace(chance, flat=flat)
+        at = int(np.argmin(np.abs(self.grid - setting.actuation)))
+        effects = {name: v[:, at] for name, v in self.effects[setting.session].items()}
+        parts = population.parts(setting, self.index, numbers, effects, scatter=scattered)
+        x = parts.mean + parts.scatter
+        unshared = population.unshared(self.predictor.model, x, numbers.start, setting)
+        return Drawn(parts, unshared, {}, self.knots)
+
+    def damper(self, loop: Loop, session: str, *, scattered: bool, seed: Sequence[int]) -> Array:
+        """The damper's force along a loop, (n, T), kip: without offset and noise."""
+        drawn = self.drawn(
+            setting_of(loop.trace, session), np.random.default_rng(seed), scattered=scattered
+        )
+        return self.predictor.force(loop.trace, drawn)
+
+    def measured(
+        self, loop: Loop, session: str, device: str, cycles: float, seed: Sequence[int]
+    ) -> Array:
+        """The mean loop of a test's record, with its scatter, offset and noise, (n, T), kip."""
+        rng, residual = np.random.default_rng(seed), self.predictor.population.residual
+        drawn = self.drawn(setting_of(loop.trace, session, device), rng, scattered=True)
+        sd = self.predictor.values(drawn)["noise_sd"]
+        # variance of the mean of the noise over the time that a sample stands for, over its
+        # variance, where its correlation falls by exp(-dt/τ)
+        r = np.maximum(np.gradient(loop.trace.time) / residual.noise_time, 1e-6)
+        averaged = np.minimum(2.0 * (r + np.expm1(-r)) / r**2, 1.0)
+        rest, level = np.sqrt(averaged / cycles), float(np.sqrt(1.0 / cycles))
+        noise = residual.draw_noise(rng, loop.trace, sd, rest, level)
+        return self.predictor.total(loop.trace, replace(drawn, noise=noise))
+
+
+# --- what tests tell of goals ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Goals:
+    """Goals as draws."""
+
+    values: Array  # (n, m): draws of each goal, internal units
+    probability: float = 0.95  # of the band whose width is to be reduced
+
+    @cached_property
+    def widths(self) -> Array:
+        """Width of each goal's equal-tailed band as it is known now, (m,)."""
+        tail = 0.5 * (1.0 - self.probability)
+        low, high = np.quantile(self.values, [tail, 1.0 - tail], axis=0)
+        return np.asarray(high - low)
+
+    @property
+    def width(self) -> float:
+        """Mean of the widths."""
+        return float(self.widths.mean())
+
+    def narrower(self, share: Array) -> Array:
+        """Reduction of the mean width, (…), by shares of the variances that are left, (…, m)."""
+        widths = self.widths
+        return np.asarray(1.0 - np.sqrt(share) @ widths / max(float(widths.sum()), 1e-300))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What is expected of a test, or of several."""
+
+    reduction: float  # expected reduction of the mean width, as a share of it; 0 or more
+    error: float  # its standard error, by the bootstrap
+    information: float  # Gaussian expected information gain about the goals, nat
+    information_error: float
+
+
+def directions_of(summaries: Array) -> Array:
+    """Independent directions of summaries (n, k), each of mean 0 and sd 1, (n, up to k).
+
+    Each summary is replaced by the normal score of its rank, so that its form and outliers do not
+    matter; what does not vary, and what repeats others, is dropped.
+    """
+    size = np.maximum(np.abs(summaries).max(axis=0, initial=0.0), 1e-300)
+    varies = summaries.std(axis=0) > FLAT * size
+    if not varies.any():
+        return np.empty((len(summaries), 0))
+    from scipy.stats import rankdata  # which takes long to import
+
+    ranks = rankdata(summaries[:, varies], axis=0)
+    scores = special.ndtri((ranks - 0.5) / len(summaries))
+    scores -= scores.mean(axis=0)
+    left, sizes, _ = linalg.svd(scores, full_matrices=False)
+    return np.asarray(left[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(len(summaries)))
+
+
+def fit_left_out(goals: Array, directions: Array, *, curved: bool = True) -> Array:
+    """Goals (n, m) less their prediction from directions of summaries (n, k), (n, m).
+
+    Each draw is predicted from all others, by ridge regression. Straight and curved forms (squares
+    and products) and several penalties are tried; the one with the least error on draws left out
+    one by one, in closed form (PRESS), summed over the goals in units of their variance, is taken.
+    Where summaries tell nothing the mean of the goals is as good, and is what is taken.
+
+    Source: Strong, Oakley and Brennan, Medical Decision Making 34 (2014) 311, with ridge
+    regression instead of splines, since there are many summaries.
+    """
+    n = len(goals)
+    centred = goals - goals.mean(axis=0)
+    scale = np.maximum(np.mean(centred**2, axis=0), 1e-300)
+    tried, designs = [centred * (n / (n - 1.0))], [directions]
+    if curved and directions.shape[1]:
+        one, other = np.triu_indices(min(directions.shape[1], BENT))
+        products = directions[:, one] * directions[:, other]
+        products = (products - products.mean(axis=0)) / np.sqrt(1.0 + (one == other))
+        designs.append(np.concatenate([directions, products], axis=1))
+    for design in designs if directions.shape[1] else ():
+        left, sizes, _ = linalg.svd(design, full_matrices=False)
+        told = left.T @ centred
+        for penalty in PENALTIES:
+            shrink = sizes**2 / (sizes**2 + penalty * n)
+            leverage = 1.0 / n + left**2 @ shrink
+            away = centred - left @ (shrink[:, None] * told)
+            tried.append(away / np.maximum(1.0 - leverage, 1e-6)[:, None])
+    return min(tried, key=lambda away: float(np.sum(np.mean(away**2, axis=0) / scale)))
+
+
+def gain_of(goals: Goals, left: Array, rng: np.random.Generator) -> Gain:
+    """Gain of the test that leaves so much of the goals, (n, m); see `fit_left_out`.
+
+    The expected remaining variance of a goal is the mean square of what is left; a band's width
+    goes with its root. Information is half the logarithm of the ratio of the determinants of the
+    goals' covariance before and after, in their principal directions.
+    """
+    n = len(left)
+    counts = rng.multinomial(n, np.full(n, 1.0 / n), RESAMPLES)
+    weights = np.concatenate([np.ones((1, n)), counts])
+    # both are means of squares over draws that were left out: without information they are equal
+    away = (goals.values - goals.values.mean(axis=0)) * (n / (n - 1.0))
+    share = weights @ left**2 / np.maximum(weights @ away**2, 1e-300)
+    scale = np.maximum(away.std(axis=0), 1e-300)
+    _, sizes, ways = np.linalg.svd(away / scale, full_matrices=False)
+    explained = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
+    kept = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST, len(sizes))
+
+    def log_determinants(values: Array) -> Array:
+        own = values / scale @ ways[:kept].T
+        products = np.einsum("ni,nj->nij", own, own).reshape(n, -1)
+        means = (weights @ products).reshape(-1, kept, kept) / weights.sum(axis=1)[:, None, None]
+        return np.asarray(np.linalg.slogdet(means)[1])
+
+    figures = []
+    for values in (goals.narrower(share), 0.5 * (log_determinants(away) - log_determinants(left))):
+        figures += [max(float(values[0]), 0.0), float(np.std(values[1:], ddof=1))]
+    return Gain(*figures)
+
+
+def greedy(goals: Goals, tests: Sequence[Array], size: int) -> list[tuple[int, ...]]:
+    """Sets of 1, 2, … up to `size` tests, each with the one that adds most to the set before."""
+    values = goals.values - goals.values.mean(axis=0)
+    every, n = np.concatenate(tests, axis=1), len(values)
+    ends = np.cumsum([0, *(test.shape[1] for test in tests)])
+    gram, told, whole = every.T @ every, every.T @ values, np.sum(values**2, axis=0)
+
+    def reduction(chosen: tuple[int, ...]) -> float:
+        """Expected reduction of the mean width, corrected for the number of columns."""
+        columns = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in chosen])
+        q = columns.size
+        if not q or n <= q + 2:
+            return 0.0
+        matrix = gram[np.ix_(columns, columns)] + SMALL * n * np.eye(q)
+        right = told[columns]
+        explained = np.sum(right * linalg.solve(matrix, right, assume_a="pos"), axis=0)
+        share = (whole - explained) / (n - 1.0 - q) * (n - 1.0) / np.maximum(whole, 1e-300)
+        return float(goals.narrower(np.clip(share, 0.0, None)))
+
+    found: list[tuple[int, ...]] = []
+    chosen: tuple[int, ...] = ()
+    for _ in range(min(size, len(tests))):
+        free = (k for k in range(len(tests)) if k not in chosen)
+        chosen = max(((*chosen, k) for k in free), key=reduction)
+        found.append(chosen)
+    return found
+
+
+# --- advice ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)

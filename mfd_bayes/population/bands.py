@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,17 +16,28 @@ from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.calibration.result import Extras, needed
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.design import Design
-from mfd_bayes.population.discrepancy import slip_force_of
-from mfd_bayes.population.population import Particles, Parts, Population
-from mfd_bayes.population.settings import KIND_NAMES, KINDS, Setting, setting_of
-from mfd_bayes.population.starts import Ending
+from mfd_bayes.population.design import Design, Setting, setting_of
+from mfd_bayes.population.joint_fit import slip_force_of
+from mfd_bayes.population.population import Ending, Particles, Parts, Population
 from mfd_bayes.records.inputs import MOST_DRAWS, real_number, whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent
 
 Array = NDArray[np.float64]
+
+THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
+# what each kind of band is about, in the words of design: the law with its level's effect; plus
+# test-to-test scatter; plus a record's offset and noise
+KIND_NAMES: Mapping[str, str] = MappingProxyType(
+    {
+        "device": "mean property",
+        "new_test": "this device tested again",
+        "observation": "a measurement of it",
+        THIS_TEST: "this very test",
+    }
+)
+KINDS = tuple(KIND_NAMES)
 
 DRAWS = 500  # draws of a band where no other number is asked for
 FEWEST = 10  # fewest draws of a band
@@ -45,7 +57,7 @@ class Forecast:
     explained: bool = False  # whether the shares of the band's variance are computed too
     before: Ending | None = field(default=None, repr=False, compare=False)  # without a reset
     device: str = ""  # likewise, where it declares devices
-    conditions: Mapping[str, float] = field(default_factory=dict)  # of `settings.CONDITIONS`
+    conditions: Mapping[str, float] = field(default_factory=dict)  # of `design.CONDITIONS`
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:

@@ -22,7 +22,6 @@ from unicodedata import normalize
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.axes import DAMPER, Axes
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.inputs import hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
@@ -37,8 +36,10 @@ from mfd_bayes.records.trace import (
     turning_points,
 )
 from mfd_bayes.units import (
+    DAMPER,
     UNREAD,
     ActuationUnit,
+    Axes,
     actuation_factor,
     factor,
     measure,

@@ -10,11 +10,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from mfd_bayes.evaluation.acceptance import Acceptance
-from mfd_bayes.reporting.conversion import convert_fan, convert_trace, to_units
-from mfd_bayes.reporting.figures import style as look
+from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_loops
 from mfd_bayes.reporting.page import environment, policy_of
 from mfd_bayes.reporting.symbols import plain, unit_text
+from mfd_bayes.reporting.tables import convert_fan, convert_trace, to_units
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import in_digits
 

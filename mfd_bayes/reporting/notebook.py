@@ -41,8 +41,8 @@ class Notebook:
     def plot_band(self, band: Band, axes: Any, displacement: Any) -> Any:
         """Axes with a band over time, or over a displacement, in."""
         from mfd_bayes.evaluation.views import Fan, Interval
-        from mfd_bayes.reporting.conversion import convert_fan
         from mfd_bayes.reporting.figures import loops
+        from mfd_bayes.reporting.tables import convert_fan
 
         interval = Interval(band.probability, band.lower, band.upper)
         fan = convert_fan(Fan(band.kind, band.median, (interval,)), self.system.factor("kip"))
@@ -54,8 +54,8 @@ class Notebook:
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
         from mfd_bayes.evaluation.scores import fan_of
-        from mfd_bayes.reporting.conversion import convert_fan, convert_trace
         from mfd_bayes.reporting.figures import loops
+        from mfd_bayes.reporting.tables import convert_fan, convert_trace
         from mfd_bayes.store.netcdf import load_groups
 
         force = load_groups(test.path)["posterior_predictive"]["force"].to_numpy()

@@ -18,7 +18,7 @@ from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.jobs.parallel import in_turn, meanwhile, several_processes
+from mfd_bayes.jobs.local import in_turn, meanwhile, several_processes
 from mfd_bayes.reporting.page import render
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import (

@@ -1,4 +1,4 @@
-"""How quantities, units and numbers are written in figures, on the page and in tables."""
+"""How quantities, units and numbers are written, and the colours of figures."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import re
 import unicodedata
 from collections.abc import Mapping
 from html import unescape
+from types import MappingProxyType
 
 from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.quantity import html_of
+from mfd_bayes.friction.model import Model, html_of
+from mfd_bayes.population.bands import KIND_NAMES
 from mfd_bayes.runs.unit_system import System
 
 _SYMBOLS = {
@@ -236,3 +237,29 @@ def count(value: float) -> str:
 def percent(value: float, decimals: int = 1) -> str:
     """A share in percent; the space before the sign does not break."""
     return "–" if math.isnan(value) else f"{100 * value:.{decimals}f}\u00a0%"
+
+
+# Palette of Okabe and Ito, which colour-blind readers can tell apart.
+DATA = "#1b1b1b"
+ORANGE = "#E69F00"
+BLUE = "#0072B2"
+GREEN = "#009E73"
+VERMILLION = "#D55E00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
+PRIOR = "#9a9a9a"
+POSTERIOR = BLUE
+TRUTH = VERMILLION
+VALIDATE = "#a3457c"
+CHAINS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, "#555555", "#b8a600")
+
+# For each kind of band: wide band, narrow band, median. They are opaque, so that overlapping
+# branches of a loop do not make a darker shade.
+BANDS = {
+    "observation": ("#d5e7f4", "#a5cce8", BLUE),
+    "new_test": ("#cdeae0", "#93d2bd", GREEN),
+    "device": ("#f3e3ed", "#e0bcd3", PURPLE),
+    "this_test": ("#f6c877", "#e08f1f", VERMILLION),
+    "prior": ("#e6e6e6", "#c6c6c6", "#6f6f6f"),
+}
+BAND_NAMES: Mapping[str, str] = MappingProxyType({**KIND_NAMES, "prior": "what the priors allow"})

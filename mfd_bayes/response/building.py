@@ -28,7 +28,7 @@ from mfd_bayes.records.inputs import file_inside, path_of, real_number, real_num
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import header_unit
 from mfd_bayes.response.ground import parse_acceleration
-from mfd_bayes.store.toml import TomlError, faults_text, read_toml
+from mfd_bayes.store.files import TomlError, faults_text, read_toml
 from mfd_bayes.units import (
     GRAVITY,
     actuation_factor,

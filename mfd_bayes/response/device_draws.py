@@ -1,25 +1,21 @@
-"""The dampers of a building, drawn from a calibrated population."""
+"""The dampers of a building, drawn from a calibrated population, and springs that yield."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.friction.elastoplastic import ElastoPlastic
-from mfd_bayes.friction.model import Model
-from mfd_bayes.population.discrepancy import FINE, KNOTS, TravelBasis, slip_force_of
+from mfd_bayes.friction.model import Columns, Model, State
+from mfd_bayes.population.design import Setting
+from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.population.population import Numbers, Population
-from mfd_bayes.population.settings import Setting
 from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.response.building import Building
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
 
 KINDS = ("new_test", "device")
 """With each damper's own scatter from test to test, or the mean property alone."""
@@ -30,6 +26,49 @@ BOUND_DRAWS = 1000  # draws of the bounds: few would leave them to chance
 RIGID = 0.001  # travel, in, at which almost rigid friction slips
 SETTLE = float(np.expm1(np.log1p(FINE) / (KNOTS - 1)) / FINE)
 """Share of the longest stroke after a turn, over which a discrepancy goes to its new side."""
+
+
+class _ElastoPlastic(Model):
+    """Springs of stiffness k that slip at ±F_y: dF = k dx while |F| < F_y."""
+
+    name = "elastoplastic"
+
+    def advance(
+        self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
+    ) -> Columns:
+        """Force of each spring after a way."""
+        c = state.constants
+        force = state.memory["spring"] + c["stiffness"] * (displacement - state.displacement)
+        return {"spring": np.minimum(np.maximum(force, -c["strength"]), c["strength"])}
+
+    def total(self, state: State) -> Array:
+        """Force beside that of the linear structure, (n,), kip."""
+        elastic = state.constants["elastic"] * state.displacement
+        return np.asarray(state.memory["spring"] - elastic)
+
+
+class ElastoPlastic(State):
+    """A state of such springs."""
+
+    @classmethod
+    def at_rest(cls, stiffness: Array, strength: Array, elastic: Array | None = None) -> Self:
+        """Springs without force at displacement 0.
+
+        Parameters
+        ----------
+        stiffness, strength : (n,), kip/in, kip
+        elastic : (n,), kip/in, optional
+            Stiffness whose elastic force is subtracted: that of a storey which the linear structure
+            has already, so that the force here is 0 until it yields.
+        """
+        zero = np.zeros(stiffness.size)
+        constants = {"stiffness": stiffness, "strength": strength}
+        constants["elastic"] = zero if elastic is None else elastic
+        return cls(_ElastoPlastic(), constants, {"spring": zero}, zero, zero, {})
+
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""A run folder: the names of its files, its lock, and what is checked, kept or removed in it."""
+"""A run folder: the names of its files, its lock, and what is checked, kept or removed in it.
+
+And what a command may write where its user says: nothing is replaced without --force.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,15 @@ from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.store.files import (
     PART,
+    Part,
     cannot_remove,
+    check,
     check_place,
     is_part,
     read_json,
     remove_file,
     write_json,
 )
-from mfd_bayes.store.schema import Part, check
 
 MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"
@@ -331,3 +335,37 @@ def remove_partial_files(out: Path) -> None:
         for part in parts(f".*{PART}"):
             with suppress(OSError):  # if the folder is read-only, the next write reports it
                 part.unlink(missing_ok=True)
+
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool) -> None:
+    """Refuse outputs that exist, but for `force`, and what must never be replaced."""
+    inputs = list(inputs)
+    for path in outputs:
+        if path.name in ("", ".."):
+            raise StoreError(f"cannot write {path}: give the name of a file")
+        check_place(path)
+        try:
+            if path.is_dir():
+                raise StoreError(f"cannot write {path}: it is a folder; give the name of a file")
+            for source in inputs:
+                linked = path.exists() and source.exists() and path.samefile(source)
+                if linked or path.resolve() == source.resolve():
+                    raise StoreError(
+                        f"cannot write {path}: it is an input of this command, {source}"
+                    )
+            if is_file_of_a_run(path):
+                raise StoreError(f"cannot write {path}: it is a file of the run in that folder")
+            if path.exists() and not force:
+                raise StoreError(f"{path} exists: give another name, or --force to replace it")
+        except (OSError, RuntimeError, ValueError) as error:
+            raise StoreError(f"cannot write {path}: {error}") from error
+
+
+def check_folder(folder: Path, *, force: bool) -> None:
+    """Refuse a folder of outputs that holds something, but for `force`, and run folders."""
+    if folder.exists() and not folder.is_dir():
+        raise StoreError(f"cannot write {folder}: it is a file, and a folder is expected")
+    if (folder / MANIFEST).exists():
+        raise StoreError(f"{folder} is a run folder: give a folder of its own")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise StoreError(f"{folder} is not empty: give another name, or --force to write into it")

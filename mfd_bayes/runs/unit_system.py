@@ -11,10 +11,20 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfd_bayes.axes import DAMPER, UNITS, Axes, Axis, in_place_of
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.units import actuation_factor, convert, factor, has_angle, in_digits
+from mfd_bayes.units import (
+    DAMPER,
+    UNITS,
+    Axes,
+    Axis,
+    actuation_factor,
+    convert,
+    factor,
+    has_angle,
+    in_digits,
+    in_place_of,
+)
 
 SMALL = 0.2
 """Devices whose largest force, kip, is below this are shown in lbf or N."""

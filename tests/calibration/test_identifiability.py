@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.identifiability import find_directions, find_pairs, identify
+from mfd_bayes.calibration.diagnostics import find_directions, find_pairs, identify
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.records.trace import Trace
 

@@ -8,7 +8,7 @@ import pytest
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.result import Task, moves, quantiles_of
-from mfd_bayes.friction.lugre import LuGre
+from mfd_bayes.friction.three_stage import LuGre
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import load_test
 

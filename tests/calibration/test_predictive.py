@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import (
+from mfd_bayes.calibration.posterior import (
+    Posterior,
     check_predictive,
     cycle_energies,
     derive_from_parameters,
@@ -12,8 +12,7 @@ from mfd_bayes.calibration.predictive import (
     replicate,
 )
 from mfd_bayes.errors import RecordError
-from mfd_bayes.friction.lugre import LuGre
-from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.records.loops import cycle_values
 from mfd_bayes.records.trace import Trace
 

@@ -6,9 +6,15 @@ import pytest
 from scipy import optimize, stats
 
 from mfd_bayes.calibration.diagnostics import Effort, autocorrelation_time
-from mfd_bayes.calibration.modes import climb, least_squares
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.proposal import Mixture, Proposal, fit_mixture, learn
+from mfd_bayes.calibration.proposal import (
+    Mixture,
+    Proposal,
+    climb,
+    fit_mixture,
+    learn,
+    least_squares,
+)
 from mfd_bayes.calibration.sampling import JUMPS, Independent, evolution, sample, sample_density
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace

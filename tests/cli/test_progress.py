@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from mfd_bayes.cli.progress import watch
+from mfd_bayes.cli.console import show_progress
 from mfd_bayes.jobs.job import Progress, Step
 
 SAMPLED = Progress(1200, 2400, 1.0123, 432.1, 10.0, 0.5)
@@ -35,7 +35,7 @@ ALARMS = [
 
 def test_without_a_terminal_steps_are_lines_and_quiet_prints_only_what_must_be_known(capsys):
     for quiet in [False, True]:
-        with watch(quiet=quiet) as observe:
+        with show_progress(quiet=quiet) as observe:
             for step in steps():
                 observe(step)
         lines = [
@@ -49,8 +49,8 @@ def test_without_a_terminal_steps_are_lines_and_quiet_prints_only_what_must_be_k
 
 
 def test_after_a_silence_a_line_says_what_is_at_work_and_what_is_missing(capsys, monkeypatch):
-    monkeypatch.setattr("mfd_bayes.cli.progress.SILENCE", 0.05)
-    with watch() as observe:
+    monkeypatch.setattr("mfd_bayes.cli.console.SILENCE", 0.05)
+    with show_progress() as observe:
         observe(Step("a", "done"))
         time.sleep(0.3)
         assert capsys.readouterr().out == "a: done\n"
@@ -73,14 +73,15 @@ import sys
 import time
 
 from mfd_bayes.cli.commands import settle_environment
-from mfd_bayes.cli.errors import mistakes
-from mfd_bayes.cli.progress import watch
+from mfd_bayes.cli.options import mistakes
+from mfd_bayes.cli.console import show_progress
 from mfd_bayes.jobs.job import Progress, Step
 from mfd_bayes.jobs.signals import end_on_signals
 
 TESTS, PAUSE, LAST = {tests}, {pause}, {last}
 settle_environment()
-with end_on_signals(), mistakes("mfd-bayes go on"), watch(quiet="--quiet" in sys.argv) as observe:
+hint, quiet = mistakes("mfd-bayes go on"), "--quiet" in sys.argv
+with end_on_signals(), hint, show_progress(quiet=quiet) as observe:
     names = [f"p{{500 + k}}[red]_f0.25" for k in range(TESTS)]
     for name in names:
         observe(Step(name, "waiting"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from mfd_bayes.cli.errors import mistakes
+from mfd_bayes.cli.options import mistakes
 from tests.run_folders import write_run
 
 WHOLE = (sys.executable, "-m", "mfd_bayes")

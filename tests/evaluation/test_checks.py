@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.identifiability import (
+from mfd_bayes.calibration.diagnostics import (
     Directions,
+    Effort,
 )
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import quantiles_of

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from mfd_bayes.evaluation.properties import ANOTHER, BASES, NOT_KNOWN, bounds_of, design_warnings
-from mfd_bayes.population.settings import KIND_NAMES, KINDS
+from mfd_bayes.population.bands import KIND_NAMES, KINDS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.colours import BAND_NAMES, BANDS
-from mfd_bayes.reporting.conversion import convert_rows
-from mfd_bayes.reporting.tables import design_csv
+from mfd_bayes.reporting.symbols import BAND_NAMES, BANDS
+from mfd_bayes.reporting.tables import convert_rows, design_csv
 from mfd_bayes.runs.unit_system import SI
 
 UNIT = (np.arange(2000) + 0.5) / 2000.0

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.quantity import Parameter
+from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from tests.friction import backlash_cases as backlash

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mfd_bayes.friction.lugre import LuGre
+from mfd_bayes.friction.three_stage import LuGre
 from mfd_bayes.records.trace import Trace
 
 NAMES = ("sigma0", "sigma1", "sigma2", "Fs_fwd", "Fc_fwd", "Fs_bwd", "Fc_bwd", "v_s")

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from mfd_bayes.friction.elastoplastic import ElastoPlastic
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.response.device_draws import ElastoPlastic
 from tests.friction.test_arguments import some_values
 
 TIME = np.arange(0.0, 4.0, 0.02)

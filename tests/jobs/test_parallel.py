@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mfd_bayes.jobs.parallel import meanwhile, several_processes
+from mfd_bayes.jobs.local import meanwhile, several_processes
 
 TESTS = 9
 

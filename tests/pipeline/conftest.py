@@ -1,10 +1,23 @@
-"""What tests of whole commands may leave out: pictures that they do not look at."""
+"""The finished run for tests of whole commands, and pictures that they do not look at."""
 
 from contextlib import nullcontext
 
 import pytest
 
+import mfd_bayes as mb
 from mfd_bayes.reporting import figures, publish
+
+
+@pytest.fixture(scope="session")
+def out(finished_run):
+    """Folder of the finished run."""
+    return finished_run.out
+
+
+@pytest.fixture(scope="session")
+def run(out):
+    """The finished run."""
+    return mb.open_run(out)
 
 
 @pytest.fixture

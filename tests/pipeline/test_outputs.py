@@ -1,19 +1,17 @@
-"""What a command writes replaces nothing that exists, but for --force."""
+"""What a command writes replaces nothing that exists, but for --force and its own earlier files."""
 
+import json
 import os
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.pipeline.export import Export, export
 from mfd_bayes.store.files import write_text
+from tests.command_line import contents, refusal, said, write_csv
 from tests.run_folders import write_run
-
-pytestmark = pytest.mark.usefixtures("small_pictures")
 
 CAMPAIGN = """\
 [[test]]
@@ -21,25 +19,8 @@ id = "p500"
 file = "{file}"
 actuation = "500 psi"
 """
-
-
-def here(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
-def state(folder):
-    """Every file of a folder with its content, and every other thing with its kind."""
-    return {
-        p.relative_to(folder): p.read_bytes() if p.is_file() else p.lstat().st_mode
-        for p in folder.rglob("*")
-    }
-
-
-def refused(outcome, words):
-    assert outcome.exit_code == 2, outcome.output
-    (sentence,) = outcome.stderr.splitlines()
-    assert sentence.startswith("mfd-bayes: ")
-    assert words in sentence
+SINE = ("--sine", "1 in, 0.5 Hz, 2 cycles", "--actuation", "500 psi", "--no-figures", "-q")
+TIME = np.arange(201) / 50
 
 
 @pytest.fixture(scope="module")
@@ -54,95 +35,93 @@ def stored(tmp_path_factory):
 def home(stored, tmp_path):
     """A folder with a run, a motion, a record with its campaign, and a table of another program."""
     shutil.copytree(stored, tmp_path / "out")
-    time = np.arange(201) / 50
-    motion = np.sin(np.pi * time)
-    table = np.column_stack([time, motion, np.tanh(4 * np.cos(np.pi * time))])
     for name in ("m.csv", "x_derived.csv"):
-        write_text(tmp_path / name, csv(table))
+        force = np.tanh(4 * np.cos(np.pi * TIME))
+        write_csv(tmp_path / name, TIME, np.sin(np.pi * TIME), force)
     (tmp_path / "mine.csv").write_text("a,b\n1,2\n")
     (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(file="m.csv"))
     return tmp_path
 
 
-def csv(table):
-    lines = "".join(",".join(f"{x:.6f}" for x in row) + "\n" for row in table)
-    return "time_s,displacement_in,force_kip\n" + lines
+def refused(home, words, *command):
+    """Refuse with a sentence that holds some words, and change nothing."""
+    before = contents(home)
+    assert words in refusal(*command)
+    assert contents(home) == before
 
 
-def make_device(path):
-    os.mknod(path, 0o20666, os.makedev(1, 3))  # as /dev/null
-
-
-def predict(home, bands, *options, motion="m.csv"):
-    asked = ("--motion", home / motion, "--actuation", "500 psi", "-o", home / bands, "-q")
-    return here("predict", home / "out", *asked, *options)
+# --- predictions
 
 
 def test_a_prediction_is_not_written_over_inputs_or_a_run(home):
     for bands, motion, words in [
         ("m.csv", "m.csv", "is an input of this command"),
         ("x.csv", "x_derived.csv", "is an input of this command"),
-        ("out/manifest", "m.csv", None),
         ("out/laws.csv", "m.csv", "is a file of the run"),
         ("out/population.nc", "m.csv", "is a file of the run"),
         ("..", "m.csv", "name of a file"),
+        ("mine.csv/b.csv", "m.csv", "b.csv"),
     ]:
-        before = state(home)
-        outcome = predict(home, bands, "--force", motion=motion)
-        if words is None:  # a new file in a run folder loses nothing
-            assert outcome.exit_code == 0, outcome.output
-            assert all(state(home)[name] == content for name, content in before.items())
-        else:
-            refused(outcome, words)
-            assert state(home) == before
+        asked = ("--motion", home / motion, "--actuation", "500 psi", "--no-figures", "--force")
+        refused(home, words, "predict", home / "out", *asked, "-o", home / bands)
+    before = contents(home)
+    said("predict", home / "out", *SINE, "-o", home / "out/manifest")  # loses nothing
+    assert before.items() <= contents(home).items()
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    [
-        ("pipe", "band.csv"),
-        ("device", "band_history.png"),
-        ("link", "band_design.csv"),
-    ],
-)
-def test_a_prediction_is_not_written_over_what_is_no_file(home, kind, name):
+@pytest.mark.parametrize("kind", ["pipe", "device", "link"])
+def test_a_prediction_is_not_written_over_what_is_no_file(home, kind):
     if kind == "device" and os.geteuid() != 0:
         pytest.skip("only root makes a device")
-    (home / "there").mkdir()
-    place = home / "there" / name
-    make = {"pipe": os.mkfifo, "device": make_device}
-    make.get(kind, lambda path: path.symlink_to(home / "mine.csv"))(place)
-    before = state(home)
-    outcome = predict(home, "there/band.csv", "--design", "--force")
-    refused(outcome, "link out of its folder" if kind == "link" else "a device or a pipe")
-    assert state(home) == before
+    place = home / "there" / "band_design.csv"
+    place.parent.mkdir()
+    if kind == "pipe":
+        os.mkfifo(place)
+    elif kind == "device":
+        os.mknod(place, 0o20666, os.makedev(1, 3))  # as /dev/null
+    else:
+        place.symlink_to(home / "mine.csv")
+    words = "link out of its folder" if kind == "link" else "a device or a pipe"
+    asked = (*SINE, "--design", "--force", "-o", home / "there/band.csv")
+    refused(home, words, "predict", home / "out", *asked)
 
 
-@pytest.mark.parametrize("name", ["mine.csv", "mine_design.csv"])
-def test_a_file_that_exists_is_replaced_only_by_force(home, name):
-    shutil.copy(home / "mine.csv", home / "content")
-    (home / "mine.csv").unlink()
-    shutil.copy(home / "content", home / name)
-    before = state(home)
-    refused(predict(home, "mine.csv", "--design"), "--force")
-    assert state(home) == before
-    assert predict(home, "mine.csv", "--design", "--force").exit_code == 0
-    assert (home / name).read_bytes() != before[Path(name)]
-    assert predict(home, "mine.csv", "--force").exit_code == 0
-    assert not (home / "mine_design.csv").exists()  # bounds of another prediction
-
-
-def test_a_harmonic_motion_is_predicted_into_a_new_folder(home):
+@pytest.mark.usefixtures("small_pictures")
+def test_a_file_that_exists_is_replaced_only_by_force(home):
     bands = home / "new" / "bands.csv"
-    asked = ("predict", home / "out", "--sine", "1 in, 0.5 Hz, 2 cycles", "--actuation", "500 psi")
-    assert here(*asked, "-o", bands, "-q").exit_code == 0
+    sine = ("predict", home / "out", *SINE[:4], "-q", "-o", bands)
+    said(*sine)
     names = {"bands.csv", "bands.png", "bands_history.png", "bands_derived.csv"}
     assert {path.name for path in bands.parent.iterdir()} == names
     bands.unlink()
-    refused(here(*asked, "-o", bands), "bands.png exists")
-    refused(here(*asked, "-o", bands.parent), "give the name of a file")
-    assert here(*asked, "-o", bands, "-q", "--no-figures", "--force").exit_code == 0
+    refused(home, "bands.png exists", *sine)
+    refused(home, "give the name of a file", *sine[:-1], bands.parent)
+    said(*sine, "--no-figures", "--force")
     assert {path.name for path in bands.parent.iterdir()} == {"bands.csv", "bands_derived.csv"}
+    bands.with_name("bands_design.csv").write_text("mine")
+    refused(home, "--force", *sine, "--design")
+    said(*sine, "--design", "--force")
+    assert bands.with_name("bands_design.csv").read_text() != "mine"
+    said(*sine, "--force")
+    assert not bands.with_name("bands_design.csv").exists()  # bounds of another prediction
+
+
+def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
+    monkeypatch.chdir(home)
+    before = contents(home)
+    for words in [
+        ("calibrate", "campaign.toml", "-o", ""),
+        ("demo", ""),
+        ("check", " "),
+        ("predict", "out", "--motion", "", "--actuation", "1 ksi", "-o", "b.csv"),
+        ("predict", "out", "--sine", "1 in", "--actuation", "1 ksi", "-o", "b.csv", "--given", ""),
+        ("next", "out", "--goal", ""),
+    ]:
+        assert "got an empty text" in said(*words, code=2)
+        assert contents(home) == before
+
+
+# --- runs
 
 
 @pytest.mark.parametrize("name", ["tests/m.csv", "figures/campaign.toml", "campaign.toml"])
@@ -155,79 +134,128 @@ def test_a_run_is_not_replaced_with_its_inputs_in_it(home, name):
         campaign.write_text(CAMPAIGN.format(file=f"out/{name}"))
     else:
         shutil.copy(home / "m.csv", place.parent)
-        shutil.copy(home / "campaign.toml", place)
-        campaign = place
-    before = state(home)
-    options = ("--force", "--resume") if name == "tests/m.csv" else ("--force",)
-    for option in options:
-        refused(here("calibrate", campaign, "-o", home / "out", option), "would be lost")
-    assert state(home) == before
+        campaign = shutil.copy(home / "campaign.toml", place)
+    for option in ("--force", "--resume") if name == "tests/m.csv" else ("--force",):
+        refused(home, "would be lost", "calibrate", campaign, "-o", home / "out", option)
 
 
-@pytest.mark.parametrize("name", ["report.html"])
-def test_a_run_does_not_replace_a_pipe_or_a_link_out_of_its_folder(home, name):
-    place = home / "out" / name
-    place.unlink(missing_ok=True)
+def test_a_run_does_not_replace_a_link_out_of_its_folder(home):
+    place = home / "out" / "report.html"
     place.symlink_to(home / "mine.csv")
-    outcome = here("calibrate", home / "campaign.toml", "-o", home / "out", "--force")
-    refused(outcome, "link out of its folder")
-    with pytest.raises(StoreError, match="link out of its folder"):
+    words = "link out of its folder"
+    refused(home, words, "calibrate", home / "campaign.toml", "-o", home / "out", "--force")
+    with pytest.raises(StoreError, match=words):
         write_text(place, "{}")
-    assert place.is_symlink()
     assert (home / "mine.csv").read_text() == "a,b\n1,2\n"
 
 
-def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
-    for arguments in [
-        ("calibrate", "campaign.toml", "-o", ""),
-        ("demo", ""),
-        ("check", " "),
-        ("predict", "out", "--motion", "", "--actuation", "1 ksi", "-o", "b.csv"),
-        ("predict", "out", "--sine", "1 in", "--actuation", "1 ksi", "-o", "b.csv", "--given", ""),
-        ("next", "out", "--goal", ""),
-    ]:
-        monkeypatch.chdir(home)
-        before = state(home)
-        outcome = here(*arguments)
-        assert outcome.exit_code == 2, outcome.output
-        assert "got an empty text" in " ".join(outcome.stderr.split())
-        assert state(home) == before
-
-
 def test_a_folder_that_cannot_be_used_is_refused_and_kept(home):
-    for out, options, said in [
+    (home / "other").mkdir()
+    (home / "other" / "thesis.tex").write_text("x")
+    run = ("calibrate", home / "campaign.toml")
+    for out, options, words in [
         (".", ("--dry-run",), "exists: give --resume to finish it or --force"),
         ("out", ("--dry-run", "--resume", "--force"), "give either --resume or --force"),
         ("other", ("--resume",), "give another folder by -o"),
         ("other", ("--force",), "exists and"),
     ]:
-        (home / "other").mkdir(exist_ok=True)
-        (home / "other" / "thesis.tex").write_text("x")
-        before = state(home)
-        refused(here("calibrate", home / "campaign.toml", "-o", home / out, *options), said)
-        assert state(home) == before
+        refused(home, words, *run, "-o", home / out, *options)
+    assert "would calibrate p500 (" in said(*run, "--dry-run")  # which needs no folder
+    assert "-o: missing: give the run folder to write" in said(*run, code=2)
+    where = home / "no" / "campaign.toml"
+    refused(home, f"there is no folder {where.parent}", "calibrate", where, "--dry-run")
+
+
+# --- buildings and responses
 
 
 def test_a_first_building_has_the_actuation_of_the_campaign_beside_it(home):
-    assert here("init", "--building", home).exit_code == 0
-    text = (home / "building.toml").read_text()
-    assert text.count('actuation = "500 psi"') == 3
-    refused(here("init", "--building", home), "building.toml exists: give --force")
+    said("init", "--building", home)
+    assert (home / "building.toml").read_text().count('actuation = "500 psi"') == 3
+    refused(home, "building.toml exists: give --force", "init", "--building", home)
     campaign = (home / "campaign.toml").read_text().replace("500 psi", "36 lbf")
     (home / "campaign.toml").write_text(campaign)
-    assert here("init", "--building", home, "--force").exit_code == 0
+    said("init", "--building", home, "--force")
     assert (home / "building.toml").read_text().count('actuation = "36 lbf"') == 3
     (home / "other").mkdir()
-    assert here("init", "--building", home / "other").exit_code == 0  # without a campaign
+    said("init", "--building", home / "other")  # without a campaign
     assert 'actuation = "1000 psi"' in (home / "other" / "building.toml").read_text()
 
 
-def test_a_dry_run_needs_no_folder_and_a_run_does(home):
-    found = here("calibrate", home / "campaign.toml", "--dry-run")
-    assert found.exit_code == 0, found.output
-    assert "would calibrate p500 (" in found.output
-    outcome = here("calibrate", home / "campaign.toml")
-    assert outcome.exit_code == 2
-    assert "-o: missing: give the run folder to write" in outcome.stderr
-    where = home / "no" / "campaign.toml"
-    refused(here("calibrate", where, "--dry-run"), f"there is no folder {where.parent}")
+def test_an_earlier_response_goes_and_what_is_anothers_stays(home, monkeypatch):
+    folder = home / "response"
+    earlier = {"history_2.png", "loops_2.png", "sweep.png", "sweep.csv"}
+    theirs = {"sweep_mine.csv", "notes.txt", "history.png"}
+    folder.mkdir()
+    for name in earlier | theirs:
+        (folder / name).write_bytes(b"x")
+    storey = '[[storey]]\nweight = "20 kip"\nstiffness = "8 kip/in"\n'
+    (home / "b.toml").write_text(f"[building]\n{storey}")
+    names = ("time_s", "acceleration_in/s^2")
+    write_csv(home / "g.csv", TIME[:50], 100.0 * np.sin(10 * TIME[:50]), names=names)
+    out = (home / "out").rename(home / "brake 7")
+    monkeypatch.chdir(out)  # whose name the page says all the same
+    words = ("respond", ".", "--building", "../b.toml", "--ground", "../g.csv", "--force")
+    said(*words, "-o", folder, "--draws", "10", "--jobs", "1")
+    written = {path.name for path in folder.iterdir()}
+    assert written >= {"report.html", "peaks.csv", "response.json", *theirs}
+    assert not written & earlier
+    assert "of the device in brake 7, 0 dampers" in (folder / "report.html").read_text()
+
+
+# --- samples for other programs
+
+
+@pytest.fixture
+def samples(stored, tmp_path):
+    """A folder with samples in columns, with materials, and with files of someone else."""
+    found = tmp_path / "samples"
+    export(stored, Export("quofem", found, "700 psi", 10))
+    about = json.loads((found / "about.json").read_text())
+    fits = {"misfit": {"BoucWen": [0.1], "../mine": [0.1]}, "best": "BoucWen"}
+    (found / "about.json").write_text(json.dumps(about | fits))
+    for name in ("BoucWen.tcl", "mine.txt", "../mine.tcl"):
+        (found / name).write_text("mine")
+    return found
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_samples_of_another_actuation_do_not_stay_beside_new_ones(stored, samples):
+    before = names(samples)
+    quofem = {"randomVariables.json", "dakotaTab.out", "start.txt", "sigma0.txt"}
+    assert before >= {*quofem, "BoucWen.tcl"}
+    export(stored, Export("csv", samples, "700 psi", 10, force=True))  # another form of the same
+    assert names(samples) == before | {"samples.csv"}
+    assert json.loads((samples / "about.json").read_text())["best"] == "BoucWen"
+    export(stored, Export("csv", samples, "800 psi", 10, force=True))
+    assert names(samples) == {"samples.csv", "about.json", "mine.txt"}
+    assert (samples.parent / "mine.tcl").is_file()
+    about = json.loads((samples / "about.json").read_text())
+    assert about["actuation"] == {"value": 0.8, "unit": "ksi"}
+    assert "misfit" not in about
+
+
+def test_files_beside_anothers_about_stay(stored, samples):
+    for content in ["[]", '{"variables": {"mine": "1"}}']:
+        (samples / "about.json").write_text(content)
+        before = names(samples)
+        export(stored, Export("csv", samples, "800 psi", 10, force=True))
+        assert names(samples) == before | {"samples.csv"}
+
+
+def test_an_actuation_outside_what_was_tested_is_warned_of_and_far_outside_refused(stored, samples):
+    before = contents(samples)
+    far = Export("csv", samples, "50000 psi", 10, force=True)
+    with pytest.raises(CampaignError, match=r"the actuation, 50000 psi, lies far .* --extrapolate"):
+        export(stored, far)
+    assert contents(samples) == before
+    far = Export("csv", samples, "50000 psi", 10, force=True, extrapolate=True)
+    (remark,) = export(stored, far)[1]
+    assert "lies far outside the tested range" in remark
+    assert json.loads((samples / "about.json").read_text())["remarks"] == [remark]
+    assert "outside" in export(stored, Export("csv", samples, "700 psi", 10, force=True))[1][0]
+    assert export(stored, Export("csv", samples, "500 psi", 10, force=True))[1] == []
+    assert "remarks" not in json.loads((samples / "about.json").read_text())

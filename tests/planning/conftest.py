@@ -10,7 +10,7 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
 from mfd_bayes.planning.study import Situation
-from mfd_bayes.population.settings import Setting
+from mfd_bayes.population.design import Setting
 from tests.population.made import THREE_STAGE, make_population, no_residual
 
 MEDIANS = THREE_STAGE | {"offset": 0.0, "noise_sd": 0.01}

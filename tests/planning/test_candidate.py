@@ -11,17 +11,19 @@ from mfd_bayes.evaluation.next_test import goal_words
 from mfd_bayes.planning.candidate import (
     SETUP,
     Candidate,
+    Goal,
     Limits,
     Parts,
     Shown,
+    check_session,
     grid_of,
     harmonic_of,
+    parse_goal,
     parse_limits,
     parse_tests,
     repeats,
     typical_of,
 )
-from mfd_bayes.planning.goal import Goal, check_session, parse_goal
 from mfd_bayes.records.trace import Harmonic, Trace
 from mfd_bayes.runs.unit_system import US
 

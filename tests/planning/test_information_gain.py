@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.planning.information_gain import Goals, directions_of, fit_left_out, gain_of, greedy
+from mfd_bayes.planning.study import Goals, directions_of, fit_left_out, gain_of, greedy
 
 
 def linear_gaussian(seed, noise):

@@ -5,7 +5,7 @@ import pytest
 
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
-from mfd_bayes.planning.simulation import Loop
+from mfd_bayes.planning.study import Loop
 from mfd_bayes.records.loops import loop_estimate
 from mfd_bayes.records.trace import Harmonic, Trace
 

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError, NotThereError
-from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Limits
-from mfd_bayes.planning.goal import Goal, parse_goal
-from mfd_bayes.planning.simulation import Devices, Loop
-from mfd_bayes.planning.study import Effort, advise, goals_of
+from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
+from mfd_bayes.planning.study import Devices, Effort, Loop, advise, goals_of
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.settings import setting_of
+from mfd_bayes.population.design import setting_of
 
 SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
 AT_ONE = Candidate(1.0, 0.5, 1.0)

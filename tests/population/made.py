@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.priors import load_priors
-from mfd_bayes.population.design import design_of
-from mfd_bayes.population.discrepancy import KNOTS, Residual, TravelBasis
+from mfd_bayes.friction.models import find_model
+from mfd_bayes.population.bands import Predictor
+from mfd_bayes.population.design import Setting, design_of, setting_of
+from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
 from mfd_bayes.population.laws import LAW_NAMES, usual_shapes
-from mfd_bayes.population.population import LawDraws, Population
-from mfd_bayes.population.settings import Setting
-from mfd_bayes.population.starts import Starts
+from mfd_bayes.population.population import LawDraws, Population, Starts
+from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -136,3 +138,19 @@ def make_population(
         walkers=10,
         convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
     )
+
+
+def make_predictor(
+    model: str, tested: Sequence[Setting] | None = None, *arguments: Any, **options: Any
+) -> Predictor:
+    """The predictor of a population of a model, with medians typical of the priors by default."""
+    friction, priors = find_model(model), load_priors("mfd").parameters
+    names = [q.name for q in friction.quantities if q.sampled and q.name in priors]
+    medians = {n: priors[n].typical for n in names if n not in ("start", "gamma1")}
+    options = {"medians": medians | {"offset": 0.0, "noise_sd": 0.05}} | options
+    if tested is None:
+        time = np.arange(128) / 32.0
+        motion = np.sin(np.pi * time)
+        tested = [setting_of(Trace.from_arrays(time, motion, p)) for p in (0.5, 1.0, 2.0)]
+    population = make_population(tested, *arguments, **options)
+    return Predictor(population, friction, find_noise("iid"))

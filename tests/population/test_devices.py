@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.population.design import design_of
+from mfd_bayes.population.design import Setting, design_of
 from mfd_bayes.population.mixed_model import MixedModel
-from mfd_bayes.population.settings import Setting
 
 TESTS = 6  # of each of eight devices
 TESTED = [Setting(1.0, "", {}, f"no. {d}") for d in range(8) for _ in range(TESTS)]

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy import special
 
-from mfd_bayes.population.design import design_of
-from mfd_bayes.population.exact import ExactSampler
+from mfd_bayes.population.design import Setting, design_of
+from mfd_bayes.population.inference import ExactSampler
 from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import MixedModel
-from mfd_bayes.population.settings import Setting
 
 CHAINS = 32
 SWEEPS = 700

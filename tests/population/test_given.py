@@ -12,12 +12,12 @@ from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population import given as given_part
 from mfd_bayes.population.bands import FEWEST, Forecast, Predictor
+from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.given import (
     Forecaster,
     Sums,
     predict_given,
 )
-from mfd_bayes.population.settings import setting_of
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_population, no_residual
 

@@ -15,7 +15,7 @@ from mfd_bayes.population.bands import (
     holds_whole,
     whole_band,
 )
-from mfd_bayes.population.settings import setting_of, with_zeros
+from mfd_bayes.population.design import setting_of, with_zeros
 from mfd_bayes.records.trace import Trace
 from tests.population.made import THREE_STAGE, make_population, no_residual
 

@@ -10,8 +10,8 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.settings import setting_of
-from mfd_bayes.population.starts import (
+from mfd_bayes.population.design import setting_of
+from mfd_bayes.population.population import (
     ELSEWHERE,
     SHAPES,
     Ending,

@@ -13,9 +13,8 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.settings import setting_of
-from mfd_bayes.population.starts import SHAPES, Starts
-from mfd_bayes.population.storage import load_population, save_population
+from mfd_bayes.population.design import setting_of
+from mfd_bayes.population.population import SHAPES, Starts, load_population, save_population
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_population, no_residual
 

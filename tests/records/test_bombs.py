@@ -110,22 +110,17 @@ BOMBS = {
     "run:declared.nc": (netcdf, "larger than the file"),
     "record:line.csv": (long_line, "line 2 of"),
     "record:columns.csv": (many_columns, "line 1 of"),
-    "record:wide.csv": (text(",".join("abcdefg"[:5] for _ in range(9000)) + "\n"), "9,000 columns"),
     "record:name.csv": (text("t," + "x" * 9000 + "\n1,2\n"), "longer than 300 characters"),
-    "record:nested.json": (text("[" * 1_000_00), "not valid JSON"),
     "record:lists.json": (text("[" + "[]," * 2_000_000 + "[]]"), "1,000,000 lists"),
     "record:keys.json": (objects_of_different_keys, "200,000 columns"),
     "record:integer.json": (text('{"a": [' + "9" * 10_000 + "]}"), "not valid JSON"),
-    "record:exponent.json": (text('{"a": [1e999]}'), "expected a finite number"),
     "record:integer.csv": (text("a,b\n1," + "9" * 5000 + "\n"), "expected a finite number"),
     "json:nested.json": (text('{"a":' * 100_000), "not valid JSON"),
     "campaign:arrays.toml": (text("a = " + "[" * 100_000), "not valid TOML"),
-    "campaign:tables.toml": (text("a = " + "{a = " * 100_000), "not valid TOML"),
     "campaign:keys.toml": (text("a" + ".a" * 100_000 + " = 1"), "200 dots"),
     "campaign:exponent.toml": (text("[campaign]\narea = 1e999\n" + TEST), "finite"),
     "campaign:large.toml": (text("#" * 2**21), "larger than 1 MB"),
     "campaign:tests.toml": (text('[[test]]\nid = "."\n' * 50_000), "names a folder"),
-    "priors:arrays.toml": (text("a = " + "[" * 100_000), "not valid TOML"),
     "priors:integer.toml": (
         text(
             f'[parameters.static_excess_fwd]\nfamily = "lognormal"\nmedian = 1{"0" * 400}\nsd = 1'

@@ -169,25 +169,22 @@ def test_a_drift_is_seen_although_most_cycles_ramp():
     assert "drift" not in names(time, motion, back)
 
 
-@pytest.mark.parametrize(
-    ("change", "wrong"),
-    [
-        (lambda v: v, False),
-        (lambda v: 1.1 * v, False),
-        (lambda v: -v, True),
-        (lambda v: 25.4 * v, True),
-        (lambda v: v / 2, True),
-        (np.zeros_like, True),
-        (lambda v: v[::-1].copy() ** 2, True),
-    ],
-)
-def test_a_velocity_must_be_that_of_the_displacement(change, wrong):
+def test_a_velocity_must_be_that_of_the_displacement():
     time = np.arange(801) / 100.0
     noise = np.random.default_rng(3).normal(0.0, 2e-3, time.size)
     motion = stepped(np.sin(np.pi * time) + noise, 1 / 500)
     velocity = np.pi * np.cos(np.pi * time) + 0.05  # with a zero that is a little off
-    given = change(velocity)
-    assert ("velocity" in names(time, motion, np.sign(velocity), velocity=given)) == wrong
+    for given, wrong in (
+        (velocity, False),
+        (1.1 * velocity, False),
+        (-velocity, True),
+        (25.4 * velocity, True),
+        (velocity / 2, True),
+        (0.0 * velocity, True),
+        (velocity[::-1] ** 2, True),
+    ):
+        found = names(time, motion, np.sign(velocity), velocity=given)
+        assert ("velocity" in found) == wrong
 
 
 # --- what inspect says
@@ -233,43 +230,40 @@ def test_the_command_counts_cycles_and_names_the_overflow_value(tmp_path, small_
     assert inspected(tmp_path, MOTION, -force_of(MOTION))[1] == ["force sign"]
 
 
-@pytest.mark.parametrize("samples", [1, 10])
-@pytest.mark.parametrize("share", [0.0035, 0.1])
-@pytest.mark.parametrize("sides", [(1,), (1, -1)], ids=["one end", "both ends"])
-def test_a_tremble_at_the_turns_begins_no_cycle(tmp_path, samples, share, sides):
-    motion = MOTION.copy()
-    for side in sides:
-        for top in np.flatnonzero(np.diff(np.sign(np.diff(side * MOTION))) < 0) + 1:
-            for first in (top - 2 * samples, top, top + 2 * samples):
-                motion[max(first, 0) : max(first, 0) + samples] -= side * 2.0 * share
-    loops, frequency, energy, offset = figures(inspected(tmp_path, motion, force_of(MOTION))[0])
-    assert (loops, frequency) == (9, pytest.approx(0.5, rel=0.03))
-    assert energy == pytest.approx(3.9, rel=0.02 if share <= 0.01 else 0.12)
-    assert abs(offset) < 0.06
-    noise = 0.3 * share * np.random.default_rng(1).normal(size=MOTION.size)
-    assert figures(inspected(tmp_path, MOTION + noise, force_of(MOTION))[0])[0] == 9
+def test_a_tremble_at_the_turns_begins_no_cycle(tmp_path):
+    for samples, share, sides in ((1, 0.0035, (1,)), (10, 0.0035, (1, -1)), (10, 0.1, (1, -1))):
+        motion = MOTION.copy()
+        for side in sides:
+            for top in np.flatnonzero(np.diff(np.sign(np.diff(side * MOTION))) < 0) + 1:
+                for first in (top - 2 * samples, top, top + 2 * samples):
+                    motion[max(first, 0) : max(first, 0) + samples] -= side * 2.0 * share
+        loops, frequency, energy, offset = figures(inspected(tmp_path, motion, force_of(MOTION))[0])
+        assert (loops, frequency) == (9, pytest.approx(0.5, rel=0.03))
+        assert energy == pytest.approx(3.9, rel=0.02 if share <= 0.01 else 0.12)
+        assert abs(offset) < 0.06
+        noise = 0.3 * share * np.random.default_rng(1).normal(size=MOTION.size)
+        assert figures(inspected(tmp_path, MOTION + noise, force_of(MOTION))[0])[0] == 9
 
 
-@pytest.mark.parametrize("order", [1, -1], ids=["growing", "decaying"])
-def test_small_cycles_of_a_loading_protocol_are_cycles(tmp_path, order):
-    sizes = np.repeat(np.arange(0.1, 1.05, 0.1), 2)[::order]
+def test_small_cycles_of_a_loading_protocol_are_cycles(tmp_path):
     cycle = np.sin(2 * np.pi * np.arange(CYCLE) / CYCLE)
-    motion = np.concatenate([size * cycle for size in sizes])
-    loops = inspected(tmp_path, motion, force_of(motion))[0]["full loops"]
-    assert loops.startswith("19, 2 of them")
+    for order in (1, -1):
+        sizes = np.repeat(np.arange(0.1, 1.05, 0.1), 2)[::order]
+        motion = np.concatenate([size * cycle for size in sizes])
+        loops = inspected(tmp_path, motion, force_of(motion))[0]["full loops"]
+        assert loops.startswith("19, 2 of them")
 
 
 @pytest.mark.parametrize("signal", [0, 1])
-@pytest.mark.parametrize("value", [1e6, -9999.0])
-@pytest.mark.parametrize("at", [[0], [700, 701, 702], list(range(900, 960))])
-def test_overflow_values_are_named_alone_and_left_out(tmp_path, signal, value, at):
-    arrays = [MOTION.copy(), force_of(MOTION)]
-    sound = figures(inspected(tmp_path, *arrays)[0])
-    arrays[signal][at] = value
-    facts, warned = inspected(tmp_path, *arrays)
-    assert warned == ["spikes"]
-    assert figures(facts) == pytest.approx(sound, rel=0.01, abs=0.01)
-    assert not re.search(r"e\+|9999", facts["displacement"] + facts["force"])
+def test_overflow_values_are_named_alone_and_left_out(tmp_path, signal):
+    sound = figures(inspected(tmp_path, MOTION, force_of(MOTION))[0])
+    for value, at in ((1e6, [0]), (-9999.0, [700, 701, 702]), (1e6, list(range(900, 960)))):
+        arrays = [MOTION.copy(), force_of(MOTION)]
+        arrays[signal][at] = value
+        facts, warned = inspected(tmp_path, *arrays)
+        assert warned == ["spikes"]
+        assert figures(facts) == pytest.approx(sound, rel=0.01, abs=0.01)
+        assert not re.search(r"e\+|9999", facts["displacement"] + facts["force"])
 
 
 @pytest.mark.parametrize("lost", [CYCLE // 10, CYCLE // 2])
@@ -285,11 +279,10 @@ def test_a_lost_block_and_a_frozen_channel_are_named(tmp_path, lost):
     assert inspected(tmp_path, MOTION, force)[1] == []
 
 
-@pytest.mark.parametrize("over", [1, CYCLE])
-@pytest.mark.parametrize("by", [0.2, -0.2])
-def test_a_zero_that_moves_by_a_tenth_of_the_stroke_is_named(tmp_path, by, over):
-    since = np.clip((np.arange(MOTION.size) - 5 * CYCLE) / over, 0.0, 1.0)
-    assert "displacement zero" in inspected(tmp_path, MOTION + by * since, force_of(MOTION))[1]
+def test_a_zero_that_moves_by_a_tenth_of_the_stroke_is_named(tmp_path):
+    for by, over in ((0.2, 1), (-0.2, CYCLE)):
+        since = np.clip((np.arange(MOTION.size) - 5 * CYCLE) / over, 0.0, 1.0)
+        assert "displacement zero" in inspected(tmp_path, MOTION + by * since, force_of(MOTION))[1]
 
 
 # --- the name of a file
@@ -306,35 +299,22 @@ def named(folder, name, actuation=None, column=""):
     return [str(f.message) for f in contradictions(mb.read_record(path, actuation=actuation))]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("36lb_0.25Hz_1.0in", "0p25hz_1in", "25.4mm 0.25 Hz", "test_2in", "2.0in_stroke"),
-        *("amp_1.0in_64Hz", "harmonic0.03ea1forward", "run3in_lab", "p500_f9", "5in_1in"),
-    ],
-)
-def test_a_name_that_agrees_or_says_nothing_is_not_named(tmp_path, name):
-    assert named(tmp_path, name) == []
-
-
-@pytest.mark.parametrize(
-    ("name", "given", "words"),
-    [
+def test_a_name_that_the_record_contradicts_is_named_and_no_other(tmp_path):
+    agree = ("36lb_0.25Hz_1.0in", "0p25hz_1in", "25.4mm 0.25 Hz", "test_2in", "amp_1.0in_64Hz")
+    nothing = ("harmonic0.03ea1forward", "run3in_lab", "p500_f9", "5in_1in")
+    for name, given, words in (
+        *((name, {}, "") for name in (*agree, *nothing)),
         ("36lb_0.25Hz_1.5in", {}, "says 1.5in, but the record has an amplitude of 1 in"),
-        ("amp_2.0in", {}, "says 2.0in"),
         ("1in_peak-to-peak", {}, "a stroke of 2 in"),
         ("1.0in_0.1Hz", {}, "0.25 Hz"),
         ("30lb_a", {"actuation": "36 lbf"}, "says 30lb, but the campaign has an actuation of 36"),
         ("500psi", {"actuation": "3 MPa"}, "says 500psi"),
         ("5MPa", {"column": "actuation_MPa"}, "but its column has an actuation of 7 MPa"),
         ("36lb_a", {"actuation": "500 psi"}, ""),  # of another kind: not compared
-        ("0.16kN", {"actuation": "36 lbf"}, ""),
-    ],
-)
-def test_a_name_that_the_record_contradicts_is_named(tmp_path, name, given, words):
-    said = named(tmp_path, name, **given)
-    assert len(said) == bool(words)
-    assert all(words in sentence for sentence in said)
+    ):
+        said = named(tmp_path, name, **given)
+        assert len(said) == bool(words), name
+        assert all(words in sentence for sentence in said)
 
 
 def test_commands_say_it_once(tmp_path, small_pictures):
@@ -431,11 +411,11 @@ def test_tests_of_one_device_are_not_named_and_two_cannot_tell_which_is_wrong():
     assert (test, name) == ("t30", "force sign")
 
 
-@pytest.mark.parametrize(("k", "actuation"), [(2, 10.0), (4, 10.0), (2, 0.1)])
-def test_an_actuation_that_is_wrong_by_ten_or_in_another_unit_is_named(k, actuation):
-    ((test, name, sentence),) = compared(campaign(k, actuation=actuation))
-    assert (test, name) == (f"t{LEVELS[k]:g}", "actuation")
-    assert "by a factor of ten" in sentence
+def test_an_actuation_that_is_wrong_by_ten_or_in_another_unit_is_named():
+    for k, actuation in ((4, 10.0), (2, 0.1)):
+        ((test, name, sentence),) = compared(campaign(k, actuation=actuation))
+        assert (test, name) == (f"t{LEVELS[k]:g}", "actuation")
+        assert "by a factor of ten" in sentence
     tests = campaign()
     tests[2] = put("t35", trace_of(35.0, 2, actuation=224.8089), "35 kN")
     ((test, _, sentence),) = compared(tests)
@@ -443,20 +423,17 @@ def test_an_actuation_that_is_wrong_by_ten_or_in_another_unit_is_named(k, actuat
     assert "35 lbf, not 35 kN" in sentence
 
 
-@pytest.mark.parametrize(
-    ("levels", "sizes", "odd"),
-    [
+def test_a_test_with_half_of_its_neighbours_force_is_named():
+    for levels, sizes, odd in (
         ((35, 35, 35), (1.0, 1.0, 0.5), ["r2"]),
         ((30, 35, 40), (1.0, 0.5, 1.0), ["r1"]),
         ((35, 35), (1.0, 0.5), []),  # nothing tells which
         ((35, 35, 35), (1.0, 0.8, 1.2), []),
         ((20, 35, 80), (1.0, 1.4, 2.0), []),
-    ],
-)
-def test_a_test_with_half_of_its_neighbours_force_is_named(levels, sizes, odd):
-    pairs = zip(levels, sizes, strict=True)
-    tests = [put(f"r{n}", trace_of(at, n, force=by)) for n, (at, by) in enumerate(pairs)]
-    assert [name for name, _, _ in compared(tests)] == odd
+    ):
+        pairs = zip(levels, sizes, strict=True)
+        tests = [put(f"r{n}", trace_of(at, n, force=by)) for n, (at, by) in enumerate(pairs)]
+        assert [name for name, _, _ in compared(tests)] == odd
 
 
 def test_scatter_of_one_device_seldom_makes_a_test_odd():
@@ -482,17 +459,15 @@ def sampled_anew(trace, rate, begin, end):
     return mb.Trace.from_arrays(grid - grid[0], motion, 0.035, force)
 
 
-@pytest.mark.parametrize(
-    ("rate", "begin", "end"), [(128, 0.0, 1.0), (100, 0.21, 0.9), (64, 0.137, 0.8)]
-)
-def test_a_record_that_was_cut_or_sampled_anew_is_named_once(rate, begin, end):
+def test_a_record_that_was_cut_or_sampled_anew_is_named_once():
     trace = trace_of(35.0, 2)
-    again = put("again", sampled_anew(trace, rate, begin, end))
-    for tests in ([put("first", trace), again], [*campaign(), again]):
-        ((name, kind, sentence),) = compared(tests)
-        assert (name, kind) == ("again", "duplicate")
-        share = re.search(r"in (\d+)% of the longer", sentence)
-        assert (float(share[1]) if share else 100) == pytest.approx(100 * (end - begin), abs=2)
+    for rate, begin, end in ((128, 0.0, 1.0), (100, 0.21, 0.9), (64, 0.137, 0.8)):
+        again = put("again", sampled_anew(trace, rate, begin, end))
+        for tests in ([put("first", trace), again], [*campaign(), again]):
+            ((name, kind, sentence),) = compared(tests)
+            assert (name, kind) == ("again", "duplicate")
+            share = re.search(r"in (\d+)% of the longer", sentence)
+            assert (float(share[1]) if share else 100) == pytest.approx(100 * (end - begin), abs=2)
 
 
 def test_a_test_that_was_repeated_is_no_duplicate():

@@ -34,7 +34,6 @@ TRAVEL = 20.0 * np.sin(np.pi * TIME)  # mm
 FORCE = 7.0 * np.tanh(3.0 * np.cos(np.pi * TIME)) + 0.25 * np.sin(31.0 * TIME)  # N
 ROWS = np.column_stack([TIME, TRAVEL, FORCE])
 UNITS = {"time": "s", "displacement": "mm", "force": "N"}
-NUMBERS = {"time": 1, "displacement": 2, "force": 3}
 NAMES = "time_s,displacement_mm,force_N\n"
 WAVE = {"wf_increment": 0.02, "wf_start_offset": 0.0}
 
@@ -73,12 +72,6 @@ def quoted(folder):
         writer = csv.writer(file, quoting=csv.QUOTE_ALL)
         writer.writerow(["Time (s)", "Load, axial (N)", "Stroke (mm)"])
         writer.writerows(ROWS[:, [0, 2, 1]].tolist())
-    return folder / "a.csv"
-
-
-def indexed(folder):
-    frame = pd.DataFrame(ROWS, columns=["time_s", "displacement_mm", "force_N"])
-    frame.to_csv(folder / "a.csv")
     return folder / "a.csv"
 
 
@@ -138,125 +131,85 @@ TITLE = "ACME logger 4\nSeal friction, 3 bar\nStarted 12.03.2024 10:04\nChannels
 MTS = "MTS793|MPT|ENU|1|0|A\nTest 7\nData Acquisition: Timed\t\tTime:\t3.2\tSec\n"
 LVM = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n"
 CLOCK = ("Clock", "t", TIME, {"unit_string": "s"})
+MM, N = {"unit_string": "mm"}, {"NI_UnitDescription": "[N]"}
 SIMULINK = np.array(
     [(TRAVEL[:, None], "Stroke_mm"), (FORCE[:, None], "Load_N")],
     dtype=[("values", "O"), ("label", "O")],
 )
+SIGNALS = ("Scope.signals(1).values Stroke_mm", "Scope.signals(2).values Load_N")
+HEAD = [["Seal friction"], ["Clock", "Measured", None], ["time", "displacement", "force"]]
 COLUMNS = dict(zip(("time_s", "displacement_mm", "force_N"), ROWS.T.tolist(), strict=True))
+FRAME = pd.DataFrame(COLUMNS)
+
+
+def layout(write, *columns, units=None):
+    """How a file is written, which of its columns are read, and their units."""
+    return write, dict(zip(UNITS, columns, strict=False)), units
+
+
 LAYOUTS = {
-    "without a header": (text(lines()), NUMBERS, UNITS),
-    "free text, tabs, decimal commas": (
-        text(TITLE + lines("\t", ","), suffix=".asc"),
-        NUMBERS,
-        UNITS,
+    "without a header": layout(text(lines()), 1, 2, 3, units=UNITS),
+    "free text, tabs, decimal commas": layout(
+        text(TITLE + lines("\t", ","), suffix=".asc"), 1, 2, 3, units=UNITS
     ),
-    "free text, then blanks": (text(TITLE + lines("   "), suffix=".txt"), NUMBERS, UNITS),
-    "semicolons, decimal commas": (
-        text("Zeit [s];Weg [mm];Kraft [N]\n" + lines(";", ",")),
-        {"time": "Zeit [s]", "displacement": "Weg [mm]", "force": "Kraft [N]"},
-        None,
+    "free text, then blanks": layout(
+        text(TITLE + lines("   "), suffix=".txt"), 1, 2, 3, units=UNITS
     ),
-    "MTS: units in a row": (
-        text(MTS + "Time\tAxial Disp\tAxial Force\nSec\tmm\tN\n" + lines("\t"), suffix=".dat"),
-        {"time": "Time", "displacement": "Axial Disp", "force": "Axial Force"},
-        None,
+    "semicolons, decimal commas": layout(
+        text("Zeit [s];Weg [mm];Kraft [N]\n" + lines(";", ",")), "Zeit [s]", "Weg [mm]", "Kraft [N]"
     ),
-    "names that two columns have": (
-        text("t_s,x_mm,x_mm,f_N\n" + lines(columns=(0, 2, 1, 2))),
-        {"time": "t_s", "displacement": 3, "force": "f_N"},
-        None,
+    "MTS: units in a row": layout(
+        text(MTS + "Time\tDisp\tForce\nSec\tmm\tN\n" + lines("\t"), suffix=".dat"),
+        *("Time", "Disp", "Force"),
     ),
-    "UTF-16 with a byte-order mark": (
-        text(NAMES.replace(",", "\t") + lines("\t"), "utf-16", ".TXT"),
-        {},
-        None,
+    "names that two columns have": layout(
+        text("t_s,x_mm,x_mm,f_N\n" + lines(columns=(0, 2, 1, 2))), "t_s", 3, "f_N"
     ),
-    "Windows-1252": (
-        text("Temp °C," + NAMES + lines(columns=(2, 0, 1, 2)), "cp1252"),
-        {},
-        None,
+    "UTF-16": layout(text(NAMES.replace(",", "\t") + lines("\t"), "utf-16", ".TXT")),
+    "Windows-1252": layout(text("Temp °C," + NAMES + lines(columns=(2, 0, 1, 2)), "cp1252")),
+    "quoted cells with commas in names": layout(
+        quoted, "Time (s)", "Stroke (mm)", "Load, axial (N)"
     ),
-    "text below the numbers": (text(NAMES + lines() + "\nEnd of test\n"), {}, None),
-    "quoted cells with commas in names": (
-        quoted,
-        {"time": "Time (s)", "displacement": "Stroke (mm)", "force": "Load, axial (N)"},
-        None,
-    ),
-    "pandas' index without a name": (indexed, {}, None),
-    "LabVIEW's .lvm": (
+    "pandas' index without a name": layout(text(FRAME.to_csv())),
+    "LabVIEW's .lvm": layout(
         text(LVM + "X_Value\tStroke\tLoad\tComment\n" + lines("\t"), suffix=".lvm"),
-        {"time": "X_Value", "displacement": "Stroke", "force": "Load"},
-        UNITS,
+        *("X_Value", "Stroke", "Load"),
+        units=UNITS,
     ),
-    "Excel: titles and a row of units": (
-        workbook(
-            ["Seal friction"],
-            ["Clock", "Measured", None],
-            ["time", "displacement", "force"],
-            ["s", "mm", "N"],
-        ),
-        {},
-        None,
+    "Excel: titles and a row of units": layout(workbook(*HEAD, UNITS.values())),
+    "Excel: without a header, from column B": layout(
+        workbook(["rig 2"], first=2), 2, 3, 4, units=UNITS
     ),
-    "Excel: without a header, from column B": (
-        workbook(["rig 2"], first=2),
-        {"time": 2, "displacement": 3, "force": 4},
-        UNITS,
+    "TDMS: a time in one of two groups": layout(
+        tdms(CLOCK, ("Rig", "x", TRAVEL, MM), ("Rig", "f", FORCE, N)), "t", "x", "f"
     ),
-    "TDMS: a time in one of two groups": (
-        tdms(
-            CLOCK,
-            ("Rig", "x", TRAVEL, {"unit_string": "mm"}),
-            ("Rig", "f", FORCE, {"NI_UnitDescription": "[N]"}),
-        ),
-        {"time": "t", "displacement": "x", "force": "f"},
-        None,
+    "TDMS: waveforms of two groups with the same names": layout(
+        tdms(("Disp", "ai0", TRAVEL, MM | WAVE), ("Force", "ai0", FORCE, N | WAVE)),
+        *("time", "Disp/ai0", "Force/ai0"),
     ),
-    "TDMS: waveforms of two groups with the same names": (
-        tdms(
-            ("Disp", "ai0", TRAVEL, {"unit_string": "mm"} | WAVE),
-            ("Force", "ai0", FORCE, {"unit_string": "N"} | WAVE),
-        ),
-        {"time": "time", "displacement": "Disp/ai0", "force": "Force/ai0"},
-        None,
-    ),
-    "MATLAB: a struct": (
+    "MATLAB: a struct": layout(
         matlab({"data": {"t": TIME, "x": TRAVEL, "f": FORCE}, "rig": "two"}),
-        {"time": "data.t", "displacement": "data.x", "force": "data.f"},
-        UNITS,
+        *("data.t", "data.x", "data.f"),
+        units=UNITS,
     ),
-    "MATLAB: Simulink's structure with time": (
+    "MATLAB: Simulink's structure with time": layout(
         matlab({"Scope": {"time": TIME[:, None], "signals": SIMULINK}}),
-        {
-            "time": "Scope.time",
-            "displacement": "Scope.signals(1).values Stroke_mm",
-            "force": "Scope.signals(2).values Load_N",
-        },
-        {"time": "s"},
+        *("Scope.time", *SIGNALS),
+        units={"time": "s"},
     ),
-    "MATLAB: a matrix of long rows": (
+    "MATLAB: a matrix of long rows": layout(
         matlab({"log": ROWS.T, "K": np.eye(3), "z": TIME + 1j, "n": 2.0}),
-        {"time": "log(1,:)", "displacement": "log(2,:)", "force": "log(3,:)"},
-        UNITS,
+        *("log(1,:)", "log(2,:)", "log(3,:)"),
+        units=UNITS,
     ),
-    "MATLAB 7.3: a matrix": (
-        matlab_v73,
-        {"time": "log(:,1)", "displacement": "log(:,2)", "force": "log(:,3)"},
-        UNITS,
+    "MATLAB 7.3: a matrix": layout(matlab_v73, "log(:,1)", "log(:,2)", "log(:,3)", units=UNITS),
+    "JSON: a list of rows": layout(json_of(ROWS.tolist()), 1, 2, 3, units=UNITS),
+    "JSON: an object of lists": layout(json_of(COLUMNS | {"note": "x"})),
+    "JSON: objects": layout(json_of(FRAME.to_dict("records"))),
+    "JSON: pandas' columns beside an object": layout(
+        json_of(json.loads(FRAME.to_json()) | {"rig": {"id": 3}})
     ),
-    "JSON: a list of rows": (json_of(ROWS.tolist()), NUMBERS, UNITS),
-    "JSON: an object of lists": (json_of(COLUMNS | {"note": "x"}), {}, None),
-    "JSON: objects": (json_of(pd.DataFrame(COLUMNS).to_dict("records")), {}, None),
-    "JSON: pandas' columns beside an object": (
-        json_of(json.loads(pd.DataFrame(COLUMNS).to_json()) | {"rig": {"id": 3}}),
-        {},
-        None,
-    ),
-    "JSON: pandas' split": (
-        json_of(json.loads(pd.DataFrame(COLUMNS).to_json(orient="split"))),
-        {},
-        None,
-    ),
+    "JSON: pandas' split": layout(json_of(json.loads(FRAME.to_json(orient="split")))),
 }
 
 
@@ -269,17 +222,14 @@ def test_a_layout_is_read(tmp_path, name):
     np.testing.assert_allclose(record.force * 4448.2216152605, FORCE, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("content", "columns", "named"),
-    [
+def test_a_layout_that_tells_too_little_says_what_to_write(tmp_path):
+    for content, columns, named in (
         (lines(), {}, "column = 1"),
         ("time_s,displacement_mm,time_s,force_N\n" + lines(columns=(0, 1, 0, 2)), {}, "column = 1"),
-        (lines(), NUMBERS | {"force": 4}, "column 4"),
-    ],
-)
-def test_a_layout_that_tells_too_little_says_what_to_write(tmp_path, content, columns, named):
-    with pytest.raises(mb.MfdError, match=named):
-        mb.read_record(put(tmp_path, content), columns)
+        (lines(), dict(zip(UNITS, (1, 2, 4), strict=True)), "column 4"),
+    ):
+        with pytest.raises(mb.MfdError, match=named):
+            mb.read_record(put(tmp_path, content), columns)
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -388,10 +338,9 @@ def test_files_that_are_none_are_refused_and_nothing_is_unpickled(tmp_path):
         refusal(path)
 
 
-@pytest.mark.parametrize(("suffix", "library"), [(".xlsx", "openpyxl"), (".tdms", "npTDMS")])
-def test_a_missing_library_is_named(tmp_path, monkeypatch, suffix, library):
-    monkeypatch.setitem(sys.modules, library.lower(), None)
-    assert f"needs {library}" in refusal(put(tmp_path, b"any", f"a{suffix}"))
+def test_a_missing_library_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    assert "needs openpyxl" in refusal(put(tmp_path, b"any", "a.xlsx"))
 
 
 # --- Excel
@@ -413,27 +362,19 @@ def test_of_sheets_the_one_with_a_table_is_read_and_a_copy_is_named(tmp_path):
     assert "'Notes'" in refusal(sheets(tmp_path, Notes=notes, Plot=[]))
 
 
-def test_columns_end_where_those_that_are_used_do(tmp_path):
-    path = sheets(tmp_path, A=[[], [None, "t", "x"], [None, 0, "1.5"], [], [None, 1, 2], [9]])
-    columns = read_table(path).columns(["t", "x"])
-    np.testing.assert_array_equal([columns["t"], columns["x"]], [[0, 1], [1.5, 2]])
-
-
-@pytest.mark.parametrize(
-    ("cell", "shown"),
-    [
+def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path):
+    for cell, shown in (
         (None, "an empty cell"),
         ("#DIV/0!", "'#DIV/0!'"),
         (True, "'TRUE'"),
         (datetime.datetime(2024, 5, 1, 10, 30), "'2024-05-01 10:30:00'"),
         ("=A3*2", "formula"),
-    ],
-)
-def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path, cell, shown):
-    path = sheets(tmp_path, Data=[["t", None, "x"], [0, None, 1], [1, None, cell], [2, None, 3]])
-    message = refusal(path, ["t", "x"])
-    assert message.startswith(f"row 3 of sheet 'Data' of {path}, column 'x'")
-    assert shown in message
+    ):
+        rows = [["t", None, "x"], [0, None, 1], [1, None, cell], [2, None, 3]]
+        path = sheets(tmp_path, Data=rows)
+        message = refusal(path, ["t", "x"])
+        assert message.startswith(f"row 3 of sheet 'Data' of {path}, column 'x'")
+        assert shown in message
 
 
 def test_what_is_no_workbook_or_is_locked_is_refused(tmp_path):
@@ -469,18 +410,14 @@ def test_the_increments_of_waveforms_make_a_time_for_each_group(tmp_path):
     np.testing.assert_allclose(table.columns(["B/time"])["B/time"], 0.5 + np.arange(400) / 10)
 
 
-@pytest.mark.parametrize(
-    "channels",
-    [
+def test_no_time_is_offered_where_there_is_one_or_none_can_be_made(tmp_path):
+    for channels in (
         [("G", "Elapsed Time", TIME, {}), ("G", "x", FORCE, WAVE)],
         [("G", "x", FORCE, WAVE | {"wf_increment": 0.0}), ("G", "F", FORCE, {})],
         [("G", "x", FORCE, WAVE | {"wf_xunit_string": "Hz"}), ("G", "F", FORCE, {})],
         [("G", "x", FORCE, WAVE), ("G", "F", FORCE, WAVE | {"wf_increment": 0.1})],
-    ],
-    ids=["a time", "no increment", "a spectrum", "two clocks in a group"],
-)
-def test_no_time_is_offered_where_there_is_one_or_none_can_be_made(tmp_path, channels):
-    assert read_table(tdms(*channels)(tmp_path)).names == (channels[0][1], channels[1][1])
+    ):
+        assert read_table(tdms(*channels)(tmp_path)).names == tuple(c[1] for c in channels)
 
 
 def test_channels_without_numbers_or_of_other_lengths_are_refused_when_used(tmp_path):

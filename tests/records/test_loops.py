@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from mfd_bayes import ThreeStage, Trace, read_record
-from mfd_bayes.calibration.predictive import cycle_energies
+from mfd_bayes.calibration.posterior import cycle_energies
 from mfd_bayes.cli.commands import app
 from mfd_bayes.records.loops import MeasuredCycles, find_loops, loop_estimate, measured_cycles
 

@@ -133,31 +133,24 @@ def test_noise_of_a_sensor_makes_no_turns_and_a_smooth_small_motion_does():
 # --- numbers, windows and paths
 
 
-@pytest.mark.parametrize("value", [2, np.float32(2), np.array(2.0), Fraction(4, 2)])
-def test_a_number_is_taken_in_every_form(value):
-    assert real_number("x", value, FitError, (0.0, np.inf)) == 2.0
-    np.testing.assert_array_equal(real_numbers("x", [value, 1]), [2.0, 1.0])
-
-
-@pytest.mark.parametrize("value", [True, "2", None, [2.0], np.nan, np.inf, 10**400, 2j, -1.0])
-def test_what_is_no_number_is_none(record, value):
-    with pytest.raises(FitError, match="x must be"):
-        real_number("x", value, FitError, (0.0, np.inf))
-    if value is not None:
+def test_a_number_is_taken_in_every_form_and_what_is_none_is_refused(record):
+    for value in (2, np.float32(2), np.array(2.0), Fraction(4, 2)):
+        assert real_number("x", value, FitError, (0.0, np.inf)) == 2.0
+        np.testing.assert_array_equal(real_numbers("x", [value, 1]), [2.0, 1.0])
+    for value in (True, "2", [2.0], np.nan, np.inf, 10**400, 2j, -1.0):
+        with pytest.raises(FitError, match="x must be"):
+            real_number("x", value, FitError, (0.0, np.inf))
         with pytest.raises(RecordError, match="gap"):
             record.trace(gap=value)
 
 
-@pytest.mark.parametrize("window", [5, (0, True), ("0", "4"), {0, 4}, ([0], 4), (4, 0), b"04", ()])
-def test_what_is_no_window_is_none(record, path, window):
-    for read in (lambda: record.trace(window=window), lambda: mb.read_record(path, fit=window)):
-        with pytest.raises(RecordError, match="two times"):
-            read()
-    with pytest.raises(FitError, match="given"):
-        checked_window(window, "given", FitError)
-
-
-def test_a_window_is_taken_in_every_form(record, path):
+def test_a_window_is_two_times_in_every_form(record, path):
+    for window in (5, (0, True), ("0", "4"), {0, 4}, ([0], 4), (4, 0), b"04", ()):
+        for read in (lambda w: record.trace(window=w), lambda w: mb.read_record(path, fit=w)):
+            with pytest.raises(RecordError, match="two times"):
+                read(window)
+        with pytest.raises(FitError, match="given"):
+            checked_window(window, "given", FitError)
     expected = record.trace(window=(0, 4)).time
     assert expected[-1] == 4.0
     for window in ([0, 4], np.array([0, 4]), (-np.inf, 4), "0 s to 4000 ms"):
@@ -166,24 +159,21 @@ def test_a_window_is_taken_in_every_form(record, path):
     assert fitted.trace(window=(0, 10)).samples == TIME.size
 
 
-def test_a_path_is_text_or_a_path_of_a_file(tmp_path):
+def test_paths_columns_units_and_quantities_are_of_their_kind(path, tmp_path):
     for given in (None, 5, b"a", ["a"], "a\0b"):
         with pytest.raises(RecordError, match="path must be a path"):
             mb.read_record(given)
     os.mkfifo(tmp_path / "a.csv")
-    for path, named in ((f"{5000 * 'a'}.csv", "aaa"), (tmp_path, "folder"), ("a.csv", "pipe")):
+    for other, named in ((f"{5000 * 'a'}.csv", "aaa"), (tmp_path, "folder"), ("a.csv", "pipe")):
         with pytest.raises(RecordError, match=named):
-            read_table(tmp_path / path)
-
-
-@pytest.mark.parametrize("given", [["time_s"], 5, pd.Series({"time": "time_s"}), ""])
-def test_columns_units_and_quantities_are_of_their_kind(path, given):
-    for name in ("columns", "units"):
-        with pytest.raises(RecordError, match=name):
-            mb.read_record(path, **{name: given})
-    for parse in (lambda q: parse_quantity(q, "force"), parse_mass):
-        with pytest.raises(UnitError, match="number and a unit"):
-            parse(given)
+            read_table(tmp_path / other)
+    for given in (["time_s"], 5, pd.Series({"time": "time_s"}), ""):
+        for name in ("columns", "units"):
+            with pytest.raises(RecordError, match=name):
+                mb.read_record(path, **{name: given})
+        for parse in (lambda q: parse_quantity(q, "force"), parse_mass):
+            with pytest.raises(UnitError, match="number and a unit"):
+                parse(given)
 
 
 # --- records of files
@@ -210,9 +200,8 @@ def test_given_columns_and_units_win_over_the_header(tmp_path):
     assert record.other_columns == ("extra_kip",)
 
 
-@pytest.mark.parametrize(
-    ("name", "row", "unit"),
-    [
+def test_a_unit_is_that_of_the_name_or_of_the_row_of_units(tmp_path):
+    for name, row, unit in (
         ("force_kN", "", "kN"),
         ("Force [kN]", "", "kN"),
         ("force", "Kips", "Kips"),
@@ -222,19 +211,17 @@ def test_given_columns_and_units_win_over_the_header(tmp_path):
         ("force_kN", "lbf", None),
         ("force_kN", "segments", None),
         ("force", "", None),
-    ],
-)
-def test_a_unit_is_that_of_the_name_or_of_the_row_of_units(tmp_path, name, row, unit):
-    path = write(tmp_path, Time=TIME, Disp=MOTION, **{name: FORCE})
-    names, *rows = path.read_text().splitlines()
-    path.write_text("\n".join([names, f"s,mm,{row or '-'}", *rows]))
-    roles = {"time": "Time", "displacement": "Disp", "force": name}
-    if unit is None:
-        with pytest.raises(RecordError, match=f"'{name}'.*give the unit of force"):
-            mb.read_record(path, roles)
-    else:
-        assert mb.read_record(path, roles).columns["force"] == (name, unit)
-    assert mb.read_record(path, roles, {"force": "lbf"}).columns["force"][1] == "lbf"
+    ):
+        path = write(tmp_path, Time=TIME, Disp=MOTION, **{name: FORCE})
+        names, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([names, f"s,mm,{row or '-'}", *rows]))
+        roles = {"time": "Time", "displacement": "Disp", "force": name}
+        if unit is None:
+            with pytest.raises(RecordError, match=f"'{name}'.*give the unit of force"):
+                mb.read_record(path, roles)
+        else:
+            assert mb.read_record(path, roles).columns["force"] == (name, unit)
+        assert mb.read_record(path, roles, {"force": "lbf"}).columns["force"][1] == "lbf"
 
 
 def test_a_measured_actuation_is_clipped_at_zero(tmp_path):
@@ -438,31 +425,21 @@ def test_an_arm_makes_travel_of_an_angle_and_force_of_a_torque(tmp_path):
         "displacement": Source("turn", "deg", arm="4 in"),
         "force": Source("torque", "N*m", arm="4 in", tare="0.508 N*m"),
     }
-    record = mb.read_record(path, columns)
-    np.testing.assert_allclose(record.displacement * 25.4, TRAVEL, atol=1e-8)
-    np.testing.assert_allclose(record.force * N, FRICTION, atol=1e-8)
-    assert (record.columns["displacement"], record.columns["force"]) == (
-        ("turn", "in"),
-        ("torque", "N"),
-    )
-
-
-def test_a_travel_measured_at_another_radius_is_scaled(tmp_path):
+    turned = mb.read_record(path, columns)
+    assert turned.columns["displacement"] == ("turn", "in")
+    assert turned.columns["force"] == ("torque", "N")
+    # and a travel that was measured at another radius is scaled
     path = write(tmp_path, time_s=TIME, stroke_mm=TRAVEL * 2.5, load_N=FRICTION / 2.5)
     radii = {"arm": "4 in", "measured_at": "254 mm"}
-    columns = {
-        "time": "time_s",
-        "displacement": Source("stroke_mm", **radii),
-        "force": Source("load_N", **radii),
-    }
-    record = mb.read_record(path, columns)
-    np.testing.assert_allclose(record.displacement * 25.4, TRAVEL, atol=1e-8)
-    np.testing.assert_allclose(record.force * N, FRICTION, atol=1e-8)
+    columns = {"displacement": Source("stroke_mm", **radii), "force": Source("load_N", **radii)}
+    for record in (turned, mb.read_record(path, {"time": "time_s", **columns})):
+        np.testing.assert_allclose(record.displacement * 25.4, TRAVEL, atol=1e-8)
+        np.testing.assert_allclose(record.force * N, FRICTION, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("role", "parts", "named"),
-    [
+def test_parts_that_cannot_be_are_refused(tmp_path):
+    path = write(tmp_path, time_s=TIME, stroke_mm=TRAVEL, load_N=FRICTION, p_bar=PRESSURE)
+    for role, parts, named in (
         ("force", {"minus_mass": "3 mm"}, "minus_mass"),
         ("force", {"minus_mass": "-3 kg"}, "'-3 kg'"),
         ("force", {"minus": Subtracted("p_bar")}, "pressure"),
@@ -473,24 +450,8 @@ def test_a_travel_measured_at_another_radius_is_scaled(tmp_path):
         ("force", {"measured_at": "3 mm"}, "arm"),
         ("displacement", {"arm": "4 in"}, "angle"),
         ("displacement", {"arm": "0 in", "measured_at": "4 in"}, "radius"),
-    ],
-)
-def test_parts_that_cannot_be_are_refused(tmp_path, role, parts, named):
-    path = write(tmp_path, time_s=TIME, stroke_mm=TRAVEL, load_N=FRICTION, p_bar=PRESSURE)
-    names = {"time": "time_s", "displacement": "stroke_mm", "force": "load_N"}
-    columns = {r: Source(n, **(parts if r == role else {})) for r, n in names.items()}
-    with pytest.raises(MfdError, match=named):
-        mb.read_record(path, columns)
-
-
-# --- real records
-
-
-def test_the_record_in_metres_and_newtons_comes_out_in_inches_and_kips(data_folder):
-    record = mb.read_record(data_folder / "2023_36lb_0.10Hz_1.0in_SI.csv", actuation="36 lb")
-    metres, newtons = np.loadtxt(record.path, delimiter=",", skiprows=1, usecols=(1, 2)).T
-    np.testing.assert_allclose(record.displacement, metres / 0.0254, rtol=1e-12)
-    np.testing.assert_allclose(record.force, newtons / N, rtol=1e-12)
-    assert np.max(np.abs(record.displacement)) == pytest.approx(1.0, abs=0.01)
-    like = mb.read_record(data_folder / "2023_36lb_0.25Hz_1.0in.csv")
-    assert np.ptp(record.force) == pytest.approx(np.ptp(like.force), rel=0.02)
+    ):
+        names = {"time": "time_s", "displacement": "stroke_mm", "force": "load_N"}
+        columns = {r: Source(n, **(parts if r == role else {})) for r, n in names.items()}
+        with pytest.raises(MfdError, match=named):
+            mb.read_record(path, columns)

@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 
 import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import RecordError
 from mfd_bayes.records.record import Source
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -141,11 +140,10 @@ SECOND = "# time_s force_N disp_mm\n"
 REFUSED = {
     "times that start again": (mts(ROWS[:80], ROWS[80:160] - [4.0, 0.0, 0.0]), "line 86"),
     "names in another order": (between("Time (s),Load (N),Stroke (mm)\n"), "lines 2 to 81"),
-    "names in another unit at the end": (between("Time (s),Stroke (mm),Load (kN)\n", 220), ""),
+    "names in another unit": (between("Time (s),Stroke (mm),Load (kN)\n", 220), ""),
     "a word": (between("pause\n", 10), "line 12"),
     "another table": (between("Channel,Peak,Mean\n", 220), "line 222"),
     "a block in other units": (mts(ROWS[:80]) + MTS_NAMES + "Sec\tmm\tkN\n" + KILO, ""),
-    "10 numbers above": (text(ROWS[:10]) + HEAD + text(ROWS[10:]), "lines 1 to 10"),
     "80 numbers above": (text(ROWS[:80]) + HEAD + text(ROWS[80:]), "lines 1 to 80"),
     "a comment in another order": (
         "# time_s disp_mm force_N\n" + text(ROWS[:80], " ") + SECOND + text(ROWS[80:], " "),
@@ -179,12 +177,12 @@ def test_blocks_and_a_footer_of_a_sheet(tmp_path):
     assert "row 245 and below" in seen
 
 
-@pytest.mark.parametrize("cell", ["#N/A", "", "nan"])
-def test_cells_outside_the_window_need_not_be_numbers(tmp_path, cell):
-    bad = "".join(f"{t:.2f},{x:.4f},{cell}\n" for t, x, _ in ROWS[200:])
-    (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
-    assert "samples 161 over 8 s" in inspected(tmp_path, test='fit = "0 s to 8 s"')
-    assert "line 202" in inspected(tmp_path, test='fit = "3 s to 11 s"', code=2)
+def test_cells_outside_the_window_need_not_be_numbers(tmp_path):
+    for cell in ("#N/A", "", "nan"):
+        bad = "".join(f"{t:.2f},{x:.4f},{cell}\n" for t, x, _ in ROWS[200:])
+        (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
+        assert "samples 161 over 8 s" in inspected(tmp_path, test='fit = "0 s to 8 s"')
+        assert "line 202" in inspected(tmp_path, test='fit = "3 s to 11 s"', code=2)
 
 
 # --- channels that begin at different times
@@ -206,65 +204,47 @@ def wave(unit, late=0.0, *, offset=0.0, step=STEP):
     }
 
 
-CHANNELS = {"time": "time", "displacement": "Disp", "force": "Load"}
+def test_channels_that_begin_later_are_aligned(tmp_path):
+    for late, offset in ((1.0, 0.0), (0.5, 0.5)):
+        load = ("Load", force(TIME + 1.0), wave("N", late, offset=offset))
+        path = tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), load)
+        seen = drafted(tmp_path)[2]
+        assert "220 over 10.95 s" in seen
+        assert "Load begins 1 s after Disp" in seen
+        record = mb.read_record(path, {"time": "time", "displacement": "Disp", "force": "Load"})
+        np.testing.assert_allclose(record.time, TIME[20:], atol=1e-9)
+        np.testing.assert_allclose(25.4 * record.displacement, TRAVEL[20:], atol=1e-9)
+        newtons = record.force / 2.248089430997105e-4
+        np.testing.assert_allclose(newtons, force(TIME[20:]), rtol=1e-9)
 
 
-@pytest.mark.parametrize(("late", "offset"), [(1.0, 0.0), (0.5, 0.5)])
-def test_channels_that_begin_later_are_aligned(tmp_path, late, offset):
-    load = ("Load", force(TIME + 1.0), wave("N", late, offset=offset))
-    path = tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), load)
-    seen = drafted(tmp_path)[2]
-    assert "220 over 10.95 s" in seen
-    assert "Load begins 1 s after Disp" in seen
-    record = mb.read_record(path, CHANNELS)
-    np.testing.assert_allclose(record.time, TIME[20:], atol=1e-9)
-    np.testing.assert_allclose(25.4 * record.displacement, TRAVEL[20:], atol=1e-9)
-    np.testing.assert_allclose(record.force, force(TIME[20:]) * 2.248089430997105e-4, rtol=1e-9)
-
-
-def test_channels_between_each_others_samples_and_of_other_lengths(tmp_path):
-    load = ("Load", force(TIME + 0.025)[:230], wave("N", 0.025))
-    path = tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), load, ("Trigger", TIME[:20], wave("V")))
-    record = mb.read_record(path, CHANNELS)
-    assert record.time.size == 230
-    expected = 12.0 * np.sin(0.5 * np.pi * record.time)
-    np.testing.assert_allclose(25.4 * record.displacement, expected, atol=0.01)
-
-
-@pytest.mark.parametrize(
-    ("load", "more", "said"),
-    [
+def test_channels_that_cannot_be_aligned_are_refused(tmp_path):
+    clock = ("Time", TIME, {"unit_string": "s"})
+    for load, more, said in (
         (wave("N", 60.0), (), "never measured at the same time"),
         (wave("N", step=0.01), (), "Disp has a step of 0.05, Load of 0.01"),
-        (wave("N", 1.0), [("Time", TIME, {"unit_string": "s"})], "Load begins 1 s after Disp"),
-    ],
-)
-def test_channels_that_cannot_be_aligned_are_refused(tmp_path, load, more, said):
-    tdms(tmp_path, *more, ("Disp", TRAVEL, wave("mm")), ("Load", FORCE, load))
-    assert said in init(tmp_path, code=2)[0]
+        (wave("N", 1.0), (clock,), "Load begins 1 s after Disp"),
+    ):
+        tdms(tmp_path, *more, ("Disp", TRAVEL, wave("mm")), ("Load", FORCE, load))
+        assert said in init(tmp_path, code=2)[0]
 
 
 # --- units that are not known, and counters
 
 
-UNKNOWN = ("tonf", "ton", "t", "kg", "div", "mV", "counts", "x10 kN", "%")
-
-
-@pytest.mark.parametrize(
-    ("role", "head", "unit"),
-    [
-        *(("force", f"Time(s),Disp(mm),Load({unit})", unit) for unit in UNKNOWN),
+def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path):
+    for role, head, unit in (
+        *(("force", f"Time(s),Disp(mm),Load({unit})", unit) for unit in ("tonf", "kg", "mV", "%")),
+        ("force", "Time(s),Disp(mm),Load(x10 kN)", "x10 kN"),
         ("force", "time_s,disp_mm,load_tonf", "tonf"),
         ("force", "Time,Disp,Load\ns,mm,tonf", "tonf"),
         ("time", "Time (div),Disp (mm),Load (N)", "div"),
         ("displacement", "Time (s),Disp <V>,Load (N)", "V"),
-    ],
-)
-def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path, role, head, unit):
-    (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
-    said, campaign = init(tmp_path)
-    assert "unit" not in campaign["columns"][role]
-    assert f"the unit of {role} is unknown; {unit!r}" in said
+    ):
+        (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
+        said, campaign = init(tmp_path)
+        assert "unit" not in campaign["columns"][role], head
+        assert f"the unit of {role} is unknown; {unit!r}" in said
 
 
 def test_it_is_named_in_every_format(tmp_path):
@@ -274,64 +254,37 @@ def test_it_is_named_in_every_format(tmp_path):
     (tmp_path / "run_5bar.json").write_text(json.dumps(columns | units))
     said, campaign = init(tmp_path)
     assert len(campaign["test"]) == 2
-    assert '"kN"' not in (tmp_path / "campaign.toml").read_text()
     assert "'tonf'" in said
 
 
-@pytest.mark.parametrize(
-    ("unit", "size", "role"),
-    [
-        ("kgf", 9.80665e-3 / 4.4482216152605, "force"),
-        ("tf", 9.80665 / 4.4482216152605, "force"),
-        ("klbs", 1.0, "force"),
-        ("mils", 1e-3, "displacement"),
-        ("µm", 1e-3 / 25.4, "displacement"),
-    ],
-)
-def test_units_of_laboratories_are_known(tmp_path, unit, size, role):
-    names = {"displacement": "Disp (mm)", "force": "Load (N)"} | {role: f"Signal ({unit})"}
-    head = f"Time (s),{names['displacement']},{names['force']}\n"
-    (tmp_path / "a.csv").write_text(head + text(ROWS), encoding="utf-8")
-    record = mb.read_record(tmp_path / "a.csv", {"time": "Time (s)", **names})
-    number = round(ROWS[5, 1 if role == "displacement" else 2], 4)
-    assert getattr(record, role)[5] == pytest.approx(size * number, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("head", "unit", "warned"),
-    [
+def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path):
+    for head, unit, warned in (
         ("Time(s),Disp(mm),Load(tonf)", "kN", True),
         ("Time(s),Disp(mm),Load [div]", "kN", True),
         ("Time,Disp,Load\ns,mm,N", "kN", True),
         ("Time(s),Disp(mm),Load(tonf)", "tf", False),
-        ("Time(s),Disp(mm),Load(kg)", "kgf", False),
         ("Time(s),Disp(mm),Load(measured)", "kN", False),
         ("Time(s),Disp(mm),Load (25 kip cell)", "kN", False),
         ("Time(s),X_Value,Axial_Load", "kN", False),
-    ],
-)
-def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path, head, unit, warned):
-    (tmp_path / "a.csv").write_text(head + "\n" + text(ROWS))
-    assert ("which is it" in inspected(tmp_path, unit=unit)) == warned
+    ):
+        (tmp_path / "a.csv").write_text(head + "\n" + text(ROWS))
+        assert ("which is it" in inspected(tmp_path, unit=unit)) == warned, head
 
 
-@pytest.mark.parametrize("name", ["Scan", "No.", "#", "", "Time"])
+@pytest.mark.parametrize("name", ["Scan", "No.", "", "Time"])
 def test_a_counter_is_no_time(tmp_path, name):
-    write(tmp_path / "run_5bar.csv", f"{name},Stroke (mm),Load (N)", range(1, 241), TRAVEL, FORCE)
+    path = tmp_path / "run_5bar.csv"
+    write(path, f"{name},Stroke (mm),Load (N)", range(1, 241), TRAVEL, FORCE)
     said, campaign = init(tmp_path)
     assert "unit" not in campaign["columns"]["time"]
     assert "at which rate?" in said
-    path = tmp_path / "run_5bar.csv"
     path.write_text("Scan rate: 20 Hz\n" + path.read_text())
     said, campaign, seen = drafted(tmp_path)
     assert campaign["columns"]["time"] == {"rate": "20 Hz"}
     assert "FIXME" not in said
     assert ALL in seen
-
-
-def test_a_counter_that_states_ms_is_a_time(tmp_path):
-    write(tmp_path / "a_5bar.csv", "Sample time (ms),Stroke (mm),Load (N)", range(240), *ROWS.T[1:])
-    assert init(tmp_path)[1]["columns"]["time"]["unit"] == "ms"
+    write(path, "Sample time (ms),Stroke (mm),Load (N)", range(240), TRAVEL, FORCE)
+    assert init(tmp_path)[1]["columns"]["time"]["unit"] == "ms"  # which states what it counts
 
 
 def test_a_length_in_the_files_name_tells_the_unit_and_is_not_compared_without(tmp_path):
@@ -351,16 +304,16 @@ def slow(step, cycle):
     return text(np.column_stack([time, 25.0 * np.sin(phase), 30.0 * np.tanh(3 * np.cos(phase))]))
 
 
-@pytest.mark.parametrize(("step", "cycle"), [(1.0, 120.0), (60.0, 7200.0)])
-@pytest.mark.parametrize("head", ["Time [sec]", "Elapsed Time (s)"])
-def test_a_slow_test_whose_heading_states_seconds_is_not_in_ms(tmp_path, step, cycle, head):
-    (tmp_path / "a_5bar.csv").write_text(f"{head},Stroke (mm),Load (kN)\n" + slow(step, cycle))
-    said, _, seen = drafted(tmp_path)
-    assert " ms" not in said
-    assert "in ms rather" not in seen
-
-
-def test_a_slow_time_without_a_unit_may_be_ms(tmp_path):
+def test_a_slow_test_is_in_ms_only_where_its_heading_does_not_state_seconds(tmp_path):
+    for step, cycle, head in (
+        (1.0, 120.0, "Time [sec]"),
+        (60.0, 7200.0, "Time [sec]"),
+        (60.0, 7200.0, "Elapsed Time (s)"),
+    ):
+        (tmp_path / "a_5bar.csv").write_text(f"{head},Stroke (mm),Load (kN)\n" + slow(step, cycle))
+        said, _, seen = drafted(tmp_path)
+        assert " ms" not in said
+        assert "in ms rather" not in seen
     (tmp_path / "a_5bar.csv").write_text("Time,Stroke (mm),Load (kN)\n" + slow(5.0, 600.0))
     said, campaign = init(tmp_path)
     assert "unit" not in campaign["columns"]["time"]
@@ -380,33 +333,28 @@ def test_a_clock_a_thousand_times_slower_than_the_others_is_named(tmp_path):
 # --- a rate in place of a column of times
 
 
-@pytest.mark.parametrize(
-    ("above", "rate"),
-    [
+def test_init_drafts_the_rate_that_a_file_states(tmp_path):
+    for above, rate in (
         ("Sampling Rate (Hz),20\n", "20 Hz"),
         ("Sampling interval: 0,05 s\n", "0.05 s"),
-        ("sample_rate_hz,20\n", "20 Hz"),
         ("# dt = 0.05 s\n", "0.05 s"),
         ("Scan rate: 0.02 kHz per channel\n", "0.02 kHz"),
         ("Acquired 2024, at 20 Hz\nSampling Frequency, Hz: 20\n", "20 Hz"),
         ("Test frequency: 20 Hz\n", ""),
         ("Sample rate: 1,000 Hz\n", ""),
         ("fs = 20\nSample rate: 30 Hz\n", ""),
-    ],
-)
-def test_init_drafts_the_rate_that_a_file_states(tmp_path, above, rate):
-    write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", TRAVEL, FORCE, above=above)
-    said, campaign = init(tmp_path)
-    assert campaign["columns"].get("time") == ({"rate": rate} if rate else None)
-    assert ("FIXME" in said) == (not rate)
-    code = 0 if rate else 2
-    seen = run("inspect", tmp_path / "campaign.toml", code=code)
-    assert (ALL if rate else 'rate = "100 Hz"') in seen
+    ):
+        write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", TRAVEL, FORCE, above=above)
+        said, campaign = init(tmp_path)
+        assert campaign["columns"].get("time") == ({"rate": rate} if rate else None), above
+        assert ("FIXME" in said) == (not rate)
+        seen = run("inspect", tmp_path / "campaign.toml", code=0 if rate else 2)
+        assert (ALL if rate else 'rate = "100 Hz"') in seen
 
 
-@pytest.mark.parametrize(
-    ("time", "test", "said"),
-    [
+def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path):
+    write(tmp_path / "a.csv", "note,x_mm,f_N", ["x"] * 240, TRAVEL, FORCE)
+    for time, test, said in (
         ('rate = "20 Hz"', "", ALL),
         ('time = { rate = "50 ms" }', "", ALL),
         ('time = { column = 1, unit = "s" }', 'rate = "20 Hz"', ALL),
@@ -416,11 +364,8 @@ def test_init_drafts_the_rate_that_a_file_states(tmp_path, above, rate):
         ('rate = "0 Hz"', "", "'0 Hz'"),
         ('rate = "20 Hz"\ntime = { name = "t" }', "", "rate"),
         ('time = { name = "t", sign = -1 }', "", "'sign'"),
-    ],
-)
-def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path, time, test, said):
-    write(tmp_path / "a.csv", "note,x_mm,f_N", ["x"] * 240, TRAVEL, FORCE)
-    assert said in inspected(tmp_path, time=time, test=test, code=0 if said == ALL else 2)
+    ):
+        assert said in inspected(tmp_path, time=time, test=test, code=0 if said == ALL else 2)
 
 
 # --- the sign of a column
@@ -437,41 +382,30 @@ def test_only_the_tests_that_run_backward_are_turned_and_it_is_said(tmp_path):
     assert "force sign" not in seen
 
 
-def test_the_warning_of_negative_work_names_the_key(tmp_path):
-    write(tmp_path / "a.csv", HEAD.strip(), TIME, TRAVEL, -FORCE)
-    assert "write sign = -1" in inspected(tmp_path)
-    assert "force sign" not in inspected(tmp_path, unit='N", sign = -1, tare = "0 N')
-    assert "sign" in inspected(tmp_path, unit='N", sign = 2, tare = "0 N', code=2)
-
-
 # --- actuation in any unit
 
 
-@pytest.mark.parametrize(
-    "level", ["500 mA", "1.5 amps", "24 V", "3 turns", "40 %", "5 clicks", "80 ft*lbf", "0.2 T"]
-)
-def test_an_actuation_is_given_in_its_own_unit(tmp_path, level):
+def test_an_actuation_is_given_in_its_own_unit(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + text(ROWS))
-    other = f'[[test]]\nid = "b"\nfile = "a.csv"\nactuation = "{level}"'
-    assert "kind" in inspected(tmp_path, test=other, code=2)
-    (tmp_path / "c.toml").write_text((tmp_path / "c.toml").read_text().replace("5 bar", level))
-    assert f" actuation {level} " in run("inspect", tmp_path / "c.toml")
+    for level in ("500 mA", "24 V", "3 turns", "40 %", "80 ft*lbf"):
+        other = f'[[test]]\nid = "b"\nfile = "a.csv"\nactuation = "{level}"'
+        assert "kind" in inspected(tmp_path, test=other, code=2)
+        (tmp_path / "c.toml").write_text((tmp_path / "c.toml").read_text().replace("5 bar", level))
+        assert f" actuation {level} " in run("inspect", tmp_path / "c.toml")
 
 
-@pytest.mark.parametrize(
-    ("name", "above", "level", "doubt"),
-    [
+def test_init_drafts_the_current_of_a_test(tmp_path):
+    for name, above, level, doubt in (
         ("run_250mA", "", "250 mA", ""),
         ("run_2A", "", "2 A", "2A is taken for A"),
         ("run", "Coil current: 0.75 A\n", "0.75 A", ""),
         ("run_500psi_2A", "", "500 psi", ""),
-    ],
-)
-def test_init_drafts_the_current_of_a_test(tmp_path, name, above, level, doubt):
-    write(tmp_path / f"{name}.csv", HEAD.strip(), *ROWS.T, above=above)
-    said, campaign = init(tmp_path)
-    assert campaign["test"][0]["actuation"] == level
-    assert (doubt in said) if doubt else ("unsure" not in said)
+    ):
+        write(tmp_path / f"{name}.csv", HEAD.strip(), *ROWS.T, above=above)
+        said, campaign = init(tmp_path)
+        assert campaign["test"][0]["actuation"] == level
+        assert (doubt in said) if doubt else ("unsure" not in said)
+        (tmp_path / f"{name}.csv").unlink()
 
 
 # --- time stamps
@@ -492,10 +426,7 @@ STAMPS = {
     "ISO without separators": stamps("%Y%m%dT%H%M%S.%L"),
     "US with AM, at noon": stamps("%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
     "US without zeros": [s.lstrip("0").replace("/0", "/") for s in stamps("%m/%d/%Y %H:%M:%S.%L")],
-    "US past midnight, told by the day": stamps(
-        "%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 25, 23, 59, 55)
-    ),
-    "US past midnight, told by the steps": stamps("%m/%d/%Y %H:%M:%S.%L", NIGHT),
+    "US past midnight": stamps("%m/%d/%Y %H:%M:%S.%L", NIGHT),
     "German past midnight": stamps("%d.%m.%Y %H:%M:%S.%L", NIGHT),
     "two digits of a year": stamps("%d-%m-%y %H:%M:%S.%L"),
     "MATLAB": stamps("%d-%b-%Y %H:%M:%S.%L"),
@@ -550,17 +481,11 @@ def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path):
         assert mb.read_record(tmp_path / "a.csv", ROLES, fit="0 s to 8 s").time.size == 200
 
 
-def test_stamps_that_are_too_coarse_ask_for_the_rate_and_a_footer_is_seen(tmp_path):
+def test_stamps_that_are_too_coarse_ask_for_the_rate(tmp_path):
     write(tmp_path / "a_5bar.csv", STAMPED, stamps("%H:%M:%S"), TRAVEL, FORCE)
     assert "about 20 in a second" in init(tmp_path)[0]
     with pytest.raises(mb.MfdError, match="rate"):
         mb.read_record(tmp_path / "a_5bar.csv", ROLES)
-    write(tmp_path / "a_5bar.csv", STAMPED, stamps("%H:%M:%S.%L"), TRAVEL, FORCE)
-    with (tmp_path / "a_5bar.csv").open("a") as file:
-        file.write("Max,12,950\nMin,-12,-950\n")
-    seen = drafted(tmp_path)[2]
-    assert ALL in seen
-    assert "line 242 and below" in seen
 
 
 def test_moments_of_other_formats_are_a_time(tmp_path):
@@ -589,41 +514,32 @@ def test_moments_of_other_formats_are_a_time(tmp_path):
         np.testing.assert_allclose(record.time, TIME, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("unit", "first", "by"),
-    [
-        ("day", 45356.4166666667, 1 / 86400),
-        ("day", 739316.416666667, 1 / 86400),
-        ("s", 3792477600.0, 1.0),
+def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path):
+    for unit, first, by in (
+        ("day", 45356.4166666667, 1 / 86400),  # Excel
+        ("day", 739316.416666667, 1 / 86400),  # MATLAB
+        ("s", 3792477600.0, 1.0),  # LabVIEW
         ("ms", 1709632800000.0, 1e3),
         ("us", 1709632800000000.0, 1e6),
-    ],
-    ids=["Excel", "MATLAB", "LabVIEW", "ms", "us"],
-)
-def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path, unit, first, by):
-    cells = [f"{first + t * by:.10f}" for t in TIME]
-    write(tmp_path / "a_5bar.csv", "X_Value,Displacement (mm),Force (N)", cells, TRAVEL, FORCE)
-    said, campaign = init(tmp_path)
-    assert campaign["columns"]["time"]["unit"] == unit
-    assert f"counted in {unit}" in said
-    roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
-    record = mb.read_record(tmp_path / "a_5bar.csv", roles)
-    np.testing.assert_allclose(record.time, TIME, atol=2e-5)
+    ):
+        cells = [f"{first + t * by:.10f}" for t in TIME]
+        write(tmp_path / "a_5bar.csv", "X_Value,Displacement (mm),Force (N)", cells, TRAVEL, FORCE)
+        said, campaign = init(tmp_path)
+        assert campaign["columns"]["time"]["unit"] == unit
+        assert f"counted in {unit}" in said
+        roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
+        record = mb.read_record(tmp_path / "a_5bar.csv", roles)
+        np.testing.assert_allclose(record.time, TIME, atol=2e-5)
 
 
-# --- names as other keyboards write them
-
-
-@pytest.mark.parametrize("encoding", ["cp932", "utf-8"])
-@pytest.mark.parametrize(
-    "head", ["時間（s）,変位（mm）,荷重（N）", "時間［s］,変位［㎜］,荷重［N］"]
-)
-def test_wide_brackets_and_unit_signs_are_read(tmp_path, encoding, head):
+def test_wide_brackets_and_unit_signs_are_read(tmp_path):
     path = tmp_path / "a_5bar.csv"
-    path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
-    said, _, seen = drafted(tmp_path)
-    assert "FIXME" not in said
-    assert "displacement -12 to 12 mm" in seen
+    for encoding in ("cp932", "utf-8"):
+        for head in ("時間（s）,変位（mm）,荷重（N）", "時間［s］,変位［㎜］,荷重［N］"):
+            path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
+            said, _, seen = drafted(tmp_path)
+            assert "FIXME" not in said
+            assert "displacement -12 to 12 mm" in seen
 
 
 @pytest.mark.slow
@@ -646,14 +562,3 @@ def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
     run("predict", out, *asked, "--actuation", "0.8 A")
     assert "in A" in run("predict", out, *asked, "--actuation", "500 psi", code=2)
     assert "mA, 0.25 Hz" in run("next", out, "-o", tmp_path / "n.csv")
-
-
-def test_words_below_the_numbers_are_a_footer_though_a_column_seems_to_go_on(tmp_path):
-    rows = [f"{0.05 * i:.2f},{20 * np.sin(0.02 * np.pi * i):.4f},{i % 3}" for i in range(100)]
-    text = "time_s,displacement_mm,force_kN\n" + "\n".join(rows) + "\nMean,0.0,1.0\nMax,20,2\n"
-    path = tmp_path / "run.csv"
-    path.write_text(text)
-    assert mb.read_record(path, actuation="5 MPa").time.size == 100
-    path.write_text(text.replace("\nMean,0.0", "\nMoon,0.0"))  # the control: a time that was lost
-    with pytest.raises(RecordError, match="line 102"):
-        mb.read_record(path, actuation="5 MPa")

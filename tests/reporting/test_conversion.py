@@ -6,7 +6,7 @@ import pytest
 
 from mfd_bayes.errors import UnitError
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.conversion import convert_law, convert_rows, convert_test, to_units
+from mfd_bayes.reporting.tables import convert_law, convert_rows, convert_test, to_units
 from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, both_systems, named_system, system_of
 from mfd_bayes.units import convert
 

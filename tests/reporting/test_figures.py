@@ -13,29 +13,26 @@ from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.colours import BANDS
 from mfd_bayes.reporting.figures import draw_inspection, loops
-from mfd_bayes.reporting.figures.campaign import (
-    draw_laws,
-    figures_of_test,
-    shared_figures,
-    spread,
-)
+from mfd_bayes.reporting.figures.agg import to_png
 from mfd_bayes.reporting.figures.loops import (
     draw_history,
     draw_loops,
     draw_overview,
     stretches,
 )
-from mfd_bayes.reporting.figures.posteriors import (
+from mfd_bayes.reporting.figures.report import (
     draw_corner,
+    draw_laws,
     draw_marginals,
     draw_ranks,
     draw_residuals,
     draw_truth,
+    figures_of_test,
+    shared_figures,
+    spread,
 )
-from mfd_bayes.reporting.figures.style import to_png
-from mfd_bayes.reporting.symbols import Symbols
+from mfd_bayes.reporting.symbols import BANDS, Symbols
 from mfd_bayes.runs.unit_system import US
 
 NAMES = Symbols()

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.identifiability import Pair
+from mfd_bayes.calibration.diagnostics import Pair
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
@@ -33,10 +33,9 @@ from mfd_bayes.reporting.figures.loops import draw_overview
 from mfd_bayes.reporting.page import read_glossary, render
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import paper_sheets, report_frames, to_csv, to_json, to_latex
-from mfd_bayes.runs.manifest import Comparison, ComparisonRow
+from mfd_bayes.runs.manifest import Comparison, ComparisonRow, Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SI
-from mfd_bayes.runs.verdict import Finding, Use, Verdict
-from mfd_bayes.store.toml import commented, quoted
+from mfd_bayes.store.files import commented, quoted
 
 ROOT = Path(__file__).parents[2]
 PIXEL = figures.to_png(figures.draw_loops("", Trace.from_arrays(np.arange(30.0), np.arange(30.0))))

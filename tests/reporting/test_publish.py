@@ -18,8 +18,8 @@ def files(folder):
 @pytest.fixture
 def quickly_drawn(monkeypatch):
     """Figures are made as they are, but every picture of one is the same small one."""
-    dot = figures.to_png(figures.style.new_figure(1, 1))
-    monkeypatch.setattr("mfd_bayes.reporting.figures.campaign.look.to_png", lambda _: dot)
+    dot = figures.to_png(figures.agg.new_figure(1, 1))
+    monkeypatch.setattr("mfd_bayes.reporting.figures.report.look.to_png", lambda _: dot)
 
 
 @pytest.mark.usefixtures("quickly_drawn")

@@ -26,8 +26,8 @@ from mfd_bayes.reporting.tables import (
     to_latex,
 )
 from mfd_bayes.runs.folder import discard
+from mfd_bayes.runs.manifest import Verdict
 from mfd_bayes.runs.unit_system import SI
-from mfd_bayes.runs.verdict import Verdict
 
 STIFFNESS = 4.4482216 / 25.4  # kN/mm of a kip/in
 SPECIAL = r"a_b%c&d#e$f\g{h}i~j^k|l<m>"

@@ -8,8 +8,7 @@ import pytest
 from mfd_bayes.errors import FitError
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.run import open_run
-from mfd_bayes.runs.test_sequence import TestSequence
+from mfd_bayes.runs.run import TestSequence, open_run
 
 FORECAST = Forecast(draws=20)
 

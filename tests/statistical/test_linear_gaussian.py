@@ -12,8 +12,7 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.friction.model import Model
-from mfd_bayes.friction.quantity import Quantity
+from mfd_bayes.friction.model import Model, Quantity
 from mfd_bayes.records.trace import Trace
 
 NOISE = 0.2

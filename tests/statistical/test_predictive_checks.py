@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.predictive import PredictiveCheck, check_predictive, replicate
+from mfd_bayes.calibration.posterior import Posterior, PredictiveCheck, check_predictive, replicate
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.trace import Trace
 

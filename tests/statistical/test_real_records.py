@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.modes import find_modes
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.proposal import find_modes
 from mfd_bayes.records.record import read_record
 
 

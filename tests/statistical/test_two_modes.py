@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.modes import climb
-from mfd_bayes.calibration.proposal import nearest_modes
+from mfd_bayes.calibration.proposal import climb, nearest_modes
 from mfd_bayes.calibration.sampling import sample_density
 
 pytestmark = pytest.mark.slow

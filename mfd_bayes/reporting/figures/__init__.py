@@ -1,10 +1,8 @@
 """Every figure. Only these files import matplotlib and corner, so import them late."""
 
-from mfd_bayes.reporting.figures.agg import mpl
-from mfd_bayes.reporting.figures.campaign import OF_TEST, draw_next, draw_shared, draw_test
-from mfd_bayes.reporting.figures.inspection import draw_inspection
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops
-from mfd_bayes.reporting.figures.style import to_png
+from mfd_bayes.reporting.figures.agg import to_png
+from mfd_bayes.reporting.figures.loops import draw_history, draw_inspection, draw_loops
+from mfd_bayes.reporting.figures.report import OF_TEST, draw_next, draw_shared, draw_test
 
 __all__ = [
     "OF_TEST",
@@ -14,6 +12,5 @@ __all__ = [
     "draw_next",
     "draw_shared",
     "draw_test",
-    "mpl",
     "to_png",
 ]

@@ -1,10 +1,10 @@
-"""Force against displacement, velocity and time."""
+"""Force against displacement, velocity and time: of tests, of bands, and of a record as read."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,25 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import Array, Fan, TestView
-from mfd_bayes.population.settings import SAME_LEVEL
+from mfd_bayes.population.design import SAME_LEVEL
+from mfd_bayes.records.data_quality import Fault
+from mfd_bayes.records.loops import Loops
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
-from mfd_bayes.reporting import colours
-from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import Symbols, plain
+from mfd_bayes.reporting.figures import agg as look
+from mfd_bayes.reporting.symbols import (
+    BAND_NAMES,
+    BANDS,
+    BLUE,
+    DATA,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VALIDATE,
+    VERMILLION,
+    Symbols,
+    plain,
+)
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System
 
@@ -91,19 +105,19 @@ def draw_history(
         for fan in fans:
             _draw_bands(column[1], time, fan, window)
         if trace.force is not None:
-            column[1].plot(*thinned(time, trace.force[window]), color=colours.DATA, linewidth=0.6)
+            column[1].plot(*thinned(time, trace.force[window]), color=DATA, linewidth=0.6)
             if rows == 3:
                 residual = (trace.force - fans[0].median)[window]
                 _draw_bands(column[2], time, fans[0], window, fans[0].median)
-                column[2].plot(*thinned(time, residual), color=colours.DATA, linewidth=0.6)
-                column[2].axhline(0.0, color=colours.BANDS[fans[0].kind][2], linewidth=0.8)
+                column[2].plot(*thinned(time, residual), color=DATA, linewidth=0.6)
+                column[2].axhline(0.0, color=BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
             begin, end = float(time[0]), float(time[-1])
             if trace.time[first] > begin:
                 axes.axvspan(begin, float(trace.time[first]), color=_NOT_FITTED, zorder=0)
             if given is not None and max(given[0], begin) < min(given[1], end):
                 axes.axvspan(max(given[0], begin), min(given[1], end), color=_GIVEN, zorder=0)
-                axes.axvline(min(given[1], end), color=colours.DATA, lw=0.8, linestyle="--")
+                axes.axvline(min(given[1], end), color=DATA, lw=0.8, linestyle="--")
         column[-1].set_xlabel(clock(trace))
         column[-1].margins(x=0.005)
     below = symbols.response(system), symbols.response(system, "residual")
@@ -178,7 +192,7 @@ def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]]
 
 def _draw_panel(axes: Axes, test: TestView) -> None:
     held_out = test.role == "validate"
-    colour = colours.VALIDATE if held_out else colours.DATA
+    colour = VALIDATE if held_out else DATA
     trace = test.trace
     _draw_loop(axes, [test.observation], trace.displacement, trace.turning_points, trace.force)
     axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -210,14 +224,14 @@ def draw_band(
         raise ReportError(f"axes must be axes of Matplotlib, got {axes!r}")
     if displacement is None:
         _draw_bands(axes, time, fan)
-        axes.plot(*thinned(time, fan.median), color=colours.BANDS[fan.kind][2], lw=0.9)
+        axes.plot(*thinned(time, fan.median), color=BANDS[fan.kind][2], lw=0.9)
         axes.set_xlabel("time, s" if system.axes.timed else "sample")
     else:
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
         _draw_loop(axes, [fan], displacement, turns, force)
         axes.set_xlabel(NAMES.motion(system))
     axes.set_ylabel(NAMES.response(system))
-    axes.set_title(f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
+    axes.set_title(f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
 
 
@@ -256,9 +270,9 @@ def _draw_loop(
             bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
             axes.add_collection(bands)
             axes.autoscale_view()
-    colour = colours.DATA
+    colour = DATA
     if force is None and fans:
-        force, colour = fans[0].median, colours.BANDS[fans[0].kind][2]
+        force, colour = fans[0].median, BANDS[fans[0].kind][2]
     if force is not None:
         axes.plot(abscissa[::step], force[::step], color=colour, linewidth=0.6)
 
@@ -302,11 +316,90 @@ def _legend(
 ) -> None:
     handles: list[Line2D | Patch] = []
     if measured:
-        handles.append(Line2D([], [], color=colours.DATA, linewidth=0.9, label="measured"))
+        handles.append(Line2D([], [], color=DATA, linewidth=0.9, label="measured"))
     for fan in fans:
-        wide, narrow, _ = colours.BANDS[fan.kind]
-        text = f"{colours.BAND_NAMES[fan.kind]}, {look.percents(fan)}"
+        wide, narrow, _ = BANDS[fan.kind]
+        text = f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}"
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
     handles += [Patch(facecolor=colour, label=name) for name, colour in (shades or {}).items()]
     if handles:
         figure.legend(handles=handles, loc="outside lower left", ncols=4)
+
+
+_SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
+_COLOURS = (
+    *(VERMILLION, BLUE, GREEN),
+    *(PURPLE, ORANGE, SKY),
+)
+_MARKS = 60  # more of one kind would hide the curve
+
+
+@look.style()
+def draw_inspection(
+    title: str, trace: Trace, loops: Loops, faults: Sequence[Fault] = (), system: System = US
+) -> Figure:
+    """Loop, displacement and force over time, and energy per cycle of a record at its own rate.
+
+    Faults are marked at their samples, if they have any, and named below the panels. Without
+    a force there is only the displacement. Trace and loops are in the units of `system`.
+    """
+    figure, x, time = look.new_figure(10, 5.6, title), trace.displacement, trace.time
+    curves: list[tuple[Axes, Array, Array]]
+    if trace.force is None:
+        place = figure.subplots()
+        curves = [(place, time, x)]
+    else:
+        panels = figure.subplot_mosaic(
+            [["loop", "displacement"], ["loop", "force"], ["energy", "force"]],
+            width_ratios=(1.0, 1.35),
+        )
+        loop, place, history = (panels[name] for name in ("loop", "displacement", "force"))
+        curves = [(loop, x, trace.force), (place, time, x), (history, time, trace.force)]
+        step = max(1, trace.samples // (2 * POINTS))
+        loop.plot(x[::step], trace.force[::step], color=DATA, linewidth=0.5)
+        loop.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
+        loop.set_title(system.text("Force–displacement"))
+        history.sharex(place)
+        history.plot(*thinned(time, trace.force), color=DATA, linewidth=0.6)
+        history.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
+        history.set_title("Force")
+        _draw_energy(panels["energy"], loops, system)
+    turns = trace.turning_points
+    place.plot(*thinned(time, x), color="#555555", linewidth=0.8)
+    place.plot(time[turns], x[turns], ".", color="#999999", markersize=3)
+    place.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
+    place.set_title(f"Displacement, {turns.size} turning points")
+    place.margins(x=0.01, y=0.12)  # space for the marks at the turns
+    handles, looks = [], zip(cycle(_SIGNS), cycle(_COLOURS), strict=False)
+    for fault in faults:  # one without samples has no mark
+        sign, colour = next(looks) if fault.samples.size else ("", DATA)
+        at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
+        mark: dict[str, Any] = {
+            "marker": sign,
+            "mfc": "none",
+            "mec": colour,
+            "mew": 1.1,
+            "ms": 5,
+            "ls": "",
+        }
+        for axes, across, up in curves if at.size else ():
+            axes.plot(across[at], up[at], **mark)
+        handles.append(Line2D([], [], label=f"warning: {fault.name}", **mark))
+    if handles:
+        figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
+    """Energy of each loop; loops of a ramp, with a shorter stroke, are hollow."""
+    axes.set(xlabel="loop", ylabel=system.label("energy", "kip*in"))
+    axes.set_title("Energy per full loop (hollow: shorter stroke)")
+    axes.axhline(0.0, color="#999999", linewidth=0.7)
+    if loops.energy is None or not loops.energy.size:
+        axes.text(0.5, 0.5, "no full loop", transform=axes.transAxes, ha="center", va="center")
+        return
+    number = np.arange(1, loops.energy.size + 1)
+    axes.plot(number, loops.energy, color="#bbbbbb", linewidth=0.7)
+    faces = [BLUE if strong else "white" for strong in loops.strong]
+    axes.scatter(number, loops.energy, s=16, c=faces, edgecolors=BLUE, linewidths=0.8)
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))

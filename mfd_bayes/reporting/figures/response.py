@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from mfd_bayes.reporting import colours
-from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import plain
+from mfd_bayes.reporting.figures import agg as look
+from mfd_bayes.reporting.symbols import BANDS, ORANGE, VERMILLION, plain
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.result import Response, Sweep
 from mfd_bayes.runs.unit_system import System
@@ -21,8 +20,8 @@ from mfd_bayes.units import GRAVITY
 
 Array = NDArray[np.float64]
 
-_WIDE, _NARROW, _MIDDLE = colours.BANDS["new_test"]
-_BARE, _PLAIN = "#777777", colours.ORANGE
+_WIDE, _NARROW, _MIDDLE = BANDS["new_test"]
+_BARE, _PLAIN = "#777777", ORANGE
 DAMPERS = 12
 """Most loops that are drawn."""
 
@@ -98,7 +97,7 @@ def draw_profile(response: Response, system: System) -> Figure:
             axes.plot(bare, at, "o", color=_BARE, ms=4, label="without dampers")
             axes.plot(friction, at, "s", color=_PLAIN, ms=4, label="plain friction")
             if limit is not None:
-                axes.axvline(limit, color=colours.VERMILLION, linestyle="--")
+                axes.axvline(limit, color=VERMILLION, linestyle="--")
             axes.set_xlabel(label)
             axes.set_yticks(at)
             axes.set_xlim(left=0.0)
@@ -177,7 +176,7 @@ def draw_sweep(sweep: Sweep, system: System) -> Figure:
         if name == sweep.quantity:
             axes.axvspan(by * sweep.interval[0], by * sweep.interval[1], color="#f6e3c0", zorder=0)
             if np.isfinite(sweep.best):  # not where levels are best alike
-                axes.axvline(by * sweep.best, color=colours.ORANGE, lw=1.4)
+                axes.axvline(by * sweep.best, color=ORANGE, lw=1.4)
         axes.set_ylim(bottom=0.0)
     return figure
 

@@ -1,9 +1,10 @@
-"""Draws of one test: priors and posteriors, pairs, ranks of chains, residuals; and the truth."""
+"""The figures of a report, by their keys: the draws of each test, the truth, laws, next test."""
 
 from __future__ import annotations
 
+import gc
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
 
 from mfd_bayes.evaluation.checks import INFORMED
-from mfd_bayes.evaluation.views import Array, Marginal, Rows, TestView
-from mfd_bayes.reporting import colours
-from mfd_bayes.reporting.figures import style as look
-from mfd_bayes.reporting.symbols import Symbols
+from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, Rows, TestView
+from mfd_bayes.friction.model import Model
+from mfd_bayes.planning.study import Advice
+from mfd_bayes.reporting.figures import agg as look
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.symbols import (
+    BAND_NAMES,
+    BANDS,
+    BLUE,
+    CHAINS,
+    DATA,
+    POSTERIOR,
+    PRIOR,
+    TRUTH,
+    VERMILLION,
+    Symbols,
+    plain,
+)
+from mfd_bayes.reporting.tables import convert_law, convert_rows, convert_test
 from mfd_bayes.runs.unit_system import System
+from mfd_bayes.units import percent
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
 RANKS = 10
@@ -27,7 +44,7 @@ STAGES = {2: "stick", 4: "gap", 3: "build-up", 1: "slip"}
 """Stages in their order within a stroke."""
 
 _PLAIN = "{x:.4g}"  # of tick labels
-_BLUE = colours.BANDS["observation"][1]
+_BLUE = BANDS["observation"][1]
 
 
 def _small_panels(title: str, number: int) -> tuple[Figure, list[Axes]]:
@@ -61,8 +78,8 @@ def draw_ranks(
         ranks = marginal.posterior.argsort(kind="stable").argsort() / marginal.posterior.size
         for chain, own in enumerate(np.array_split(ranks, chains)):
             heights, edges = np.histogram(own, RANKS, (0.0, 1.0), density=True)
-            axes.stairs(heights, edges, color=colours.CHAINS[chain % len(colours.CHAINS)])
-        axes.axhline(1.0, color=colours.DATA, linewidth=0.6)
+            axes.stairs(heights, edges, color=CHAINS[chain % len(CHAINS)])
+        axes.axhline(1.0, color=DATA, linewidth=0.6)
         axes.set_title(symbols.in_figure(marginal.name), fontsize=8)
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, max(2.0, axes.get_ylim()[1])))
     figure.supxlabel("rank among the draws of all chains, as a share", fontsize=8, y=0.01)
@@ -78,7 +95,7 @@ def draw_marginals(title: str, marginals: Sequence[Marginal], symbols: Symbols) 
     if not marginals:
         return None
     figure, panels = _small_panels(title, len(marginals))
-    looks = ("#dddddd", colours.PRIOR), (_BLUE, colours.POSTERIOR)
+    looks = ("#dddddd", PRIOR), (_BLUE, POSTERIOR)
     for axes, marginal in zip(panels, marginals, strict=True):
         both = marginal.prior, marginal.posterior
         low, high = np.quantile(marginal.prior, [0.005, 0.995])
@@ -107,7 +124,7 @@ def draw_marginals(title: str, marginals: Sequence[Marginal], symbols: Symbols) 
         axes.xaxis.set_major_formatter(_PLAIN)
         axes.set_xlabel(symbols.label(marginal.name, marginal.unit), fontsize=8)
         if marginal.contraction < INFORMED:
-            axes.set_title("not informed by the data", fontsize=7.5, color=colours.VERMILLION)
+            axes.set_title("not informed by the data", fontsize=7.5, color=VERMILLION)
     names = zip(looks, ("prior", "posterior"), strict=True)
     handles = [Patch(facecolor=face, edgecolor=edge, label=name) for (face, edge), name in names]
     figure.legend(handles=handles, loc="upper right", ncols=2)
@@ -140,7 +157,7 @@ def draw_corner(
         np.column_stack([m.posterior[::stride] for m in chosen]),
         bins=16,
         smooth=0.8,
-        color=colours.POSTERIOR,
+        color=POSTERIOR,
         labels=[symbols.label(m.name, m.unit) for m in chosen],
         label_kwargs={"fontsize": 8},
         labelpad=0.12,
@@ -184,7 +201,7 @@ def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols)
     middle.set(xlabel=below, ylabel=residual_label)
     lags, bound = min(60, len(residual) // 4), 1.96 / np.sqrt(len(residual))
     right.axhspan(-bound, bound, color="#e6e6e6")
-    right.acorr(residual - residual.mean(), maxlags=lags - 1, color=colours.BLUE, linewidth=1.0)
+    right.acorr(residual - residual.mean(), maxlags=lags - 1, color=BLUE, linewidth=1.0)
     right.set(xlabel="lag, samples", xlim=(-1, lags))
     right.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
     for axes in (left, middle):
@@ -203,25 +220,25 @@ def _draw_by_stage(axes: Axes, residual: Array, half: Array, stage: Any) -> None
         showfliers=False,
         patch_artist=True,
         widths=0.5,
-        medianprops={"color": colours.DATA},
-        boxprops={"facecolor": _BLUE, "edgecolor": colours.BLUE},
+        medianprops={"color": DATA},
+        boxprops={"facecolor": _BLUE, "edgecolor": BLUE},
     )
     for at, there in enumerate(parts.values(), start=1):
         width = float(half[there].mean())
-        axes.hlines([-width, width], at - 0.4, at + 0.4, color=colours.VERMILLION, linestyle="--")
+        axes.hlines([-width, width], at - 0.4, at + 0.4, color=VERMILLION, linestyle="--")
     axes.set_title("By stage: box 50 %, whiskers 95 %\ndashed: 95 % band", fontsize=8)
 
 
 def _draw_along(axes: Axes, where: Array, residual: Array, half: Array) -> None:
     """Residuals against travel, with the mean half width of the 95 % band in forty bins."""
     step = max(1, len(where) // 3000)
-    axes.plot(where[::step], residual[::step], ".", color=colours.DATA, markersize=1.6, alpha=0.6)
+    axes.plot(where[::step], residual[::step], ".", color=DATA, markersize=1.6, alpha=0.6)
     edges = np.unique(np.quantile(where, np.linspace(0, 1, 41)))
     if edges.size > 1:
         sums = np.histogram(where, edges, weights=half)[0]
         mean = sums / np.maximum(np.histogram(where, edges)[0], 1)
         lines = np.column_stack([-mean, mean])
-        axes.plot(0.5 * (edges[1:] + edges[:-1]), lines, color=colours.VERMILLION, linestyle="--")
+        axes.plot(0.5 * (edges[1:] + edges[:-1]), lines, color=VERMILLION, linestyle="--")
     axes.set_title("Along the gap", fontsize=8)
 
 
@@ -236,10 +253,10 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     if not kept:
         return None
     kinds = {
-        (True, True): (colours.POSTERIOR, "o", 3, "interval holds the truth"),
-        (True, False): (colours.TRUTH, "X", 6, "interval misses the truth"),
-        (False, True): (colours.PRIOR, "o", 3, "not informed by the data"),
-        (False, False): (colours.PRIOR, "X", 6, ""),
+        (True, True): (POSTERIOR, "o", 3, "interval holds the truth"),
+        (True, False): (TRUTH, "X", 6, "interval misses the truth"),
+        (False, True): (PRIOR, "o", 3, "not informed by the data"),
+        (False, False): (PRIOR, "X", 6, ""),
     }
     names = list(dict.fromkeys(row["name"] for row in kept))
     heights = [1.0 + 0.25 * sum(row["name"] == name for row in kept) for name in names]
@@ -255,7 +272,7 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
             lower, median, upper = (row[k] / row["truth"] for k in ("lower", "median", "upper"))
             axes.plot([lower, upper], [y, y], color=colour, lw=1.2)
             axes.plot([median], [y], marker, color=colour, ms=size)
-    axes.axvline(1.0, color=colours.DATA, linewidth=1.2, zorder=1)
+    axes.axvline(1.0, color=DATA, linewidth=1.2, zorder=1)
     middles = ends - 0.5 * np.array(heights)
     axes.set_yticks(middles, [symbols.in_figure(name) for name in names], fontsize=9)
     axes.set_ylim(ends[-1], 0.0)
@@ -274,4 +291,188 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     shown = [kind for kind in kinds.values() if kind[3]]
     handles = [Line2D([], [], color=c, marker=m, ms=5, label=text) for c, m, _, text in shown]
     figure.legend(handles=handles, loc="outside lower left", ncols=3)
+    return figure
+
+
+OF_TEST = ("loops", "history", "residuals", "marginals", "corner", "ranks")
+"""Figures of a test by the names of their files; one with nothing to show is left out."""
+
+_MEDIAN = "#4db894"
+
+
+def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
+    """PNGs of the figures that show all tests together, one at a time, each with its key.
+
+    Keys are "overview", "laws", "truth" and "next"; what has nothing to show is left out.
+    """
+    return _pngs(shared_figures(view))
+
+
+def draw_test(
+    test: TestView, system: System, actuation_unit: str, model: Model | None = None
+) -> Iterator[tuple[str, bytes]]:
+    """PNGs of the figures of one test, one at a time, each with its key.
+
+    Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out. The
+    test and `actuation_unit` are in internal units, the figures in those of `system`.
+    """
+    return _pngs(figures_of_test(test, system, actuation_unit, model))
+
+
+def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
+    """Figures that show all tests together, each with its key."""
+    system, unit, symbols = view.system, view.actuation_unit, Symbols(view.model)
+    if view.tests:
+        tests = [convert_test(test, system, unit) for test in view.tests]
+        title = "Measured loops over their bands"
+        yield "overview", draw_overview(title, tests, system, unit, symbols)
+    if view.laws:
+        laws = [convert_law(law, system, unit) for law in view.laws]
+        title = "Quantities against the actuation"
+        yield "laws", draw_laws(title, laws, system.unit(unit), symbols)
+    truth = convert_rows(view.truth, system)
+    figure = draw_truth("Posterior against the known truth", truth, symbols)
+    if figure is not None:
+        yield "truth", figure
+    if view.next_test is not None:
+        yield "next", draw_next(view.next_test, system, unit, "Which test next")
+
+
+def figures_of_test(
+    test: TestView, system: System, actuation_unit: str, model: Model | None = None
+) -> Iterator[tuple[str, Figure]]:
+    """Figures of one test in the units of a system, each with its key."""
+    t, names = convert_test(test, system, actuation_unit), Symbols(model)
+    title, drawn = f"{t.id}, {t.actuation}", t.marginals
+    motion = title, t.trace, [f for f in (t.observation, t.device) if f is not None], system, names
+    figures: dict[str, Callable[[], Figure | None]] = {
+        "loops": lambda: draw_loops(*motion),
+        "history": lambda: draw_history(*motion, t.first),
+        "residuals": lambda: draw_residuals(f"{title}: residuals", t, system, names),
+        "marginals": lambda: draw_marginals(f"{title}: priors and posteriors", drawn, names),
+        "corner": lambda: draw_corner(f"{title}: joint posterior", drawn, t.corner, names),
+        "ranks": lambda: draw_ranks(f"{title}: ranks of each chain", drawn, t.chains, names),
+    }
+    for name in OF_TEST:
+        figure = figures[name]()
+        if figure is not None:
+            yield f"tests/{test.id}/{name}", figure
+
+
+def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
+    """PNGs of figures; Matplotlib's many small objects would call the collector too often."""
+    enabled = gc.isenabled()
+    gc.disable()
+    gc.freeze()
+    try:
+        for key, figure in drawn:
+            yield key, look.to_png(figure)
+            gc.collect()
+    finally:
+        gc.unfreeze()
+        if enabled:
+            gc.enable()
+
+
+@look.style()
+def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str, symbols: Symbols) -> Figure:
+    """One panel per law: the mean property with its bands, and the tests' 95 % intervals."""
+    columns = min(3, len(laws))
+    rows = -(-len(laws) // columns)
+    figure = look.new_figure(max(4.0 * columns, 5.5), 2.75 * rows + 0.8, title)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[len(laws) :]:
+        axes.set_visible(False)
+    for axes, law in zip(grid.flat, laws, strict=False):
+        _draw_law(axes, law, symbols)
+        axes.set_xlabel(plain(f"actuation, {actuation_unit}"))
+    handles, texts = grid.flat[0].get_legend_handles_labels()
+    figure.legend(handles, texts, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _draw_law(axes: Axes, law: LawView, symbols: Symbols) -> None:
+    wide, _, dark = BANDS["new_test"]
+    for fan, colour in ((law.new_test, wide), (law.device, _MEDIAN)):
+        edges = fan.widest.lower, fan.widest.upper
+        name = f"{BAND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
+        axes.fill_between(law.actuation, *edges, color=colour, linewidth=0, label=name)
+    axes.plot(law.actuation, law.device.median, color=dark, label="best estimate")
+    if law.tested:
+        _, at, lower, median, upper = (np.asarray(part) for part in zip(*law.tested, strict=True))
+        arms = np.maximum(0.0, [median - lower, upper - median])
+        shown: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 3}
+        axes.errorbar(spread(at), median, arms, label="tests, 95 %", linewidth=0.9, **shown)
+    axes.set_title(f"{symbols.in_figure(law.name)}: {plain(law.law)}")
+    axes.set_ylabel(symbols.label(law.name, law.unit))
+    axes.set_ylim(*_limits(law))
+    axes.margins(x=0.0)
+    if any(test[1] == 0 for test in law.tested):  # room for tests at zero, side by side
+        axes.set_xlim(left=-0.03 * law.actuation[-1])
+
+
+def spread(actuation: Array) -> Array:
+    """Actuations of tests moved apart at each level, (n,), so that no bar hides another.
+
+    All of them stay nearer to their own level than to the next one.
+    """
+    span = max(float(np.ptp(actuation)), 1e-3 * float(np.max(np.abs(actuation))))
+    levels = np.unique(actuation)
+    room = 0.5 * float(np.min(np.diff(levels), initial=span))
+    shifted = actuation.astype(np.float64)
+    for level in levels:
+        same = np.flatnonzero(actuation == level)
+        step = min(0.012 * span, room / max(1, same.size - 1))
+        shifted[same] += step * (np.arange(same.size) - 0.5 * (same.size - 1))
+    return shifted
+
+
+def _limits(law: LawView) -> tuple[float, float]:
+    """Vertical limits that hold tests and best estimate; the wide band may go beyond them."""
+    tops = [float(np.max(law.device.median)), *(t[4] for t in law.tested)]
+    bottoms = [float(np.min(law.device.median)), *(t[2] for t in law.tested)]
+    for interval in law.new_test.intervals:
+        tops.append(min(float(np.max(interval.upper)), 2.0 * max(tops)))
+        bottoms.append(float(np.min(interval.lower)))
+    low, high = min(bottoms), max(tops)
+    margin = 0.05 * (high - low) or 0.1
+    return (0.0 if 0 <= low < 0.5 * high else low - margin), high + margin
+
+
+@look.style()
+def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
+    """Candidates by actuation and frequency, coloured by gain, and the curve of the width."""
+    figure = look.new_figure(8.6, 3.6)
+    figure.suptitle(title, x=0.01, ha="left", wrap=True, fontsize=9)
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    by, name = system.of_actuation(unit)
+    gains: dict[tuple[float, float], float] = {}  # of the best amplitude
+    for row in advice:
+        place = row.candidate.actuation * by, row.candidate.frequency
+        gains[place] = max(gains.get(place, 0.0), 100.0 * row.reduction)
+    look_of: dict[str, Any] = {"s": 130, "cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
+    places = np.array(list(gains)).T
+    shown = left.scatter(*places, c=list(gains.values()), linewidths=0.5, **look_of)
+    first = advice[0].candidate
+    ring: dict[str, Any] = {"mfc": "none", "mec": DATA, "mew": 1.6, "ms": 15}
+    left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
+    made = [(test.actuation * by, test.frequency) for test in advice.tests]
+    left.plot(*np.reshape(made, (-1, 2)).T, "x", color="#c0392b", ms=5, label="tests made")
+    left.set_yscale("log")
+    left.yaxis.set_major_formatter(ScalarFormatter())
+    left.yaxis.set_minor_formatter(ScalarFormatter())
+    left.set(xlabel=f"actuation, {name}", ylabel="frequency, Hz")
+    left.set_title("Expected reduction, best amplitude")
+    left.margins(0.12)
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+    figure.colorbar(shown, ax=left, label="%")
+    curve = advice.curve * system.factor(advice.unit)
+    arms = curve[0] * np.array([0.0, *(1.96 * t.error for t in advice.together)])
+    steps = np.arange(curve.size)
+    right.errorbar(steps, curve, arms, fmt="o-", color=DATA, markersize=4, capsize=2)
+    right.set_ylim(0.0, 1.1 * float(np.max(curve + arms)))
+    right.xaxis.set_major_locator(MaxNLocator(integer=True))
+    right.set_xlabel("further tests, the best together")
+    right.set_ylabel(f"expected width, {system.unit(advice.unit)}")
+    right.set_title("When it is enough")
     return figure

@@ -1,0 +1,273 @@
+"""What is said before anything is sampled, by inspect, prior-check and the dry run; any numbers."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import mfd_bayes as mb
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import MfdError
+from mfd_bayes.pipeline.inspect import prior_check
+from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting import figures
+from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.runs.manifest import read_begun
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.store.files import json_text
+from mfd_bayes.store.netcdf import save_trace
+from tests.command_line import NAMES, here, refusal, write_csv
+from tests.run_folders import write_run
+
+HEAD = '[campaign]\nmodel = "lugre"\nnoise = "iid"\nrate = "32 Hz"\n'
+TIME = np.arange(640) / 64
+SWAPPED = "t1: the force does negative work"
+
+
+def write_campaign(folder, *more, signs=(1, 1, 1, 1), extra=""):
+    """Tests t0, t1, … with more keys each, of five cycles of Coulomb friction with some noise."""
+    rng, text = np.random.default_rng(0), HEAD + extra
+    for k, keys in enumerate(more):
+        motion = (1 + 0.02 * k) * np.sin(np.pi * TIME)
+        smooth = (1 + 0.5 * k) * np.tanh(20 * np.gradient(motion, TIME))
+        force = signs[k] * smooth + 0.02 * rng.normal(size=TIME.size)
+        write_csv(folder / f"t{k}.csv", TIME, motion, force)
+        text += f'[[test]]\nid = "t{k}"\nfile = "t{k}.csv"\n'
+        text += f'actuation = "{500 * (k + 1)} psi"\n{keys}\n'
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return path
+
+
+def replace_in(path, *pairs):
+    text = path.read_text()
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text)
+
+
+def manifest_of(path):
+    return plan_campaign(path, Options(effort="quick")).manifest
+
+
+def warnings_of(path):
+    return {found.name: found for found in manifest_of(path).warnings}
+
+
+# --- warnings
+
+
+def test_what_the_dry_run_says_is_what_the_plan_of_a_calibration_holds(tmp_path):
+    path = write_campaign(tmp_path, *[""] * 4, signs=(1, -1, 1, 1))
+    printed = here("calibrate", path, "-o", tmp_path / "out", "--dry-run").stdout
+    assert f"warning: {SWAPPED}" in printed
+    assert "warning: t1: the swapped sign is probably that of the force" in printed
+    warnings = manifest_of(path).warnings
+    for found in warnings:
+        assert f"warning: {found.subject}: {found.message!s}" in printed
+    assert {found.name for found in warnings if found.subject == "t1"} == {"force sign"}
+
+
+def test_a_force_that_no_device_of_the_priors_has_is_named(tmp_path):
+    columns = (f'{role} = {{ name = "{name}" }}' for role, name in zip(ROLES, NAMES, strict=True))
+    path = write_campaign(tmp_path, "", "", extra="[columns]\n" + "\n".join(columns) + "\n")
+    replace_in(path, ('"force_kip"', '"force_kip", unit = "MN"'))
+    assert "probably in another unit" in str(warnings_of(path)["beyond the priors"].message)
+
+
+ROLES = ("time", "displacement", "force")
+
+
+def test_tolerances_of_a_campaign_are_kept_and_checked(tmp_path):
+    extra = '[tolerances]\nenergy = 0.02\npeak = "20 %"\n'
+    path = write_campaign(tmp_path, "", "", extra=extra)
+    assert manifest_of(path).settings.tolerances == {"energy": 0.02, "peak": 0.2}
+    for change, words in ((("energy", "enrgy"), "did you mean 'energy'?"), (("0.02", "0"), "")):
+        replace_in(path, change)
+        assert words in refusal("calibrate", path, "-o", tmp_path / "out", "--dry-run")
+        replace_in(path, change[::-1])
+
+
+def test_what_the_calibration_does_not_do_is_told(tmp_path):
+    extra = '[laws]\nFc_fwd = "affine"\n[dependence]\ngap = ["velocity"]\n'
+    path = write_campaign(tmp_path, "", "", extra=extra)
+    columns = np.loadtxt(tmp_path / "t1.csv", delimiter=",", skiprows=1).T
+    pressure = np.linspace(0.9, 1.1, TIME.size)
+    write_csv(tmp_path / "t1.csv", *columns, pressure, names=(*NAMES, "pressure_ksi"))
+    replace_in(path, ('"1000 psi"', '{ name = "pressure_ksi", unit = "ksi" }'))
+    found = warnings_of(path)
+    assert found["actuation history"].subject == "t1"
+    assert "whatever the law of Fc_fwd" in str(found["actuation history"].message)
+    words = "names gap, which the tests of the model lugre do not share"
+    assert words in str(found["dependence"].message)
+    assert "laws" not in found
+    replace_in(path, ("lugre", "bouc_wen"), ('Fc_fwd = "affine"', 'sigma0 = "power"'))
+    words = "names sigma0, which the model bouc_wen does not"
+    assert words in here("calibrate", path, "--dry-run").stdout
+    replace_in(path, ('sigma0 = "power"', 'Fy_fwd = "affine"'))
+    assert "laws" not in warnings_of(path)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_a_run_with_a_swapped_sign_says_so_everywhere_and_is_not_usable(tmp_path):
+    path, out = write_campaign(tmp_path, *[""] * 3, signs=(1, -1, 1)), tmp_path / "out"
+    replace_in(path, ('"500 psi"', '"0 psi"'))
+    outcome = here("calibrate", path, "-o", out, "--effort", "quick", "--jobs", "1", "--strict")
+    assert outcome.exit_code == 1, outcome.output
+    assert outcome.stdout.index(f"warning: {SWAPPED}") < outcome.stdout.index("finding modes")
+    assert "NOT USABLE: Something is wrong with 1 of 3 tests. t1: " in outcome.stdout
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["warnings"][0]["subject"] == "t1"
+    assert manifest["verdicts"]["t1"] == manifest["verdicts"]["campaign"] == "not usable"
+    page = (out / "report.html").read_text()
+    assert SWAPPED in page[: page.index('<nav aria-label="Contents">')]
+    checked = here("check", out)
+    assert checked.exit_code == 1
+    assert f"warning: {SWAPPED}" in checked.stdout
+    assert "The test to believe least is t1" in checked.stdout
+    run = mb.open_run(out)  # of a test at zero too
+    assert run.population.design.laws["Fc_fwd"] == "proportional"
+    assert np.all(np.isfinite(run.predict(run.tests["t2"].trace).median))
+
+
+@pytest.mark.parametrize(
+    ("levels", "unloaded", "outside"),
+    [
+        ({"a": (1.0, 500), "z": (0.05, 0)}, ("z",), ()),
+        ({"a": (1.0, 500), "b": (0.05, 500), "z": (0.05, 0)}, ("z",), ("b",)),
+        ({"z": (0.05, 0)}, (), ("z",)),  # no other test says what the priors are of
+    ],
+)
+def test_priors_are_not_wrong_for_a_test_without_actuation_where_others_have_one(
+    tmp_path, monkeypatch, levels, unloaded, outside
+):
+    monkeypatch.setattr(figures, "to_png", lambda _: b"\x89PNG")
+    text, time = '[campaign]\npriors = "mfd"\n', np.linspace(0.0, 6.0, 301)
+    for name, (force, level) in levels.items():
+        motion, signs = np.sin(np.pi * time), np.sign(np.cos(np.pi * time))
+        write_csv(tmp_path / f"{name}.csv", time, motion, force * signs)
+        text += f'[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{level} psi"\n'
+    (tmp_path / "campaign.toml").write_text(text)
+    found = prior_check(tmp_path / "campaign.toml", tmp_path)
+    assert (found.unloaded, found.outside) == (unloaded, outside)
+    assert bool(found.wrong) == bool(outside)
+
+
+# --- tests that follow each other
+
+
+def test_the_order_is_in_the_plan_with_the_turns_outside_the_windows(tmp_path):
+    follows = 'after = "t0"\nfit = "0 s to 8.2 s"\nrole = "validate"'
+    path = write_campaign(tmp_path, 'fit = "1.1 s to 6.2 s"', follows, "")
+    replace_in(path, ("lugre", "three_stage"))
+    manifest = manifest_of(path)
+    assert manifest.settings.order == {"t1": "t0"}
+    before, after = manifest.tests["t0"].before, manifest.tests["t0"].after
+    assert before == pytest.approx((0.0, 1.0, np.sin(1.1 * np.pi)), abs=0.06)
+    assert after == pytest.approx((np.sin(6.2 * np.pi), 1.0, -1.0, 1.0, -1.0, 0.0), abs=0.06)
+    assert manifest.tests["t1"].before == ()
+    assert (manifest.tests["t2"].before, manifest.tests["t2"].after) == ((), ())
+    replace_in(path, ("t1.csv", "t0.csv"), ("0 s to 8.2 s", "6.7 s to 9.9 s"))  # of one file
+    between = np.sin(np.pi * np.array([6.2, 6.5, 6.7]))
+    assert manifest_of(path).tests["t1"].before == pytest.approx(between, abs=0.06)
+
+
+def test_inspect_and_the_dry_run_say_which_test_follows_which(tmp_path):
+    path = write_campaign(tmp_path, "", 'after = "t0"')
+    shown = here("inspect", path, "-o", tmp_path)
+    assert re.findall(r"follows +(.*)", shown.stdout) == ["test t0, without a reset"]
+    tried = ("calibrate", path, "-o", tmp_path / "out", "--dry-run")
+    assert "without a reset: t1 after t0" in here(*tried).stdout
+    replace_in(path, ('500 psi"', '500 psi"\nafter = "t1"'))
+    assert "got a circle: t0 after t1 after t0" in refusal(*tried)
+    assert not (tmp_path / "out").exists()
+
+
+# --- numbers of any size
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(
+    [1e300, 1e-300, 1e10, 1e-10, 1.5, 5e-324, 1e100]
+)
+TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), max_size=20)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("numbers")
+    write_csv(folder / "a.csv", TIME, np.sin(np.pi * TIME), np.tanh(4 * np.cos(np.pi * TIME)))
+    return folder
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    area=st.sampled_from([1e10, 1e-10, 1.5]) | NUMBERS | st.none(),
+    rate=NUMBERS | st.none(),
+    title=TEXTS,
+    session=TEXTS,
+    level=NUMBERS,
+    unit=st.sampled_from(["psi", "Pa", "ksi", "lbf", "GPa"]),
+)
+def test_what_a_dry_run_accepts_the_manifest_gives_back(
+    home, area, rate, title, session, level, unit
+):
+    text = f"[campaign]\ntitle = {json.dumps(title, ensure_ascii=False)}\n"
+    text += "" if area is None else f"area = {area!r}\n"
+    text += "" if rate is None else f"rate = {rate!r}\n"
+    text += f'[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "{level!r} {unit}"\n'
+    text += f"session = {json.dumps(session, ensure_ascii=False)}\n"
+    (home / "campaign.toml").write_text(text, encoding="utf-8")
+    try:
+        manifest = manifest_of(home / "campaign.toml")
+    except MfdError:
+        return
+    manifest.write(home)
+    again = read_begun(home)
+    assert json_text(again.content) == json_text(manifest.content)
+    assert again.settings.area == manifest.settings.area
+    assert again.settings.sessions == manifest.settings.sessions
+
+
+@pytest.mark.parametrize("model", ["lugre", "three_stage", "bouc_wen", "backlash"])
+def test_a_force_of_any_size_that_is_taken_has_a_likelihood(tmp_path, model):
+    for scale in (1e-12, 1e9):
+        path = write_campaign(tmp_path, "")
+        replace_in(path, ("lugre", model))
+        motion, force = np.sin(np.pi * TIME), np.tanh(5 * np.cos(np.pi * TIME))
+        write_csv(tmp_path / "t0.csv", TIME, motion, scale * force)
+        (task,) = plan_campaign(path, Options(effort="quick")).tasks
+        posterior = Posterior(task.trace, task.priors, "iid", model)
+        drawn = posterior.draw_prior(np.random.default_rng(1), 50)
+        values = posterior.log_prob(posterior.coordinates(drawn))
+        assert not np.any(np.isnan(values))
+        assert np.any(np.isfinite(values))
+
+
+@pytest.mark.usefixtures("no_figures_of_tests")
+def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(tmp_path):
+    """The held-out test is at an actuation that the laws cannot reach."""
+    out = tmp_path / "out"
+    write_run(out, small=True)
+    trace = open_run(out).held_out["c"]
+    moved = Trace.from_arrays(trace.time, trace.displacement, 1e-9, trace.force)  # 1 µpsi
+    save_trace(out / "tests/c/record.nc", moved, {})
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["files"] |= hash_stored(out, ["tests/c/record.nc"])
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    outcome = here("report", out)
+    assert (outcome.exit_code, outcome.stderr) == (1, ""), outcome.output
+    words = "Test c is left out of the report: a predicted parameter holds numbers"
+    assert words in " ".join(outcome.stdout.split())
+    assert "left out of the report" in (out / "report.html").read_text()
+    scores = (out / "scores.csv").read_text().splitlines()[1:]
+    assert [line.split(",")[0] for line in scores] == ["a"]
+    checked = here("check", out, "--quiet")
+    assert checked.exit_code == 1
+    assert "Test c is left out" in checked.stdout
