@@ -397,9 +397,11 @@ class MeasuredCycles:
             raise ValueError(f"{missing[0]} is missing")
         values: dict[str, Any] = {name: np.array(content[name]) for name in names}
         values["full_stroke"] = values["full_stroke"] > 0.0
-        for name in ("largest_fwd", "largest_bwd", "total_energy"):
-            values[name] = float(values[name].item())
-        return cls(**values)
+        single = ("largest_fwd", "largest_bwd", "total_energy")
+        for name in names:
+            if values[name].size != (1 if name in single else values["time"].size):
+                raise ValueError(f"{name} has {values[name].size} values")
+        return cls(**values | {name: float(values[name].item()) for name in single})
 
 
 def measured_cycles(record: Record | Trace) -> MeasuredCycles | None:

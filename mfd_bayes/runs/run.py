@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -24,6 +26,7 @@ from mfd_bayes.errors import (
     path_of,
     whole_number,
 )
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import (
@@ -47,6 +50,7 @@ from mfd_bayes.planning.study import Advice, Effort, Situation, advise
 from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
+from mfd_bayes.population.population import Ending, Population
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -73,13 +77,7 @@ from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-    from pathlib import Path
-
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.population import Ending, Population
     from mfd_bayes.response.result import Response
-
 
 Array = NDArray[np.float64]
 

@@ -93,7 +93,6 @@ THIS = {"kind": "this_test", "test": "p500_f0.5"}
         *(("next_test", {key: "zz zz"}, f"^{key}: ") for key in ("goal", "candidates", "limits")),
         ("respond", {"tolerance": "0.01"}, "tolerance must be a finite number"),
         ("respond", {"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
-        ("respond", {"observe": 5}, "observe must be a function"),
     ],
 )
 def test_options_are_checked(run, trace, act, options, words):
