@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import derive_from_parameters
@@ -35,6 +34,9 @@ from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.manifest import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -564,6 +566,8 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
             if condition in at:
                 raise
             lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
+    import pandas as pd  # which takes long to import
+
     rows = pd.DataFrame(table, columns=_COLUMNS)
     return Datasheet(
         rows=rows,

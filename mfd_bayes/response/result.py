@@ -136,26 +136,6 @@ class Response:
     tolerance: float = 0.01
     remarks: tuple[str, ...] = ()
 
-    @classmethod
-    def of_ground(
-        cls, building: Building, ground: Ground, dampers: Dampers, arrays: Mapping[str, Array]
-    ) -> Response:
-        """Response to one ground motion, from arrays (n, …) by name; see `arrays`."""
-        found: dict[str, Any] = {name: arrays[name][:, None] for name in PER_DRAW}
-        found |= {name: (arrays[name],) for name in PER_GROUND}
-        return cls(building, (ground,), dampers, **found)
-
-    def put(self, rows: NDArray[np.intp], part: Response) -> None:
-        """Put the response of some draws to its first ground motion in place."""
-        for name, new in part.arrays.items():
-            self.arrays[name][rows[: len(new)]] = new
-
-    @property
-    def arrays(self) -> dict[str, Array]:
-        """What was computed under the first ground motion, (n, …) by name."""
-        found = {name: getattr(self, name)[:, 0] for name in PER_DRAW}
-        return found | {name: getattr(self, name)[0] for name in PER_GROUND}
-
     @property
     def bare(self) -> Response:
         """Of the building without dampers, one draw."""
@@ -293,22 +273,20 @@ class Response:
 
 
 def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
-    """Response of all dampers to all ground motions, from parts.
-
-    For each ground motion there is one part after another of the draws, with the response to it.
-    """
-    found: dict[str, Any] = {
+    """Response of all dampers to all ground motions, of parts of the draws under each."""
+    by_ground = list(zip(*parts, strict=True))
+    arrays: dict[str, Any] = {
         name: np.concatenate(
-            [np.concatenate([getattr(part, name) for part in one]) for one in parts], axis=1
+            [np.concatenate([getattr(part, name) for part in some]) for some in by_ground], axis=1
         )
         for name in PER_DRAW
     }
     for name in PER_GROUND:
-        found[name] = tuple(
-            np.concatenate([getattr(part, name)[0] for part in one]) for one in parts
+        arrays[name] = tuple(
+            np.concatenate([getattr(part, name)[0] for part in some]) for some in by_ground
         )
-    grounds = tuple(one[0].grounds[0] for one in parts)
-    return replace(parts[0][0], grounds=grounds, dampers=dampers, **found)
+    grounds = tuple(part.grounds[0] for part in parts[0])
+    return replace(parts[0][0], grounds=grounds, dampers=dampers, **arrays)
 
 
 # --- which uncertainty matters
