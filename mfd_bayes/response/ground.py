@@ -47,10 +47,6 @@ def acceleration_factor(unit: str) -> float:
     """Factor from a unit of acceleration to in/s²: "g", "gal", "%g", "cm/s^2", "(CM/SEC/SEC)".
 
     Upper and lower case are the same, for headers are in capitals; g is that of gravity, no gram.
-
-    Raises
-    ------
-    UnitError
     """
     text = unit.strip().strip("\"'").lower()
     if bracketed := re.fullmatch(r"[(\[]([^()\[\]]*)[)\]]", text):
@@ -68,12 +64,7 @@ def acceleration_factor(unit: str) -> float:
 
 
 def parse_acceleration(text: str) -> float:
-    """Acceleration of ``"0.3 g"`` or ``"3 m/s^2"``, in/s².
-
-    Raises
-    ------
-    UnitError
-    """
+    """Acceleration of ``"0.3 g"`` or ``"3 m/s^2"``, in/s²."""
     value, unit = split_quantity(text, example="0.3 g")
     try:
         return value * acceleration_factor(unit)
@@ -107,24 +98,11 @@ def _seconds(value: float, unit: str) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A ground motion.
-
-    Attributes
-    ----------
-    name : str
-    step : float, s
-    acceleration : (T,), in/s²
-        The first sample is at time 0. A copy of what is given, which cannot be changed.
-
-    Raises
-    ------
-    BuildingError
-        When the name is no text, the step is not positive, or values are missing, not finite or
-        all zero.
-    """
+    """A ground motion."""
 
     name: str
-    step: float
+    step: float  # s
+    # (T,), in/s², from time 0; a copy of what is given, which cannot be changed
     acceleration: Array
 
     def __post_init__(self) -> None:
@@ -180,11 +158,6 @@ def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None
     """File, step and unit of ``"Rinaldi.AT2:0.01s"`` or ``"a.txt:0.01s:cm/s^2"``.
 
     Step and unit are taken off the end; the path before them may have colons.
-
-    Raises
-    ------
-    BuildingError
-        When what follows the last colon is no step, no unit and no path.
     """
     name, step, unit = text, None, ""
     while ":" in name and not os.path.lexists(name):
@@ -210,24 +183,10 @@ def read_ground(
 ) -> Ground:
     """Ground motion of a file.
 
-    Parameters
-    ----------
-    path : path
-        With the suffix .csv: a table with a column of the time and one of the acceleration, with
-        units in its header. Any other: PEER's .AT2, K-NET's files, or numbers alone.
-    step : float, s, optional
-        Where the file does not say it.
-    unit : str, optional
-        Of the acceleration, where the file does not say it; "g" by default, but for a CSV.
-    meant : bool
-        Whether to take any peak. Without it, and without a `unit`, one above 5 g or below
-        0.0001 g is refused.
-
-    Raises
-    ------
-    BuildingError
-        When the file cannot be read, its step is not known, a value is of another type, the
-        file says another step or unit than is given, or its peak cannot be that of the ground.
+    With the suffix .csv it is a table with a column of the time and one of the acceleration, with
+    units in its header; with any other PEER's .AT2, one of K-NET's files, or numbers alone. Step, s
+    and unit are given where the file does not say them; the unit is "g" by default, but for a CSV.
+    A peak above 5 g or below 0.0001 g is refused, unless a `unit` is given or it is `meant`.
     """
     path = path_of("ground", path, BuildingError)
     if step is not None:
