@@ -109,8 +109,8 @@ class Leftover:
     def at_rest(cls, basis: TravelBasis, coefficients: Array, relative: Array) -> Leftover:
         """State before any motion, without force, for no stroke is known.
 
-        `coefficients`, (n, K), kip, are common to the dampers of a building, as they are to tests of
-        a device; `relative` is the slip force of each damper over the one at which the discrepancy
+        `coefficients`, (n, K), kip, are common to the dampers of a building, as to the tests of a
+        device; `relative` is the slip force of each damper over the one at which the discrepancy
         stands as it is, (n, m).
         """
         knots = relative[..., None, None] * coefficients.reshape(len(relative), 1, 2, KNOTS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from os import PathLike
@@ -253,13 +253,13 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
     """Accelerations, in/s², and step, s, of a table with a column of the time."""
     try:
         table = read_table(path)
-        moves = [n for n in table.names if n.lower().startswith(("acc", "a_", "ag", "ground"))]
+        moves = _columns(table, ("acc", "a_", "ag", "ground"), _factor)
         if len(moves) != 1:
             raise BuildingError(
                 f"{path} needs one column of the acceleration, such as 'acceleration_g'; it has "
                 f"{', '.join(table.names[:20])}"
             )
-        times = [n for n in table.names if n.lower().startswith(("time", "t_", "t["))][:1]
+        times = _columns(table, ("time", "t_", "t["), lambda unit: _seconds(1.0, unit))[:1]
         columns = table.columns([*moves, *times])
     except MfdError as error:
         raise BuildingError(str(error)) from error
@@ -274,6 +274,14 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
     by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
     return by * columns[moves[0]], step
+
+
+def _columns(
+    table: Table, beginnings: tuple[str, ...], measures: Callable[[str], float | None]
+) -> list[str]:
+    """Names of the columns that begin so; where none does, of those with a unit of that kind."""
+    named = [name for name in table.names if name.lower().startswith(beginnings)]
+    return named or [name for name in table.names if measures(_column_unit(table, name))]
 
 
 def _column_unit(table: Table, name: str) -> str:
