@@ -95,11 +95,6 @@ class Tested:
         """Slip force, kip; NaN where it cannot be read."""
         return self.features.plateau if self.features else float("nan")
 
-    @property
-    def speed(self) -> float:
-        """Speed that is exceeded in a tenth of the samples, in/s."""
-        return float(np.quantile(np.abs(self.trace.velocity), 0.9))
-
 
 def compare_tests(tests: Sequence[Tested]) -> list[tuple[str, Fault]]:
     """Faults by test: duplicates, then clocks, signs, units, actuations and other devices."""

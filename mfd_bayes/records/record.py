@@ -22,8 +22,7 @@ from unicodedata import normalize
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.inputs import hash_file, path_of, real_number
+from mfd_bayes.errors import MfdError, RecordError, UnitError, hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.table import Table, bare_unit, own_name
 from mfd_bayes.records.trace import (

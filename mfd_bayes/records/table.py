@@ -232,7 +232,7 @@ class Table:
         if column not in numbers:
             raise RecordError(
                 f"column {column} of {self.path}: it has columns {min(numbers)} to {max(numbers)}, "
-                f"{_listed(self.names)}"
+                f"{listed(self.names, 20, str)}"
             )
         return self.names[numbers.index(column)]
 
@@ -246,7 +246,7 @@ class Table:
             )
         how = "" if self.headed else "; it has no names: give { column = 1 } or another number"
         return RecordError(
-            f"missing column {name!r} in {self.path}; it has {_listed(self.names)}{how}"
+            f"missing column {name!r} in {self.path}; it has {listed(self.names, 20, str)}{how}"
         )
 
 
@@ -273,9 +273,10 @@ def _filled(column: Column) -> int:
     return size
 
 
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:20])
-    return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"
+def listed(names: Sequence[str], most: int = 4, written: Callable[[str], str] = repr) -> str:
+    """The first names, and how many more there are."""
+    shown = ", ".join(map(written, names[:most]))
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 _NAMES = "jan feb mar apr may jun jul aug sep oct nov dec"

@@ -23,8 +23,16 @@ from pydantic import (
 )
 from scipy import linalg
 
-from mfd_bayes.errors import BuildingError, MfdError, UnitError
-from mfd_bayes.records.inputs import file_inside, path_of, real_number, real_numbers, why_no_file
+from mfd_bayes.errors import (
+    BuildingError,
+    MfdError,
+    UnitError,
+    file_inside,
+    path_of,
+    real_number,
+    real_numbers,
+    why_no_file,
+)
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import header_unit
 from mfd_bayes.response.ground import parse_acceleration

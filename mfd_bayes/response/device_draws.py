@@ -9,12 +9,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError
+from mfd_bayes.errors import MOST_DRAWS, BuildingError, whole_number
 from mfd_bayes.friction.model import Columns, Model, State
 from mfd_bayes.population.design import Setting
 from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.population.population import Numbers, Population
-from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.response.building import Building
 
 KINDS = ("new_test", "device")

@@ -14,8 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError, MfdError, UnitError
-from mfd_bayes.records.inputs import path_of, real_number, real_numbers, why_no_file
+from mfd_bayes.errors import (
+    BuildingError,
+    MfdError,
+    UnitError,
+    path_of,
+    real_number,
+    real_numbers,
+    why_no_file,
+)
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import header_unit
 from mfd_bayes.records.table import Table

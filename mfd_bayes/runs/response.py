@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfd_bayes.errors import BuildingError
+from mfd_bayes.errors import BuildingError, path_of, real_number, whole_number
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.records.inputs import path_of, real_number, whole_number
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
