@@ -764,7 +764,7 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
         if trace.timed:
             text += ", frequency {}"
             values.append((1.0 / loops.period[strong], "Hz"))
-        facts["full loops"] = _message(text, *values)
+        facts["full loops"] = _message(text, *values, digits=3)
     if record.actuation is not None and record.given_actuation != NO_ACTUATION:
         history = " (mean of a history)" if trace.varying else ""
         level = (float(np.mean(record.actuation)), str(record.actuation_unit))
