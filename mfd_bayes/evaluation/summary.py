@@ -64,7 +64,7 @@ from mfd_bayes.population.design import Design
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.unit_system import SI, US, both_systems
+from mfd_bayes.runs.unit_system import SI, both_systems
 
 MILD = 3.0
 """Misfit, in tolerances, of a fault of a record that does not spoil it."""
@@ -542,7 +542,6 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     return TestView(
         id=test.id,
         role="calibrate",
-        actuation=US.actuation(trace, settings.actuation_unit) if manifest.axes.actuated else "",
         trace=trace,
         first=posterior.first,
         device=fan_of("this_test", replicas.force),
@@ -591,7 +590,6 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     return TestView(
         id=name,
         role="validate",
-        actuation=US.actuation(trace, run.actuation_unit) if run.manifest.axes.actuated else "",
         trace=trace,
         first=0,
         observation=fan_of("observation", seen.draws),

@@ -14,12 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.calibration.result import Extras, needed
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import MOST_DRAWS, FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Design, Setting, setting_of
 from mfd_bayes.population.joint_fit import slip_force_of
 from mfd_bayes.population.population import Ending, Particles, Parts, Population
-from mfd_bayes.records.inputs import MOST_DRAWS, real_number, whole_number
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent
@@ -333,8 +332,9 @@ class Predictor:
         drawn: Drawn,
         rng: np.random.Generator,
         source: str,
+        part: slice = slice(None),
     ) -> Band:
-        """Band of drawn tests, with noise if it is asked for."""
+        """Band of drawn tests in a part of a motion, with noise if it is asked for."""
         values = self.values(drawn)
         if forecast.kind == "observation":
             noise = self.population.residual.draw_noise(rng, trace, values["noise_sd"])
@@ -343,15 +343,12 @@ class Predictor:
         check_magnitude("the predicted force", force)
         if forecast.before is not None:
             source = f"{source}, {forecast.before.words}"
-        band = Band.of(trace.time, force, forecast, source, self.shown(values))
-        explain = partial(self._shares, trace, drawn)
-        return replace(band, explained=explain() if forecast.explained else {}, explain=explain)
-
-    def shown(self, values: Mapping[str, Array]) -> dict[str, Array]:
-        """Those of some quantities that a band tells: of the model and the noise, and the start."""
         own = {quantity.name for quantity in (*self.model.quantities, *self.noise.quantities)}
         own |= {"start", *self.population.design.names, *self.model.parameters}
-        return {name: value for name, value in values.items() if name in own}
+        shown = {name: value for name, value in values.items() if name in own}
+        band = Band.of(trace.time[part], force[:, part], forecast, source, shown)
+        explain = partial(self._shares, trace, drawn, part)
+        return replace(band, explained=explain() if forecast.explained else {}, explain=explain)
 
     def values(self, drawn: Drawn) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""
@@ -381,7 +378,7 @@ class Predictor:
         return np.asarray(force + self.values(drawn)["offset"][:, None] + drawn.noise)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _shares(self, trace: Trace, drawn: Drawn) -> dict[str, float]:
+    def _shares(self, trace: Trace, drawn: Drawn, part: slice) -> dict[str, float]:
         """Share of each source in the mean variance: one varies, the others are at their means."""
         few, parts, design = slice(SHARE_DRAWS), drawn.parts, self.population.design
 
@@ -419,7 +416,7 @@ class Predictor:
                 columns = np.array([source == name for source in sources])
                 scatter = np.where(columns, parts.scatter[few], 0.0)
                 varied = replace(fixed, parts=replace(fixed.parts, scatter=scatter))
-            variances[name] = float(np.mean(np.var(self.total(trace, varied), axis=0)))
+            variances[name] = float(np.mean(np.var(self.total(trace, varied)[:, part], axis=0)))
         whole = sum(variances.values())
         return {k: v / whole for k, v in variances.items() if v > 1e-20} if whole > 1e-20 else {}
 

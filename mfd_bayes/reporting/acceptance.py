@@ -14,7 +14,7 @@ from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_loops
 from mfd_bayes.reporting.page import environment, policy_of
 from mfd_bayes.reporting.symbols import plain, unit_text
-from mfd_bayes.reporting.tables import convert_fan, convert_trace, to_units
+from mfd_bayes.reporting.tables import to_units
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import in_digits
 
@@ -46,9 +46,8 @@ def acceptance_page(
 
     pictures = []
     for comparison in device.comparisons[:LOOPS]:
-        fan = convert_fan(comparison.expected.fan, system.factor("kip"))
-        trace = convert_trace(comparison.trace, system)
-        png = to_png(draw_loops(comparison.record.path.name, trace, [fan], system))
+        shown = comparison.trace, [comparison.expected.fan]
+        png = to_png(draw_loops(comparison.record.path.name, *shown, system))
         pictures.append(f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}")
     return (
         environment()

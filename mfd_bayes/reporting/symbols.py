@@ -15,7 +15,6 @@ from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model, html_of
 from mfd_bayes.population.bands import KIND_NAMES
-from mfd_bayes.runs.unit_system import System
 
 _SYMBOLS = {
     "gap_width": (r"D_\mathrm{slip}", "travel from slip to slip"),
@@ -103,14 +102,6 @@ class Symbols:
         """Axis label of a quantity with its unit."""
         shown = plain(unit_text(unit))
         return f"{self.in_figure(name)}, {shown}" if shown else self.in_figure(name)
-
-    def motion(self, system: System) -> str:
-        """Axis label of the motion with its unit."""
-        return system.label("displacement", "in")
-
-    def response(self, system: System, of: str = "force") -> str:
-        """Axis label of the force, or of what is left of it, with its unit."""
-        return system.label(of, "kip")
 
     def in_html(self, name: str) -> Markup:
         """Symbol as HTML; an unknown name escaped."""

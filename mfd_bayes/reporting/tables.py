@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfd_bayes.evaluation.next_test import advice_rows
-from mfd_bayes.evaluation.views import CampaignView, Fan, LawView, LeftOutView, Row, Rows, TestView
+from mfd_bayes.evaluation.views import CampaignView, Fan, LeftOutView, Row, Rows, TestView
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
@@ -96,57 +96,6 @@ def convert_rows(rows: Rows, system: System) -> Rows:
         }
         | {"unit": system.unit(row["unit"])}
         for row in rows
-    )
-
-
-def convert_trace(trace: Trace, system: System) -> Trace:
-    """A trace in the units of a system; its actuation stays."""
-    length, force = system.factor("in"), system.factor("kip")
-    return replace(
-        trace,
-        displacement=trace.displacement * length,
-        velocity=trace.velocity * length,
-        force=None if trace.force is None else trace.force * force,
-        hysteresis=trace.hysteresis * length,
-    )
-
-
-def convert_fan(fan: Fan, by: float) -> Fan:
-    """A fan times a factor."""
-    intervals = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in fan.intervals)
-    return Fan(fan.kind, fan.median * by, tuple(intervals))
-
-
-def convert_law(law: LawView, system: System, actuation_unit: str) -> LawView:
-    """A law in the units of a system; `actuation_unit` is the internal one."""
-    by, along = system.factor(law.unit), system.factor(actuation_unit)
-    return replace(
-        law,
-        unit=system.unit(law.unit),
-        actuation=law.actuation * along,
-        device=convert_fan(law.device, by),
-        new_test=convert_fan(law.new_test, by),
-        tested=tuple((n, at * along, a * by, b * by, c * by) for n, at, a, b, c in law.tested),
-    )
-
-
-def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:
-    """What the figures of a test show, in the units of a system."""
-    if system == US:
-        return test
-    force = system.factor("kip")
-    marginals = ((m, system.factor(m.unit)) for m in test.marginals)
-    return replace(
-        test,
-        actuation=system.actuation(test.trace, actuation_unit),
-        trace=convert_trace(test.trace, system),
-        travel=None if test.travel is None else test.travel * system.factor("in"),
-        device=None if test.device is None else convert_fan(test.device, force),
-        observation=convert_fan(test.observation, force),
-        marginals=tuple(
-            replace(m, unit=system.unit(m.unit), prior=m.prior * by, posterior=m.posterior * by)
-            for m, by in marginals
-        ),
     )
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -15,7 +17,16 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
-from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError
+from mfd_bayes.errors import (
+    MOST_DRAWS,
+    CampaignError,
+    FitError,
+    NotThereError,
+    StoreError,
+    path_of,
+    whole_number,
+)
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import (
@@ -39,7 +50,7 @@ from mfd_bayes.planning.study import Advice, Effort, Situation, advise
 from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
-from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
+from mfd_bayes.population.population import Ending, Population
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -66,13 +77,7 @@ from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-    from pathlib import Path
-
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.population.population import Ending, Population
     from mfd_bayes.response.result import Response
-
 
 Array = NDArray[np.float64]
 

@@ -4,17 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import linalg, stats
+from scipy import stats
 
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population import given as given_part
 from mfd_bayes.population.bands import FEWEST, Forecast
 from mfd_bayes.population.design import setting_of
-from mfd_bayes.population.given import (
-    Forecaster,
-    Sums,
-    predict_given,
-)
+from mfd_bayes.population.given import Forecaster, predict_given, stroke_likelihood
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_predictor, no_residual
 
@@ -57,19 +53,15 @@ def test_the_likelihood_is_the_dense_density_with_an_intercept_of_each_stroke():
     rng = np.random.default_rng(1)
     strokes, left = np.repeat([0, 1, 2], [5, 9, 4]), rng.standard_normal((3, 18))
     sd, h = np.array([0.5, 1.0, 1.7]), 0.6
-    sums = Sums.of(left, np.ones(18), strokes, 3)
-    found = sums.log_likelihood(sd, h)
-    common = linalg.block_diag(*(np.ones((n, n)) for n in (5, 9, 4)))
-    unit = (1.0 - h**2) * np.eye(18) + h**2 * common
+    found = stroke_likelihood(left, np.ones(18), strokes, sd, h)
+    unit = (1.0 - h**2) * np.eye(18) + h**2 * (strokes[:, None] == strokes)
     expected = [
         stats.multivariate_normal(np.zeros(18), s**2 * unit).logpdf(row)
         for s, row in zip(sd, left, strict=True)
     ]
     np.testing.assert_allclose(found - 9.0 * np.log(2.0 * np.pi), expected, rtol=1e-10)
-    parts = Sums.of(left[:, :7], np.ones(7), strokes[:7], 2)
-    parts = parts.plus(Sums.of(left[:, 7:], np.ones(11), strokes[7:], 3))
-    np.testing.assert_allclose(parts.log_likelihood(sd, h), found)
-    assert np.abs(sums.log_likelihood(sd, 0.0) - found).max() > 1.0  # the control
+    independent = stroke_likelihood(left, np.ones(18), strokes, sd, 0.0)
+    assert np.abs(independent - found).max() > 1.0  # the control
 
 
 # --- a closed form

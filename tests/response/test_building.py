@@ -131,12 +131,12 @@ def test_a_matrix_that_is_none_or_declared_huge_or_complex_is_refused(tmp_path):
     refused(r"M\.npy as numbers")
     (tmp_path / "M.csv").write_text("1+1j,0\n0,1+1j\n")
     refused(r"M\.csv as numbers", "M.csv")
-    for shape in ((100_000, 100_000), (2**62, 4), (10**12,)):
+    for shape in ((100_000, 100_000), (10**9, 10**9), (10**12,)):
         with bad.open("wb") as file:
             about = {"descr": "<f8", "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_1_0(file, about)
             file.write(bytes(64))
-        refused("its shape is .* up to 500 rows")
+        refused(r"M\.npy as numbers")
     np.save(bad, np.eye(2) * (1 + 0j))
     refused("complex128, and no real numbers")
     np.save(bad, np.eye(2, dtype=np.int8))  # the control

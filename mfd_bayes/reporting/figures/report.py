@@ -19,7 +19,7 @@ from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, R
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.reporting.figures import agg as look
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, in_units
 from mfd_bayes.reporting.symbols import (
     BAND_NAMES,
     BANDS,
@@ -33,7 +33,6 @@ from mfd_bayes.reporting.symbols import (
     Symbols,
     plain,
 )
-from mfd_bayes.reporting.tables import convert_law, convert_rows, convert_test
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
 
@@ -178,33 +177,32 @@ def draw_corner(
 
 
 @look.style()
-def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols) -> Figure | None:
-    """Residuals of a test, in the units of `system`: by stage, along the gap, autocorrelation.
+def draw_residuals(title: str, test: TestView, system: System) -> Figure | None:
+    """Residuals of a test: by stage, along the gap, autocorrelation.
 
     None of a test that was not fitted.
     """
     if test.role == "validate":
         return None
     kept = slice(test.first, None)
-    residual = (np.asarray(test.trace.force) - test.observation.median)[kept]
-    widest = test.observation.widest
-    half = 0.5 * (widest.upper - widest.lower)[kept]
+    trace, (observation,) = in_units(system, test.trace, [test.observation])
+    residual = (np.asarray(trace.force) - observation.median)[kept]
+    half = 0.5 * (observation.widest.upper - observation.widest.lower)[kept]
     figure = look.new_figure(10, 3.4, title)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.6, 1.3))
     _draw_by_stage(left, residual, half, None if test.stage is None else test.stage[kept])
-    residual_label = symbols.response(system, "residual")
-    left.set_ylabel(residual_label)
-    where, below = test.trace.displacement, symbols.motion(system)
+    where, below = trace.displacement, "displacement"
     if test.travel is not None:
-        where, below = test.travel, system.label("travel since the last slip or turn", "in")
+        where, below = test.travel * system.factor("in"), "travel since the last slip or turn"
     _draw_along(middle, where[kept], residual, half)
-    middle.set(xlabel=below, ylabel=residual_label)
+    middle.set_xlabel(system.label(below, "in"))
     lags, bound = min(60, len(residual) // 4), 1.96 / np.sqrt(len(residual))
     right.axhspan(-bound, bound, color="#e6e6e6")
     right.acorr(residual - residual.mean(), maxlags=lags - 1, color=BLUE, linewidth=1.0)
     right.set(xlabel="lag, samples", xlim=(-1, lags))
     right.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
     for axes in (left, middle):
+        axes.set_ylabel(system.label("residual", "kip"))
         axes.axhline(0.0, color="#888888", linewidth=0.7)
     return figure
 
@@ -323,15 +321,12 @@ def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     """Figures that show all tests together, each with its key."""
     system, unit, symbols = view.system, view.actuation_unit, Symbols(view.model)
     if view.tests:
-        tests = [convert_test(test, system, unit) for test in view.tests]
         title = "Measured loops over their bands"
-        yield "overview", draw_overview(title, tests, system, unit, symbols)
+        yield "overview", draw_overview(title, view.tests, system, unit)
     if view.laws:
-        laws = [convert_law(law, system, unit) for law in view.laws]
         title = "Quantities against the actuation"
-        yield "laws", draw_laws(title, laws, system.unit(unit), symbols)
-    truth = convert_rows(view.truth, system)
-    figure = draw_truth("Posterior against the known truth", truth, symbols)
+        yield "laws", draw_laws(title, view.laws, system, unit, symbols)
+    figure = draw_truth("Posterior against the known truth", view.truth, symbols)
     if figure is not None:
         yield "truth", figure
     if view.next_test is not None:
@@ -342,16 +337,20 @@ def figures_of_test(
     test: TestView, system: System, actuation_unit: str, model: Model | None = None
 ) -> Iterator[tuple[str, Figure]]:
     """Figures of one test in the units of a system, each with its key."""
-    t, names = convert_test(test, system, actuation_unit), Symbols(model)
-    title, drawn = f"{t.id}, {t.actuation}", t.marginals
-    motion = title, t.trace, [f for f in (t.observation, t.device) if f is not None], system, names
+    names, title = Symbols(model), f"{test.id}, {system.actuation(test.trace, actuation_unit)}"
+    fans = [fan for fan in (test.observation, test.device) if fan is not None]
+    shown = [
+        Marginal(m.name, system.unit(m.unit), m.prior * by, m.posterior * by, m.contraction)
+        for m in test.marginals
+        for by in [system.factor(m.unit)]
+    ]
     figures: dict[str, Callable[[], Figure | None]] = {
-        "loops": lambda: draw_loops(*motion),
-        "history": lambda: draw_history(*motion, t.first),
-        "residuals": lambda: draw_residuals(f"{title}: residuals", t, system, names),
-        "marginals": lambda: draw_marginals(f"{title}: priors and posteriors", drawn, names),
-        "corner": lambda: draw_corner(f"{title}: joint posterior", drawn, t.corner, names),
-        "ranks": lambda: draw_ranks(f"{title}: ranks of each chain", drawn, t.chains, names),
+        "loops": lambda: draw_loops(title, test.trace, fans, system),
+        "history": lambda: draw_history(title, test.trace, fans, system, test.first),
+        "residuals": lambda: draw_residuals(f"{title}: residuals", test, system),
+        "marginals": lambda: draw_marginals(f"{title}: priors and posteriors", shown, names),
+        "corner": lambda: draw_corner(f"{title}: joint posterior", shown, test.corner, names),
+        "ranks": lambda: draw_ranks(f"{title}: ranks of each chain", shown, test.chains, names),
     }
     for name in OF_TEST:
         figure = figures[name]()
@@ -375,7 +374,9 @@ def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
 
 
 @look.style()
-def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str, symbols: Symbols) -> Figure:
+def draw_laws(
+    title: str, laws: Sequence[LawView], system: System, actuation_unit: str, symbols: Symbols
+) -> Figure:
     """One panel per law: the mean property with its bands, and the tests' 95 % intervals."""
     columns = min(3, len(laws))
     rows = -(-len(laws) // columns)
@@ -384,31 +385,39 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str, symbols:
     for axes in grid.flat[len(laws) :]:
         axes.set_visible(False)
     for axes, law in zip(grid.flat, laws, strict=False):
-        _draw_law(axes, law, symbols)
-        axes.set_xlabel(plain(f"actuation, {actuation_unit}"))
+        _draw_law(axes, law, system.factor(law.unit), system.factor(actuation_unit))
+        axes.set_title(f"{symbols.in_figure(law.name)}: {plain(law.law)}")
+        axes.set_ylabel(symbols.label(law.name, system.unit(law.unit)))
+        axes.set_xlabel(plain(f"actuation, {system.unit(actuation_unit)}"))
     handles, texts = grid.flat[0].get_legend_handles_labels()
     figure.legend(handles, texts, loc="outside lower left", ncols=4)
     return figure
 
 
-def _draw_law(axes: Axes, law: LawView, symbols: Symbols) -> None:
+def _draw_law(axes: Axes, law: LawView, by: float, along: float) -> None:
+    """A law in other units: its quantity times a factor, and its actuation times another."""
+    actuation, device, again = law.actuation * along, law.device.times(by), law.new_test.times(by)
     wide, _, dark = BANDS["new_test"]
-    for fan, colour in ((law.new_test, wide), (law.device, _MEDIAN)):
+    for fan, colour in ((again, wide), (device, _MEDIAN)):
         edges = fan.widest.lower, fan.widest.upper
         name = f"{BAND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
-        axes.fill_between(law.actuation, *edges, color=colour, linewidth=0, label=name)
-    axes.plot(law.actuation, law.device.median, color=dark, label="best estimate")
+        axes.fill_between(actuation, *edges, color=colour, linewidth=0, label=name)
+    axes.plot(actuation, device.median, color=dark, label="best estimate")
+    shown = [device.median]
     if law.tested:
-        _, at, lower, median, upper = (np.asarray(part) for part in zip(*law.tested, strict=True))
+        at, *bounds = (np.array(part) for part in list(zip(*law.tested, strict=True))[1:])
+        lower, median, upper = (by * bound for bound in bounds)
         arms = np.maximum(0.0, [median - lower, upper - median])
-        shown: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 3}
-        axes.errorbar(spread(at), median, arms, label="tests, 95 %", linewidth=0.9, **shown)
-    axes.set_title(f"{symbols.in_figure(law.name)}: {plain(law.law)}")
-    axes.set_ylabel(symbols.label(law.name, law.unit))
-    axes.set_ylim(*_limits(law))
-    axes.margins(x=0.0)
-    if any(test[1] == 0 for test in law.tested):  # room for tests at zero, side by side
-        axes.set_xlim(left=-0.03 * law.actuation[-1])
+        look_of: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 3}
+        axes.errorbar(spread(at * along), median, arms, label="tests, 95 %", lw=0.9, **look_of)
+        shown += [lower, upper]
+    low, high = (float(end(np.concatenate(shown))) for end in (np.min, np.max))
+    low = min(low, float(np.min(again.widest.lower)))
+    high = max(high, min(float(np.max(again.widest.upper)), 2.0 * high))  # it may go beyond
+    margin = 0.05 * (high - low) or 0.1
+    axes.set_ylim(0.0 if 0.0 <= low < 0.5 * high else low - margin, high + margin)
+    at_zero = any(test[1] == 0.0 for test in law.tested)  # these stand side by side
+    axes.set_xlim(-0.03 * actuation[-1] if at_zero else actuation[0], actuation[-1])
 
 
 def spread(actuation: Array) -> Array:
@@ -425,18 +434,6 @@ def spread(actuation: Array) -> Array:
         step = min(0.012 * span, room / max(1, same.size - 1))
         shifted[same] += step * (np.arange(same.size) - 0.5 * (same.size - 1))
     return shifted
-
-
-def _limits(law: LawView) -> tuple[float, float]:
-    """Vertical limits that hold tests and best estimate; the wide band may go beyond them."""
-    tops = [float(np.max(law.device.median)), *(t[4] for t in law.tested)]
-    bottoms = [float(np.min(law.device.median)), *(t[2] for t in law.tested)]
-    for interval in law.new_test.intervals:
-        tops.append(min(float(np.max(interval.upper)), 2.0 * max(tops)))
-        bottoms.append(float(np.min(interval.lower)))
-    low, high = min(bottoms), max(tops)
-    margin = 0.05 * (high - low) or 0.1
-    return (0.0 if 0 <= low < 0.5 * high else low - margin), high + margin
 
 
 @look.style()
