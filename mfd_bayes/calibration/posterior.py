@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.noise import Noise, find_noise
 from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors, priors_of_fit
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.friction.model import Model, columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.records.inputs import whole_number
 from mfd_bayes.records.loops import STRONG
 from mfd_bayes.records.trace import Trace, check_magnitude, check_trace
 from mfd_bayes.store.cards import card, counted

@@ -22,10 +22,9 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior, replicate
 from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.calibration.proposal import Evidence, find_modes, log_evidence, nearest_modes
-from mfd_bayes.errors import FitError, MfdError, StoreError
+from mfd_bayes.errors import FitError, MfdError, StoreError, hash_file
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
-from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import CalibratedTest, StoredTest, load_test, save_test

@@ -37,9 +37,8 @@ from mfd_bayes.calibration.proposal import (
     learn,
     log_evidence,
 )
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.jobs.job import Progress
-from mfd_bayes.records.inputs import whole_number
 from mfd_bayes.store.cards import counted, grid
 
 Array = NDArray[np.float64]

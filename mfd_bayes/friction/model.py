@@ -17,8 +17,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.errors import FitError, MfdError, UnitError
-from mfd_bayes.records.inputs import real_number, real_numbers
+from mfd_bayes.errors import FitError, MfdError, UnitError, real_number, real_numbers
 from mfd_bayes.records.trace import Trace, check_trace, vertex_of_turn, vertices
 from mfd_bayes.units import DAMPER, DIMENSIONS, Axes, axis_of, convert, dimension_of, in_place_of
 

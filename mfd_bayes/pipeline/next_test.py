@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.errors import CampaignError, StoreError, why_no_file
 from mfd_bayes.evaluation.next_test import (
     advice_content,
     advice_sentence,
@@ -15,7 +15,6 @@ from mfd_bayes.evaluation.next_test import (
     shown_rows,
     together_words,
 )
-from mfd_bayes.records.inputs import why_no_file
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
 from mfd_bayes.runs.run import Run, open_run

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.inputs import real_number, real_numbers
+from mfd_bayes.errors import MfdError, RecordError, UnitError, real_number, real_numbers
 from mfd_bayes.units import DAMPER, Axes, parse_quantity, split_quantity
 
 Array = NDArray[np.float64]

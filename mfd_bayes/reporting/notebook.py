@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import ReportError
-from mfd_bayes.records.inputs import real_numbers
+from mfd_bayes.errors import ReportError, real_numbers
 from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.run import Run
 

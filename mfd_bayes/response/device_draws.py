@@ -9,12 +9,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError
+from mfd_bayes.errors import MOST_DRAWS, BuildingError, whole_number
 from mfd_bayes.friction.model import Columns, Model, State
 from mfd_bayes.population.design import Setting
 from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.population.population import Numbers, Population
-from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.response.building import Building
 
 KINDS = ("new_test", "device")
@@ -54,12 +53,8 @@ class ElastoPlastic(State):
     def at_rest(cls, stiffness: Array, strength: Array, elastic: Array | None = None) -> Self:
         """Springs without force at displacement 0.
 
-        Parameters
-        ----------
-        stiffness, strength : (n,), kip/in, kip
-        elastic : (n,), kip/in, optional
-            Stiffness whose elastic force is subtracted: that of a storey which the linear structure
-            has already, so that the force here is 0 until it yields.
+        `elastic` is the stiffness whose elastic force is subtracted, (n,), kip/in: that of a storey
+        which the linear structure has already, so that the force here is 0 until it yields.
         """
         zero = np.zeros(stiffness.size)
         constants = {"stiffness": stiffness, "strength": strength}
@@ -73,21 +68,13 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Choice:
-    """What is drawn.
+    """What is drawn."""
 
-    Attributes
-    ----------
-    kind : {"new_test", "device"}
-    draws, seed : int
-    session : str
-    scatter : float
-        Factor of the scatter from test to test: 1, or another to see what it does.
-    """
-
-    kind: str = "new_test"
+    kind: str = "new_test"  # or "device"
     draws: int = 300
     seed: int = 1
     session: str = ""
+    # factor of the scatter from test to test: 1, or another to see what it does
     scatter: float = 1.0
 
     def __post_init__(self) -> None:
@@ -103,27 +90,17 @@ class Leftover:
 
     A turn would let the force jump from one side to the other. It goes there over the first
     `SETTLE` of the longest stroke instead, so that the force is continuous in time.
-
-    Attributes
-    ----------
-    basis : TravelBasis
-    knots : (q, 2, KNOTS + 2), kip
-        Values forward and backward, and zeros beyond the longest stroke.
-    place, turn : (q,), in
-        Displacement now and at the last turn.
-    direction : (q,), ±1
-    stroke : (q,), in
-        Length of the stroke before the last turn.
-    held, force : (q,), kip
-        Force at the last turn, and now.
     """
 
     basis: TravelBasis
+    # (q, 2, KNOTS + 2), kip, values forward and backward, and zeros beyond the longest stroke
     knots: Array
+    # (q,), in: displacement now and at the last turn
     place: Array
-    direction: Array
+    direction: Array  # (q,), ±1
     turn: Array
-    stroke: Array
+    stroke: Array  # (q,), in, length of the stroke before the last turn
+    # (q,), kip: force at the last turn, and now
     held: Array
     force: Array
 
@@ -131,12 +108,9 @@ class Leftover:
     def at_rest(cls, basis: TravelBasis, coefficients: Array, relative: Array) -> Leftover:
         """State before any motion, without force, for no stroke is known.
 
-        Parameters
-        ----------
-        coefficients : (n, K), kip
-            Common to the dampers of a building, as they are to the tests of a device.
-        relative : (n, m)
-            Slip force of each damper over the one at which the discrepancy stands as it is.
+        `coefficients`, (n, K), kip, are common to the dampers of a building, as to the tests of a
+        device; `relative` is the slip force of each damper over the one at which the discrepancy
+        stands as it is, (n, m).
         """
         knots = relative[..., None, None] * coefficients.reshape(len(relative), 1, 2, KNOTS)
         knots = np.pad(knots.reshape(-1, 2, KNOTS), ((0, 0), (0, 0), (0, 2)))
@@ -182,31 +156,20 @@ class Leftover:
 
 @dataclass(frozen=True, eq=False)
 class Dampers:
-    """Dampers of n buildings, m in each.
+    """Dampers of n buildings, m in each."""
 
-    Attributes
-    ----------
-    model : Model or None
-        None for dampers that are almost rigid until they slip; theta is the slip force then.
-    theta : (n, m, p)
-    start : (n, m)
-        Places in the gap at the start.
-    slip : (n, m), kip
-        Mean slip forces.
-    leftover : Leftover, optional
-    scales : mapping of (n, m, T)
-        Factors of what follows the actuation, at the times `times`; none for constant actuations.
-    about : mapping of (n, m)
-        Values by which the draws differ, by the name of the source, for shares of variance.
-    """
-
+    # none for dampers that are almost rigid until they slip; theta is the slip force then
     model: Model | None
-    theta: Array
-    start: Array
-    slip: Array
+    theta: Array  # (n, m, p)
+    start: Array  # (n, m), places in the gap at the start
+    slip: Array  # (n, m), kip, mean slip forces
     leftover: Leftover | None = None
+    # (n, m, T), factors of what follows the actuation, at the times `times`; none
+    # for constant actuations
     scales: Mapping[str, Array] = field(default_factory=dict)
     times: Array | None = None
+    # (n, m), values by which the draws differ, by the name of the source, for
+    # shares of variance
     about: Mapping[str, Array] = field(default_factory=dict)
 
     @property

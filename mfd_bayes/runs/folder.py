@@ -21,9 +21,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import StoreError, hash_file
 from mfd_bayes.jobs.signals import before_end
-from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.store.files import (
     PART,
     Part,

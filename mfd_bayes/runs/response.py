@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfd_bayes.errors import BuildingError
+from mfd_bayes.errors import BuildingError, path_of, real_number, whole_number
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.records.inputs import path_of, real_number, whole_number
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
-from mfd_bayes.response.time_integration import Accuracy, Analysis
+from mfd_bayes.response.time_integration import response_of
 from mfd_bayes.runs.tested_range import MARGIN, Departure, Span
 from mfd_bayes.units import actuation_kind
 
@@ -39,20 +38,15 @@ def respond(
     """Response of a building with the device of a run as its dampers; see `Run.respond`."""
     whole_number("jobs", jobs, 0, BuildingError)
     tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
-    if not callable(observe):
-        raise BuildingError(f"observe must be a function, got {observe!r}")
     built = building if isinstance(building, Building) else read_building(building)
     motions = grounds_of(grounds)
     for device in built.devices:
         where = f"the actuation of the damper at {device.name}"
         check_kind(where, device.unit, run.actuation_unit)
-    dampers = draw_dampers(run.population, run.predictor.model, built, choice)
-    model = run.predictor.model
-    bounds = (
-        bound_dampers(run.population, model, built, dampers, choice)
-        if dampers.count and (model.slip_forces or model.laws)
-        else {}
-    )
+    model, bounds = run.predictor.model, {}
+    dampers = draw_dampers(run.population, model, built, choice)
+    if dampers.count and (model.slip_forces or model.laws):
+        bounds = bound_dampers(run.population, model, built, dampers, choice)
     if not model.slip_forces:  # by which forces are judged to be in equilibrium
         typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
         dampers, *few = (
@@ -60,8 +54,7 @@ def respond(
             for one in (dampers, *bounds.values())
         )
         bounds = dict(zip(bounds, few, strict=True))
-    accuracy = Accuracy(tolerance=tolerance)
-    response = Analysis(built, motions, dampers, accuracy, bounds).respond(jobs, observe)
+    response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
     remarks = [*chain.from_iterable(beyond_tests(run, response))]
     remarks += [run.caution] if run.caution else []
     remarks += _short_histories(built, motions)

@@ -72,14 +72,11 @@ def test_predictions_stand_beside_fitted_tests_and_are_averaged():
         assert words in found.sentence
     assert "from the others" in left_out_view(replace(STORED, by="test")).sentence
     assert left_out_view(None) is None
-
-
-def test_whole_histories_that_were_held_are_counted_and_no_width_has_no_ratio():
-    first, second = STORED.predictions
-    flat = replace(first, whole=True, fitted=scored(0.0, 0.0))
-    found = left_out_view(replace(STORED, predictions=(flat, replace(second, whole=False))))
-    assert [row["whole_95"] for row in found.rows] == [1.0, 0.0]
-    assert found.mean["whole_95"] == 0.5
+    # whole histories that were held are counted, and no width has no ratio
+    one, two = STORED.predictions
+    flat = replace(one, whole=True, fitted=scored(0.0, 0.0))
+    found = left_out_view(replace(STORED, predictions=(flat, replace(two, whole=False))))
+    assert [row["whole_95"] for row in (*found.rows, found.mean)] == [1.0, 0.0, 0.5]
     assert "hold the whole force of 1 of 2 tests" in found.sentence
     assert math.isnan(found.rows[0]["width_ratio"])
     assert math.isnan(found.rows[0]["crps_ratio"])

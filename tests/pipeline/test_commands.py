@@ -153,6 +153,8 @@ def test_the_manifest_says_how_it_came_about(finished_run, out):
     for file in ("campaign.toml", *(f"{test}.csv" for test in (*TESTS, HELD_OUT))):
         content = (finished_run.campaign.parent / file).read_bytes()
         assert hashlib.sha256(content).hexdigest() in manifest["inputs"].values()
+    stored = {path.relative_to(out).as_posix() for path in out.rglob("*.nc")}
+    assert set(manifest["files"]) == {*stored, "priors.toml"}  # each with its hash
     for test in TESTS:
         assert manifest["tests"][test]["status"] == "done"
         assert 0 < manifest["tests"][test]["seconds"] < manifest["seconds"] * 2
@@ -299,6 +301,11 @@ def test_resuming_a_finished_run_keeps_its_draws(finished_run, copied):
     again = ("calibrate", finished_run.campaign, "-o", copied, "--effort", "quick")
     assert re.search("--resume.*--force", refusal(*again))
     assert "seed" in refusal(*again, "--resume", "--seed", 2)
+    for path in (files[0], copied / "population.nc"):
+        content = path.read_bytes()
+        path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+        assert re.search(f"{path.name}.*SHA-256", refusal(*again, "--resume"))
+        path.write_bytes(content)
     assert (copied / "manifest.json").read_bytes() == before
 
 

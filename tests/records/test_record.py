@@ -10,8 +10,7 @@ import pint
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.errors import FitError, MfdError, RecordError, UnitError
-from mfd_bayes.records.inputs import real_number, real_numbers
+from mfd_bayes.errors import FitError, MfdError, RecordError, UnitError, real_number, real_numbers
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Source, Subtracted, checked_window
 from mfd_bayes.units import parse_mass, parse_quantity

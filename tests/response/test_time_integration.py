@@ -15,7 +15,7 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import Content, building_of
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.time_integration import Accuracy, integrate, settle
+from mfd_bayes.response.time_integration import integrate, settle
 
 RATIO = 0.05
 FINE = 0.01
@@ -89,7 +89,7 @@ def test_energy_is_accounted_for():
 
 
 def test_a_storey_that_yields_holds_no_more_than_its_strength():
-    ground, slow = shaking(peak=300.0), Accuracy(tolerance=0.005)
+    ground, slow = shaking(peak=300.0), 0.005
     weak, strong = (
         settle(shear_building(1, dampers=False, yields=y), ground, no_dampers(), slow)
         for y in (15, None)
@@ -109,7 +109,7 @@ def test_a_stiff_brace_is_a_rigid_one():
 
 def test_plain_friction_slips_at_its_force():
     slip = np.array([6.0, 4.0])
-    found = settle(shear_building(2), shaking(), plain_friction(slip), Accuracy())
+    found = settle(shear_building(2), shaking(), plain_friction(slip))
     assert found.force[0, 0] == pytest.approx(slip, rel=2e-3)
     assert not found.unstable.any()
 
@@ -133,7 +133,7 @@ def test_one_storey_moves_as_a_linear_one_under_the_force_that_its_model_predict
     time = np.arange(0.0, coarse.time[-1], 0.001)
     ground = Ground("fine", 0.001, np.interp(time, coarse.time, coarse.acceleration))
     dampers = Dampers(model, row[None], np.full((1, 1), 0.5), np.full((1, 1), 5.0))
-    found = settle(building, ground, dampers, Accuracy(tolerance=0.002))
+    found = settle(building, ground, dampers, 0.002)
     x, pull = found.travels[0][0, :, 0].astype(float), found.forces[0][0, :, 0]
     force = model.force(row, Trace.from_arrays(ground.time, x, hysteresis=0.0), 0.5)[0]
     assert found.travel[0, 0, 0] == pytest.approx(np.abs(x).max(), rel=1e-3)
@@ -166,14 +166,14 @@ def test_steps_are_short_where_forces_bend_and_change_less_than_is_estimated():
     assert np.abs(usual.drift / fine.drift - 1.0).max() < 0.003
     off = np.abs(usual.drift - fine.drift).max(axis=2) / fine.drift.max(axis=2)
     assert np.all(off < usual.change)
-    rough = settle(building, loud, bouc_wen(4, 2), Accuracy(tolerance=1e-6, rounds=0))
+    rough = settle(building, loud, bouc_wen(4, 2), 1e-6, rounds=0)
     assert rough.change.max() > 1e-6  # a tolerance that cannot be reached is not said to be
 
 
 def test_a_draw_that_runs_away_is_named():
     building, drive = shear_building(1), bouc_wen(3, 1)
     drive.theta[1, 0, 6] = 1e9  # a dashpot beyond all reason
-    found = settle(building, shaking(peak=1e9), drive, Accuracy())
+    found = settle(building, shaking(peak=1e9), drive)
     assert found.unstable[0, 0]
     assert np.all(np.isfinite(found.drift[~found.unstable]))
 

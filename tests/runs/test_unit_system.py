@@ -1,33 +1,35 @@
+"""The units in which a run is reported: those of most of its records."""
+
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from mfd_bayes.errors import UnitError
+from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.tables import convert_rows, to_units
 from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, both_systems, named_system, system_of
 from mfd_bayes.units import convert
 
 
-def test_units_of_either_system():
-    for internal, metric, factor in (
-        ("kip", "kN", 4.4482216152605),
+@pytest.mark.parametrize(
+    ("internal", "metric", "factor"),
+    [
         ("kip/in", "kN/mm", 0.17512683524648),
         ("kip*s/in", "kN*s/mm", 0.17512683524648),
-        ("in^2", "mm^2", 645.16),
         ("in**2", "mm**2", 645.16),
         ("1/in", "1/mm", 1 / 25.4),
         ("kip*in", "kN*mm", 112.98482902762),
         ("ksi", "MPa", 6.8947572931684),
         ("1", "1", 1.0),
-    ):
-        assert SI.unit(internal) == metric
-        assert SI.factor(internal) == pytest.approx(factor, rel=1e-12), internal
-        assert (US.unit(internal), US.factor(internal)) == (internal, 1.0)
-    with pytest.raises(UnitError, match="'kip' cannot be given in 'mm'"):
-        convert("kip", "mm")
+    ],
+)
+def test_units_of_either_system(internal, metric, factor):
+    assert SI.unit(internal) == metric
+    assert SI.factor(internal) == pytest.approx(factor, rel=1e-12)
+    assert (US.unit(internal), US.factor(internal)) == (internal, 1.0)
+    with pytest.raises(UnitError, match="cannot be given in 'mm/kg'"):
+        convert(internal, "mm/kg")
 
 
 def test_most_records_decide_the_system_and_the_pressure():
@@ -67,19 +69,8 @@ def test_actuations_and_stiffness_per_actuation():
     assert "mean of a history" in SI.actuation(varying, "ksi")
 
 
-def test_rows_keep_their_meaning_in_the_other_system(campaign):
-    k3 = next(row for row in campaign.tests[0].rows if row["name"] == "k3")
-    (metric,) = convert_rows((k3,), SI)
-    assert metric["unit"] == "kN/mm"
-    assert metric["upper"] == pytest.approx(k3["upper"] * SI.factor("kip/in"))
-    assert (metric["r_hat"], metric["contraction"]) == (k3["r_hat"], k3["contraction"])
-
-
-def test_a_table_is_converted_by_row_and_by_column():
-    frame = pd.DataFrame({"unit": ["kip", "1"], "mean": [1.0, 2.0], "crps_kip": 1.0, "n": 3})
-    metric = to_units(frame, SI)
-    assert list(metric) == ["unit", "mean", "crps_kN", "n"]
-    assert metric["unit"].tolist() == ["kN", "1"]
-    assert metric["mean"].tolist() == pytest.approx([SI.factor("kip"), 2.0])
-    assert metric["crps_kN"][0] == pytest.approx(SI.factor("kip"))
-    assert metric["n"].tolist() == [3, 3]
+def test_quantities_of_a_sentence_are_written_in_the_units_of_the_reader_and_text_stays():
+    gap = Quantity.of(0.2, 0.3, unit="in")
+    message = Message("the gap of {test} is {gap}, {{sic}}", {"test": "2 in", "gap": gap})
+    assert str(message) == message.to_text(US) == "the gap of 2 in is 0.2 to 0.3 in, {sic}"
+    assert message.to_text(SI) == "the gap of 2 in is 5.08 to 7.62 mm, {sic}"

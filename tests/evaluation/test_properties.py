@@ -1,16 +1,69 @@
-"""The data sheet of a run: one row for each condition, quantity, direction and cycle."""
+"""Bounding properties from draws whose quantiles are known, and the data sheet of a run."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mfd_bayes import open_run
 from mfd_bayes.errors import MfdError
-from mfd_bayes.evaluation.properties import datasheet, parse_condition
+from mfd_bayes.evaluation.properties import (
+    ANOTHER,
+    NOT_KNOWN,
+    bounds_of,
+    datasheet,
+    design_warnings,
+    parse_condition,
+)
+from mfd_bayes.records.trace import Trace
 from tests.run_folders import FORCE, MOTION, write_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"
+UNIT = (np.arange(2000) + 0.5) / 2000.0
+DRAWN = {
+    "device": {"slip_fwd": 2.0 + 0.2 * (UNIT - 0.5), "energy_per_cycle": np.full(2000, 4.0)},
+    "new_test": {"slip_fwd": 2.0 + 2.0 * (UNIT - 0.5), "energy_per_cycle": 3.0 + 2.0 * UNIT},
+    "observation": {"energy_per_cycle": 2.0 + 4.0 * UNIT},
+}
+
+
+def bounds(probability=0.9, drawn=DRAWN):
+    return {(r["name"], r["basis"]): r for r in bounds_of(drawn, probability)}
+
+
+def test_bounds_are_quantiles_and_factors_relative_to_the_mean_property():
+    row = bounds(0.9)["slip_fwd", "new_test"]
+    figures = [row[key] for key in ("lower", "nominal", "upper", "lambda_min", "lambda_max")]
+    assert figures == pytest.approx([1.1, 2.0, 2.9, 0.55, 1.45], abs=1e-3)
+    narrow = bounds(0.5)["slip_fwd", "new_test"]
+    assert (narrow["lower"], narrow["upper"]) == pytest.approx((1.5, 2.5), abs=1e-3)
+
+
+def test_what_a_basis_or_a_motion_does_not_have_is_left_out_or_not_known():
+    assert ("slip_fwd", "observation") not in bounds()
+    assert ("energy_per_cycle", "observation") in bounds()
+    none = {basis: {"energy_per_cycle": np.full(9, np.nan)} for basis in ("device", "new_test")}
+    assert bounds_of(none, 0.9) == ()
+    row = bounds()["slip_fwd", ANOTHER]
+    assert np.isnan(row["upper"])
+    assert row["note"] == NOT_KNOWN
+    known = bounds(drawn={**DRAWN, ANOTHER: DRAWN["new_test"]})["slip_fwd", ANOTHER]
+    assert known["upper"] > known["nominal"]
+    assert known["note"] == ""
+
+
+def test_bounds_from_two_levels_come_with_a_warning():
+    time = np.linspace(0.0, 4.0, 401)
+    traces = [Trace.from_arrays(time, np.sin(np.pi * time), p) for p in (0.5, 0.5, 1.0, 1.5)]
+    tests = {str(i): SimpleNamespace(trace=trace) for i, trace in enumerate(traces)}
+    (warning,) = design_warnings(SimpleNamespace(tests=dict(list(tests.items())[:3])))
+    assert "have 2 levels" in warning
+    assert "too narrow" in warning
+    assert design_warnings(SimpleNamespace(tests=tests)) == ()
+
+
+# --- the data sheet
 
 
 @pytest.fixture(scope="module")
@@ -19,19 +72,14 @@ def sheet():
     return datasheet(run, [parse_condition("700 psi, 0.9 in, 0.4 Hz", run.actuation_unit)])
 
 
-def test_every_condition_has_every_quantity(sheet):
+def test_every_condition_has_every_quantity_and_what_was_asked_for_bounds(sheet):
     rows = sheet.rows[sheet.rows["cycle"] == 0]
     wanted = {"slip_force", "peak_force", "effective_stiffness", "effective_damping"}
     for condition, part in rows.groupby("condition"):
         assert set(part["quantity"]) == wanted | {"energy", "gap"}, condition
-        assert set(part.loc[part["quantity"] == "peak_force", "direction"]) == {
-            "forward",
-            "backward",
-        }
+        directions = set(part.loc[part["quantity"] == "peak_force", "direction"])
+        assert directions == {"forward", "backward"}
     assert set(sheet.formulas) == set(rows["quantity"])
-
-
-def test_a_condition_that_was_asked_for_has_bounds_and_no_measured_value(sheet):
     asked = sheet.rows[sheet.rows["condition"] == "700 psi, 0.9 in, 0.4 Hz"]
     assert len(asked) == 11  # eight, and the energy of three cycles
     assert not asked["tested"].any()
@@ -75,9 +123,12 @@ def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(tmp_path):
     assert str(sheet.verdict[1]).startswith(f"{outside} of {cycles} measured values")
 
 
-@pytest.mark.parametrize(
-    "text", ["35 lbf", "500 psi, 1 in", "500 psi, 1 in, 0.5 Hz, 3 cycles", "35 lbf, 1 in, 0.5 Hz"]
-)
-def test_a_condition_that_is_none_is_refused(text):
-    with pytest.raises(MfdError, match=text.split(",")[0]):
-        parse_condition(text, "ksi")
+def test_a_condition_that_is_none_is_refused():
+    for text in (
+        "35 lbf",
+        "500 psi, 1 in",
+        "500 psi, 1 in, 0.5 Hz, 3 cycles",
+        "35 lbf, 1 in, 1 Hz",
+    ):
+        with pytest.raises(MfdError, match=text.split(",")[0]):
+            parse_condition(text, "ksi")
