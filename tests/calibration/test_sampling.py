@@ -1,21 +1,19 @@
 """Modes, proposals, moves and draws of densities that are known, each with a control that fails."""
 
-import emcee
 import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from mfd_bayes.calibration.diagnostics import Effort, autocorrelation_time
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import (
     Mixture,
     Proposal,
     climb,
     fit_mixture,
-    learn,
     least_squares,
 )
-from mfd_bayes.calibration.sampling import JUMPS, Independent, evolution, sample, sample_density
+from mfd_bayes.calibration.sampling import sample, sample_density
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
 
@@ -23,7 +21,6 @@ DIM = 5
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])
 SD = np.array([1.0, 0.1, 3.0, 1.0, 20.0])
 COVARIANCE = SD * SD[:, None] * (0.8 ** np.abs(np.subtract.outer(np.arange(DIM), np.arange(DIM))))
-FACTOR = np.linalg.cholesky(COVARIANCE)
 PRECISION = np.linalg.inv(COVARIANCE)
 EFFORT = Effort(ess=800, limit=4000, ensembles=4, walkers=24)
 
@@ -79,80 +76,6 @@ def test_the_seed_decides_and_what_is_reported_does_not():
     assert news[-1].missing == ""
 
 
-# --- moves: every move goes through one harness, which a wrong one must fail
-
-ENSEMBLES, WALKERS = 4, 40
-
-
-def exact(n, seed=20):
-    return MEAN + np.random.default_rng(seed).normal(size=(n, DIM)) @ FACTOR.T
-
-
-LEARNED = learn(
-    exact(4000),
-    3,
-    np.random.default_rng(21),
-    Mixture(np.ones(1), MEAN[None], 1.5 * FACTOR[None], np.full(1, 6.0)),
-)
-NARROW = Mixture(
-    np.array([0.3, 0.7]),
-    np.array([MEAN + 0.5 * SD, MEAN - 0.3 * SD]),
-    np.linalg.cholesky(np.array([0.5 * COVARIANCE, 0.8 * COVARIANCE])),
-    np.array([4.0, 6.0]),
-)
-
-
-class Forgetful(Independent):
-    """The wrong way: proposals from a mixture, accepted as if they were symmetric."""
-
-    def propose(self, model, state):
-        proposal = self.source.draw(model.random, len(state.coords))
-        log_prob, _ = model.compute_log_prob_fn(proposal)
-        moved = np.log(model.random.rand(len(proposal))) < log_prob - state.log_prob
-        state.coords[moved], state.log_prob[moved] = proposal[moved], log_prob[moved]
-        return state, moved
-
-
-def run(moves, steps):
-    """Chains (ensemble, step, walker, dim) of moves that begin with exact draws."""
-    total = ENSEMBLES * WALKERS
-    sampler = emcee.EnsembleSampler(total, DIM, normal, moves=moves, vectorize=True)
-    twister = np.random.RandomState(0).get_state()
-    sampler.run_mcmc(emcee.State(exact(total, 100), random_state=twister), steps)
-    return np.swapaxes(sampler.get_chain().reshape(steps, ENSEMBLES, WALKERS, DIM), 0, 1)
-
-
-def sampled(chains):
-    """Whether means, variances and the law of the first coordinate are the normal's."""
-    late = chains[:, chains.shape[1] // 6 :]
-    standard = np.linalg.solve(FACTOR, (late - MEAN).reshape(-1, DIM).T).T.reshape(late.shape)
-    apart = int(3 * np.max(autocorrelation_time(standard)))
-    mean, variance = standard.mean(axis=(0, 1, 2)), standard.var(axis=(0, 1, 2))
-    law = stats.kstest(standard[:, ::apart, :, 0].ravel(), stats.norm.cdf)
-    near = np.max(np.abs(mean)) < 0.05 and np.max(np.abs(variance - 1)) < 0.05
-    return bool(near and law.pvalue > 0.001)
-
-
-@pytest.mark.parametrize(
-    ("moves", "steps", "right"),
-    [
-        ([(Independent(NARROW), 1.0)], 1500, True),
-        ([(Independent(LEARNED), JUMPS), *evolution(DIM, ENSEMBLES, 1.0 - JUMPS)], 800, True),
-        ([(Forgetful(NARROW), 1.0)], 400, False),
-    ],
-    ids=["independent, badly placed", "those of the sampler", "without the proposal's density"],
-)
-def test_a_move_samples_a_correlated_normal(moves, steps, right):
-    assert sampled(run(moves, steps)) is right
-
-
-def test_the_harness_rejects_draws_that_are_slightly_too_wide_or_shifted():
-    chains = exact(ENSEMBLES * 1000 * WALKERS).reshape(ENSEMBLES, 1000, WALKERS, DIM)
-    assert sampled(chains)
-    assert not sampled(MEAN + 1.04 * (chains - MEAN))
-    assert not sampled(chains + 0.08 * SD)
-
-
 # --- modes
 
 
@@ -198,6 +121,14 @@ def test_least_squares_ends_where_scipy_does_and_stays_where_there_is_no_number(
 
 
 # --- proposals
+
+
+NARROW = Mixture(
+    np.array([0.3, 0.7]),
+    np.array([MEAN + 0.5 * SD, MEAN - 0.3 * SD]),
+    np.linalg.cholesky(np.array([0.5 * COVARIANCE, 0.8 * COVARIANCE])),
+    np.array([4.0, 6.0]),
+)
 
 
 def test_the_density_of_a_mixture_is_that_of_scipy():
