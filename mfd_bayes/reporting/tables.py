@@ -22,7 +22,7 @@ from mfd_bayes.evaluation.views import CampaignView, Fan, LeftOutView, Row, Rows
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
+from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
 from mfd_bayes.runs.manifest import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import Axes, percent
@@ -485,12 +485,7 @@ def escape_tex(text: str) -> str:
 
 def symbol_tex(name: str, symbols: Symbols) -> str:
     """Symbol of a quantity as maths; an unknown name as text."""
-    if symbol := symbols.maths(name):
-        return f"${symbol}$"
-    word, of, more = split_population(name, symbols.pooled)
-    if word:
-        return f"{escape_tex(word)} {symbol_tex(of, symbols)}{escape_tex(more)}"
-    return escape_tex(name.replace("_", " "))
+    return str(symbols.written_as(name, lambda maths, _: f"${maths}$", escape_tex))
 
 
 def _texts(cell: Cell, by: float) -> list[str]:
