@@ -91,7 +91,7 @@ class Symbols:
     def written_as(
         self, name: str, symbol: Callable[[str, str], Any], text: Callable[[str], Any]
     ) -> Any:
-        """A quantity, or one of a population, by its symbol (of its mathtext and HTML) or in words."""
+        """A quantity, or one of a population, by its symbol (mathtext and HTML) or in words."""
         if name in self.written:
             maths, html, _ = self.written[name]
             return symbol(maths, html)
