@@ -303,42 +303,22 @@ def write_response(
 
 @dataclass(frozen=True)
 class ResponseView:
-    """What the page shows.
-
-    Attributes
-    ----------
-    title, about, headline : str
-        Headline: the verdict in a few words.
-    mark : {"pass", "care", "fail"}
-    verdict, remarks : tuple of str
-    rows : tuple of Row
-    limits : tuple of Passing
-    shares : tuple of Shares
-        For each quantity and ground motion.
-    sweep : str
-        The best actuation in a sentence; empty without a sweep.
-
-    Raises
-    ------
-    BuildingError
-        When there is nothing to show: every draw ran away under every ground motion, and there is
-        no sweep.
-    """
+    """What the page shows."""
 
     title: str
     about: str
-    mark: str
+    mark: str  # "pass", "care" or "fail"
     verdict: tuple[str, ...]
     remarks: tuple[str, ...]
     rows: tuple[Row, ...]
     limits: tuple[Passing, ...]
-    shares: tuple[Shares, ...]
-    sweep: str
+    shares: tuple[Shares, ...]  # for each quantity and ground motion
+    sweep: str  # the best actuation in a sentence; empty without a sweep
     grounds: tuple[str, ...]
     dampers: int
     metric: bool
     provenance: Mapping[str, object]
-    headline: str = ""
+    headline: str = ""  # the verdict in a few words
 
     def __post_init__(self) -> None:
         if not self.rows and not self.sweep:
