@@ -367,7 +367,7 @@ def birge_ratios(run: Run) -> dict[str, float]:
 
 def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparison:
     """A record with what was expected of it."""
-    cycles = measured_cycles(record)
+    cycles = measured_cycles(record.trace())
     assert cycles is not None  # a trace with a force has them
     measured = _measured(cycles, trace, expected.fan.median)
     shown = {

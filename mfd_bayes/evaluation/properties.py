@@ -277,7 +277,7 @@ def predicted_rows(
         drawn = properties_of(trace, band.draws, peaks_of(source.runs[0]), smooth=test.draws)
     else:
         drawn = device_properties(source, trace, band, test)
-    cycles = None if record is None else measured_cycles(record)
+    cycles = None if record is None else measured_cycles(record.trace())
     measured = {} if cycles is None else measured_properties(cycles)
     first = source.runs[0] if isinstance(source, ModelAverage) else source
     drawn = kept(drawn, first.system.axes)
