@@ -179,13 +179,12 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
             for chosen in (inside, index)
         )
         levels: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
-        for at, p in enumerate(grid.tolist()):
+        for p in grid.tolist():
             setting = Setting(p, session, dict(population.design.covariates))
             tested = population.within_levels(p)
             chosen, effects = (inside, within) if tested else (index, beyond)
-            here = {name: effect[:, at] for name, effect in effects.items()}
-            made = population.parts(setting, chosen, numbers, here)
-            for kind, coordinates in zip(kinds, (made.mean, made.mean + made.scatter), strict=True):
+            mean, scatter = population.parts(setting, chosen, numbers, effects)
+            for kind, coordinates in zip(kinds, (mean, mean + scatter), strict=True):
                 levels[kind].append(population.values(coordinates))
         for kind in kinds:
             for name in names:
@@ -297,36 +296,21 @@ AHEAD = 10.0  # years, or spans of cycles or temperatures, after the last test t
 
 @dataclass(frozen=True)
 class DriftRow:
-    """Change of a quantity along a condition of the tests.
+    """Change of a quantity along a condition of the tests."""
 
-    Attributes
-    ----------
-    quantity, condition, per : str
-        `per` is what the change is for: "year".
-    change, lower, upper : float
-        Per cent: median and 95 % interval.
-    probability : float
-        That there is a change in the direction of the median.
-    limit : float
-        Per cent, from the value at the earliest date, the least count or temperature.
-    left : float
-        Probability that the quantity has left its limit at the last test.
-    leaves : float
-        Probability that it does within `AHEAD` after it.
-    when, when_lower, when_upper : str
-        When it does: median and 90 % interval; "" where it is later than that.
-    """
-
+    # `per` is what the change is for: "year"
     quantity: str
     condition: str
     per: str
+    # per cent: median and 95 % interval
     change: float
     lower: float
     upper: float
-    probability: float
-    limit: float
-    left: float
-    leaves: float
+    probability: float  # that there is a change in the direction of the median
+    limit: float  # per cent, from the value at the earliest date, the least count or temperature
+    left: float  # probability that the quantity has left its limit at the last test
+    leaves: float  # probability that it does within `AHEAD` after it
+    # when it does: median and 90 % interval; "" where it is later than that
     when: str
     when_lower: str
     when_upper: str

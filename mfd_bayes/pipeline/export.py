@@ -189,18 +189,10 @@ PERIOD = 4.0  # of a cycle, s
 
 @dataclass(frozen=True, eq=False)
 class Equivalent:
-    """A material fitted to n draws.
+    """A material fitted to n draws."""
 
-    Attributes
-    ----------
-    commands : tuple of str
-        Lines for OpenSees, one of each draw.
-    misfit : (n,)
-        Root mean square of the difference over that of the predicted force.
-    """
-
-    commands: tuple[str, ...]
-    misfit: Array
+    commands: tuple[str, ...]  # lines for OpenSees, one of each draw
+    misfit: Array  # (n,), root mean square of the difference over that of the predicted force
 
 
 def equivalents(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.population.design import SAME_LEVEL
-from mfd_bayes.reporting.page import Picture, Units, render_page
+from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex, to_csv
 from mfd_bayes.response.building import Building, read_building
@@ -303,42 +303,22 @@ def write_response(
 
 @dataclass(frozen=True)
 class ResponseView:
-    """What the page shows.
-
-    Attributes
-    ----------
-    title, about, headline : str
-        Headline: the verdict in a few words.
-    mark : {"pass", "care", "fail"}
-    verdict, remarks : tuple of str
-    rows : tuple of Row
-    limits : tuple of Passing
-    shares : tuple of Shares
-        For each quantity and ground motion.
-    sweep : str
-        The best actuation in a sentence; empty without a sweep.
-
-    Raises
-    ------
-    BuildingError
-        When there is nothing to show: every draw ran away under every ground motion, and there is
-        no sweep.
-    """
+    """What the page shows."""
 
     title: str
     about: str
-    mark: str
+    mark: str  # "pass", "care" or "fail"
     verdict: tuple[str, ...]
     remarks: tuple[str, ...]
     rows: tuple[Row, ...]
     limits: tuple[Passing, ...]
-    shares: tuple[Shares, ...]
-    sweep: str
+    shares: tuple[Shares, ...]  # for each quantity and ground motion
+    sweep: str  # the best actuation in a sentence; empty without a sweep
     grounds: tuple[str, ...]
     dampers: int
     metric: bool
     provenance: Mapping[str, object]
-    headline: str = ""
+    headline: str = ""  # the verdict in a few words
 
     def __post_init__(self) -> None:
         if not self.rows and not self.sweep:
@@ -356,7 +336,7 @@ class ResponseView:
 def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:
     """HTML of the page; `images` are PNGs by "profile_us", "profile_si" and so on."""
     units = Units(SYSTEMS, view.metric, _factor_and_name)
-    pictures = {name: Picture.of(name, png) for name, png in images.items()}
+    pictures = {name: picture(name, png) for name, png in images.items()}
     return render_page("response.html.j2", units, view=view, pictures=pictures)
 
 

@@ -53,12 +53,8 @@ class ElastoPlastic(State):
     def at_rest(cls, stiffness: Array, strength: Array, elastic: Array | None = None) -> Self:
         """Springs without force at displacement 0.
 
-        Parameters
-        ----------
-        stiffness, strength : (n,), kip/in, kip
-        elastic : (n,), kip/in, optional
-            Stiffness whose elastic force is subtracted: that of a storey which the linear structure
-            has already, so that the force here is 0 until it yields.
+        `elastic` is the stiffness whose elastic force is subtracted, (n,), kip/in: that of a storey
+        which the linear structure has already, so that the force here is 0 until it yields.
         """
         zero = np.zeros(stiffness.size)
         constants = {"stiffness": stiffness, "strength": strength}
@@ -72,21 +68,13 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Choice:
-    """What is drawn.
+    """What is drawn."""
 
-    Attributes
-    ----------
-    kind : {"new_test", "device"}
-    draws, seed : int
-    session : str
-    scatter : float
-        Factor of the scatter from test to test: 1, or another to see what it does.
-    """
-
-    kind: str = "new_test"
+    kind: str = "new_test"  # or "device"
     draws: int = 300
     seed: int = 1
     session: str = ""
+    # factor of the scatter from test to test: 1, or another to see what it does
     scatter: float = 1.0
 
     def __post_init__(self) -> None:
@@ -102,27 +90,17 @@ class Leftover:
 
     A turn would let the force jump from one side to the other. It goes there over the first
     `SETTLE` of the longest stroke instead, so that the force is continuous in time.
-
-    Attributes
-    ----------
-    basis : TravelBasis
-    knots : (q, 2, KNOTS + 2), kip
-        Values forward and backward, and zeros beyond the longest stroke.
-    place, turn : (q,), in
-        Displacement now and at the last turn.
-    direction : (q,), ±1
-    stroke : (q,), in
-        Length of the stroke before the last turn.
-    held, force : (q,), kip
-        Force at the last turn, and now.
     """
 
     basis: TravelBasis
+    # (q, 2, KNOTS + 2), kip, values forward and backward, and zeros beyond the longest stroke
     knots: Array
+    # (q,), in: displacement now and at the last turn
     place: Array
-    direction: Array
+    direction: Array  # (q,), ±1
     turn: Array
-    stroke: Array
+    stroke: Array  # (q,), in, length of the stroke before the last turn
+    # (q,), kip: force at the last turn, and now
     held: Array
     force: Array
 
@@ -130,12 +108,9 @@ class Leftover:
     def at_rest(cls, basis: TravelBasis, coefficients: Array, relative: Array) -> Leftover:
         """State before any motion, without force, for no stroke is known.
 
-        Parameters
-        ----------
-        coefficients : (n, K), kip
-            Common to the dampers of a building, as they are to the tests of a device.
-        relative : (n, m)
-            Slip force of each damper over the one at which the discrepancy stands as it is.
+        `coefficients`, (n, K), kip, are common to the dampers of a building, as to the tests of a
+        device; `relative` is the slip force of each damper over the one at which the discrepancy
+        stands as it is, (n, m).
         """
         knots = relative[..., None, None] * coefficients.reshape(len(relative), 1, 2, KNOTS)
         knots = np.pad(knots.reshape(-1, 2, KNOTS), ((0, 0), (0, 0), (0, 2)))
@@ -181,31 +156,20 @@ class Leftover:
 
 @dataclass(frozen=True, eq=False)
 class Dampers:
-    """Dampers of n buildings, m in each.
+    """Dampers of n buildings, m in each."""
 
-    Attributes
-    ----------
-    model : Model or None
-        None for dampers that are almost rigid until they slip; theta is the slip force then.
-    theta : (n, m, p)
-    start : (n, m)
-        Places in the gap at the start.
-    slip : (n, m), kip
-        Mean slip forces.
-    leftover : Leftover, optional
-    scales : mapping of (n, m, T)
-        Factors of what follows the actuation, at the times `times`; none for constant actuations.
-    about : mapping of (n, m)
-        Values by which the draws differ, by the name of the source, for shares of variance.
-    """
-
+    # none for dampers that are almost rigid until they slip; theta is the slip force then
     model: Model | None
-    theta: Array
-    start: Array
-    slip: Array
+    theta: Array  # (n, m, p)
+    start: Array  # (n, m), places in the gap at the start
+    slip: Array  # (n, m), kip, mean slip forces
     leftover: Leftover | None = None
+    # (n, m, T), factors of what follows the actuation, at the times `times`; none
+    # for constant actuations
     scales: Mapping[str, Array] = field(default_factory=dict)
     times: Array | None = None
+    # (n, m), values by which the draws differ, by the name of the source, for
+    # shares of variance
     about: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -278,16 +242,14 @@ def draw_dampers(
     effects = population.level_effects(index, choice.session, grid, shared.level)
     values, about, scales = [], [], []
     for damper, (level, history) in enumerate(zip(levels, histories, strict=True)):
-        at = int(np.argmin(np.abs(grid - level)))
-        here = {name: effect[:, at] for name, effect in effects.items()}
         setting = Setting(level, choice.session, dict(population.design.covariates))
         numbers = _own(shared, np.random.default_rng([choice.seed, 2, damper]))
         scattered = choice.kind == "new_test"
-        parts = population.parts(setting, index, numbers, here, scatter=scattered)
-        x = parts.mean + choice.scatter * parts.scatter
+        mean, scatter = population.parts(setting, index, numbers, effects, scatter=scattered)
+        x = mean + choice.scatter * scatter
         unshared = population.unshared(model, x, numbers.start)
         own = {**unshared, **population.values(x)}
-        typical = slip_force_of(model, {**unshared, **population.values(parts.mean)})
+        typical = slip_force_of(model, {**unshared, **population.values(mean)})
         sources = {
             "law and level": typical,
             "scatter of slip force": np.log(slip_force_of(model, own) / typical),
@@ -296,7 +258,7 @@ def draw_dampers(
         }
         values.append(own)
         about.append({name: source for name, source in sources.items() if source is not None})
-        scales.append(population.scales(model, history, index, level, (grid, effects)))
+        scales.append(population.scales(model, history, index, level, effects))
     slip = np.stack([slip_force_of(model, one) for one in values], axis=1)
     residual = population.residual
     knots = residual.draw_knots(np.random.default_rng([choice.seed, 4]), choice.draws)
@@ -360,10 +322,8 @@ def bound_dampers(
 
 def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:
     """Numbers of one damper: its own scatter, its own place in the gap; a device of its own."""
-    flat = shared.flat.copy()
-    if shared.several:
-        own = slice(3 * shared.quantities, 4 * shared.quantities)
-        flat[:, own] = rng.standard_normal(shared.device.shape)
-    flat[:, : shared.quantities] = rng.standard_normal((len(flat), shared.quantities))
-    flat[:, -1] = rng.standard_normal(len(flat))
-    return replace(shared, flat=flat)
+    if shared.device is not None:
+        shared = shared._replace(device=rng.standard_normal(shared.device.shape))
+    scatter, start = rng.standard_normal(shared.scatter.shape), shared.start.copy()
+    start[:, 1] = rng.standard_normal(len(start))
+    return shared._replace(scatter=scatter, start=start)

@@ -33,33 +33,21 @@ PER_GROUND = ("histories", "travels", "forces")
 
 @dataclass(frozen=True)
 class Row:
-    """A peak and its bands.
-
-    Attributes
-    ----------
-    quantity, ground, place : str
-    unit : str
-        Internal, or "1" of a ratio.
-    median, mean : float
-    bands : tuple of (lower, upper)
-        For `PROBABILITIES`.
-    bare, plain : float
-        The same without dampers, and with plain friction of the median slip force; NaN where it
-        has no meaning.
-    lower, upper : float
-        The same with all dampers at their lower, and at their upper, design value; NaN where the
-        bounds are not known.
-    """
+    """A peak and its bands."""
 
     quantity: str
     ground: str
     place: str
-    unit: str
+    unit: str  # internal, or "1" of a ratio
     median: float
     mean: float
-    bands: tuple[tuple[float, float], ...]
+    bands: tuple[tuple[float, float], ...]  # for `PROBABILITIES`
+    # the same without dampers, and with plain friction of the median slip force; NaN where it
+    # has no meaning
     bare: float = np.nan
     plain: float = np.nan
+    # the same with all dampers at their lower, and at their upper, design value; NaN where
+    # the bounds are not known
     lower: float = np.nan
     upper: float = np.nan
 
@@ -78,62 +66,33 @@ class Passing:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Response of n draws of a building to g ground motions.
-
-    Attributes
-    ----------
-    drift : (n, g, S), in
-        Largest storey drifts.
-    acceleration : (n, g, N), in/s²
-        Largest absolute accelerations of the floors.
-    base_shear : (n, g), kip
-        The largest of inertia.
-    force, travel, energy : (n, g, m), kip, in, kip in
-        Largest force and travel of each damper, and the energy that it took.
-    residual : (n, g, S), in
-        Mean drift over the last two fundamental periods.
-    unstable : (n, g) bool
-        Draws that ran away.
-    open : (n, g)
-        Share of the time in steps that should have been shorter still.
-    imbalance : (n, g)
-        Largest energy that is not accounted for, over the largest input.
-    change : (n, g)
-        Estimated error of the largest drift, relative.
-    steps : (n, g), s
-        Shortest step of each.
-    histories : tuple of (n, T, S), in
-        Drift at the samples of each ground motion.
-    travels, forces : tuple of (k, T, m), in, kip
-        Of the dampers of the first k draws.
-    references : mapping of str to Response
-        Of one draw each: "bare", without dampers; "plain", with plain friction of the median
-        slip forces; "lower" and "upper", with all dampers at those design values.
-    tolerance : float
-        Error up to which a draw counts as settled.
-    remarks : tuple of str
-    """
+    """Response of n draws of a building to g ground motions."""
 
     building: Building
     grounds: tuple[Ground, ...]
     dampers: Dampers
-    drift: Array
-    acceleration: Array
-    base_shear: Array
+    drift: Array  # (n, g, S), in, largest storey drifts
+    acceleration: Array  # (n, g, N), in/s², largest absolute accelerations of the floors
+    base_shear: Array  # (n, g), kip, the largest of inertia
+    # (n, g, m), kip, in, kip in: largest force and travel of each damper, and the energy that
+    # it took
     force: Array
     travel: Array
     energy: Array
-    residual: Array
-    unstable: NDArray[np.bool_]
-    open: Array
-    imbalance: Array
-    change: Array
-    steps: Array
-    histories: tuple[Array, ...]
+    residual: Array  # (n, g, S), in, mean drift over the last two fundamental periods
+    unstable: NDArray[np.bool_]  # (n, g), draws that ran away
+    open: Array  # (n, g), share of the time in steps that should have been shorter still
+    imbalance: Array  # (n, g), largest energy that is not accounted for, over the largest input
+    change: Array  # (n, g), estimated error of the largest drift, relative
+    steps: Array  # (n, g), s, shortest step of each
+    histories: tuple[Array, ...]  # (n, T, S), in, drift at the samples of each ground motion
+    # (k, T, m), in, kip, of the dampers of the first k draws
     travels: tuple[Array, ...]
     forces: tuple[Array, ...]
+    # of one draw each: "bare", without dampers; "plain", with plain friction of the median
+    # slip forces; "lower" and "upper", with all dampers at those design values
     references: Mapping[str, Response] = field(default_factory=dict)
-    tolerance: float = 0.01
+    tolerance: float = 0.01  # error up to which a draw counts as settled
     remarks: tuple[str, ...] = ()
 
     @property
@@ -318,10 +277,6 @@ def variance_shares(
     and of each by itself), and the explained variance, adjusted for the number of columns, is
     divided by the mean gain over orders of adding the sources (Lindeman, Merenda and Gold, 1980).
     What no source explains stays as "interactions and the rest".
-
-    Parameters
-    ----------
-    quantity : {"drift", "acceleration", "base_shear", "travel"}
     """
     good = response.usable(ground)
     values = response.measure(quantity)[good, ground]
@@ -378,36 +333,22 @@ GOALS: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Peaks at several actuations, with the same random numbers.
+    """Peaks at several actuations, with the same random numbers."""
 
-    Attributes
-    ----------
-    levels : (L,), ksi or kip
-    unit : {"ksi", "kip"}
-    values : mapping of str to (L, n, g)
-        The largest over the building of "drift", in, and "acceleration", g, of the draws that ran
-        away at no other level; NaN at levels that are left out.
-    quantity, goal : str
-    scores : (L,)
-        What is made small, over all ground motions; infinite at levels that are left out.
-    best : float
-        The actuation at which it is smallest; NaN where it is so at several levels alike.
-    interval : (float, float)
-        Equal-tailed 90 % interval of the best actuation, over resampled draws; levels that are
-        best alike are all in it.
-    remarks : tuple of str
-        What it leaves out.
-    """
-
-    levels: Array
-    unit: str
+    levels: Array  # (L,), ksi or kip
+    unit: str  # "ksi" or "kip"
+    # the largest over the building of "drift", in, and "acceleration", g, of the draws that
+    # ran away at no other level; NaN at levels that are left out
     values: Mapping[str, Array]
     quantity: str
     goal: str
+    # (L,), what is made small, over all ground motions; infinite at levels that are left out
     scores: Array
-    best: float
+    best: float  # the actuation at which it is smallest; NaN where it is so at several levels alike
+    # equal-tailed 90 % interval of the best actuation, over resampled draws;
+    # levels that are best alike are all in it
     interval: tuple[float, float]
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # what it leaves out
 
     @property
     def lowest(self) -> Array:
@@ -416,13 +357,7 @@ class Sweep:
 
 
 def parse_sweep(text: str) -> tuple[Array, str]:
-    """Levels, (L,), and unit of ``actuation="500 psi to 1500 psi"``, perhaps ``in 5 steps``.
-
-    Raises
-    ------
-    BuildingError
-        When it is no such range.
-    """
+    """Levels, (L,), and unit of ``actuation="500 psi to 1500 psi"``, perhaps ``in 5 steps``."""
     form = r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*"
     match = re.fullmatch(form, re.sub("[\"']", "", text))
     if match is None:
@@ -445,13 +380,7 @@ def parse_sweep(text: str) -> tuple[Array, str]:
 
 
 def check_goal(quantity: str, goal: str, limits: Limits) -> float:
-    """The limit that a quantity may not pass; NaN where the goal needs none.
-
-    Raises
-    ------
-    BuildingError
-        When the quantity or the goal is unknown, or a limit is missing.
-    """
+    """The limit that a quantity may not pass; NaN where the goal needs none."""
     if quantity not in QUANTITIES:
         raise BuildingError(f"unknown quantity {quantity!r}: expected {' or '.join(QUANTITIES)}")
     if goal not in GOALS:
@@ -469,11 +398,6 @@ def sweep_of(
 
     `swept` is the levels and their unit, as `parse_sweep` has them. Draws are the same at every
     level, so that resampling them compares like with like.
-
-    Raises
-    ------
-    BuildingError
-        When the quantity or the goal is unknown, a limit is missing, or no level is left.
     """
     levels, unit = swept
     limit = check_goal(quantity, goal, responses[0].building.limits)

@@ -59,34 +59,20 @@ CHUNK = 128  # steps of draws that are taken in together, at least
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One step of some draws.
+    """One step of some draws."""
 
-    Attributes
-    ----------
-    inner : callable
-        States after ¼, ½ and ¾ of the step, (3, r, 2N), from those at its begin, the ground's
-        acceleration at its ends, (r, 2), and the forces.
-    size : float, s
-        Its length.
-    rows : (r,)
-        Which draws.
-    time : float, s
-        Its begin.
-    shaking : (2,), in/s²
-        Ground's acceleration at both ends.
-    begin, end : (r, 2N), in and in/s
-        Displacements and velocities.
-    forces : three of (r, m), kip
-        Of the devices, beyond those at rest: at the begin, in the middle and at the end.
-    """
-
+    # states after ¼, ½ and ¾ of the step, (3, r, 2N), from those at its begin, the ground's
+    # acceleration at its ends, (r, 2), and the forces
     inner: Callable[[Array, Array, Sequence[Array]], Array]
-    size: float
-    rows: NDArray[np.intp]
-    time: float
-    shaking: Array
+    size: float  # its length, s
+    rows: NDArray[np.intp]  # (r,), which draws
+    time: float  # its begin, s
+    shaking: Array  # (2,), in/s², ground's acceleration at both ends
+    # (r, 2N), in and in/s: displacements and velocities
     begin: Array
     end: Array
+    # three of (r, m), kip, of the devices, beyond those at rest: at the begin, in the middle
+    # and at the end
     forces: Sequence[Array]
 
 
@@ -226,20 +212,12 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class Devices:
-    """All devices of n buildings after a step: m dampers, then s storeys that yield.
+    """All devices of n buildings after a step: m dampers, then s storeys that yield."""
 
-    Attributes
-    ----------
-    states : tuple of (state, slice)
-        States of n devices for each column of the slice: of the dampers, of what their model leaves
-        over, and of storeys.
-    force : (n, m + s), kip
-    times, scales : (T,), mapping of (n, m, T)
-        See `Dampers`.
-    """
-
+    # states of n devices for each column of the slice: of the dampers, of what their model
+    # leaves over, and of storeys
     states: tuple[tuple[Any, slice], ...]
-    force: Array
+    force: Array  # (n, m + s), kip
     times: Array | None
     scales: Mapping[str, Array]
 
@@ -317,14 +295,10 @@ class Propagator:
     where forces are those beyond the ones at rest, f(s) = (1 − s) f₀ + s f₁ + 4 s (1 − s) bump, and
     travels are less what a brace takes. From the exponential of the matrix that is augmented by the
     loads' powers of time (Van Loan, 1978).
-
-    Attributes
-    ----------
-    size : float, s
-    free, shaken, forced : (2N + m, 8N + 4m), (2, 8N + 4m), (2m, 8N + 4m)
     """
 
-    size: float
+    size: float  # s
+    # (2N + m, 8N + 4m), (2, 8N + 4m), (2m, 8N + 4m)
     free: Array
     shaken: Array
     forced: Array
@@ -367,11 +341,8 @@ class Propagator:
     def inner(self, state: Array, shaking: Array, forces: Sequence[Array]) -> Array:
         """States after ¼, ½ and ¾ of the step, (3, r, 2N).
 
-        Parameters
-        ----------
-        state, shaking : (r, 2N), (r, 2)
-        forces : three of (r, m), kip
-            At the begin, in the middle and at the end.
+        `state` is (r, 2N), `shaking` (r, 2), and `forces` are three of (r, m), kip: at the begin,
+        in the middle and at the end.
         """
         first, middle, last = forces
         width = 3 * state.shape[1]
@@ -393,25 +364,14 @@ def equilibrium(
 ) -> tuple[Devices, Array, Array, NDArray[np.bool_]]:
     """Devices that answer their motion with the forces that cause it, by Newton's method.
 
-    Parameters
-    ----------
-    motion : callable
-        Travel and velocity at the end of a step, (n, m) each, by the forces then.
-    when : (float, float), s
-        Length of the step, and the time at its end.
-    flexibility : (m, m), in/kip
-        Change of the travel of each device (row) by the force of each (column).
-    begin : (n, m), kip and kip/in
-        Forces to begin with, and changes of each device's force by its travel: a secant of the
-        last step at first, of the last two iterations then.
-    tolerance : (n, m), kip
-    most : int
-        Most iterations.
+    `motion` gives travel and velocity at the end of a step, (n, m) each, by the forces then; `when`
+    is the length of the step and the time at its end, s; `flexibility` is the change of the travel
+    of each device (row) by the force of each (column), (m, m), in/kip. It begins with forces and
+    changes of each device's force by its travel, (n, m): a secant of the last step at first, of the
+    last two iterations then; `tolerance` is (n, m), kip.
 
-    Returns
-    -------
-    devices, force, slope, closed : Devices, (n, m), (n, m), (n,) bool
-        The devices, their forces, those changes, and which of n buildings are in equilibrium.
+    Returned are the devices, their forces and those changes, (n, m) each, and which of the n
+    buildings are in equilibrium, (n,).
     """
     (force, slope), own, last = begin, np.abs(flexibility.diagonal()), begin
     low, high = np.full_like(force, -np.inf), np.full_like(force, np.inf)
