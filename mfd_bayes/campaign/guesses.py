@@ -290,10 +290,7 @@ def _with_unit(table: Table, role: str, guess: Guess, guesses: Mapping[str, Gues
 
 
 def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> Guess:
-    """A time with the unit that its numbers look like; or what it lacks: a count, a date, s or ms.
-
-    A time is in s unless its cycles are long; then its steps decide between s and ms.
-    """
+    """A time with the unit that its numbers look like; or what it lacks."""
     values = numbers_of(table, guess.name, is_time=True)
     if values is None or values.size < 3 or values[-1] <= values[0]:
         return guess

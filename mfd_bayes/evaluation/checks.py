@@ -382,9 +382,8 @@ def _coordinates(
     population = run.population
     numbers = population.draw_numbers(index.size, 1, rng)
     effects = population.level_effects(index, setting.session, [setting.actuation], numbers.level)
-    here = {n: effect[:, 0] for n, effect in effects.items()}
-    parts = population.parts(setting, index, numbers, here, scatter=scatter)
-    return np.asarray(parts.mean + parts.scatter if scatter else parts.mean)
+    mean, scattered = population.parts(setting, index, numbers, effects, scatter=scatter)
+    return mean + scattered
 
 
 def uncommon_device_values(run: Run) -> list[Finding]:

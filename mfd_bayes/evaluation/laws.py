@@ -179,13 +179,12 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
             for chosen in (inside, index)
         )
         levels: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
-        for at, p in enumerate(grid.tolist()):
+        for p in grid.tolist():
             setting = Setting(p, session, dict(population.design.covariates))
             tested = population.within_levels(p)
             chosen, effects = (inside, within) if tested else (index, beyond)
-            here = {name: effect[:, at] for name, effect in effects.items()}
-            made = population.parts(setting, chosen, numbers, here)
-            for kind, coordinates in zip(kinds, (made.mean, made.mean + made.scatter), strict=True):
+            mean, scatter = population.parts(setting, chosen, numbers, effects)
+            for kind, coordinates in zip(kinds, (mean, mean + scatter), strict=True):
                 levels[kind].append(population.values(coordinates))
         for kind in kinds:
             for name in names:

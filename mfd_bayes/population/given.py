@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +36,6 @@ from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_f
 from mfd_bayes.population.design import ZERO, Setting
 from mfd_bayes.population.joint_fit import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
-from mfd_bayes.population.population import Particles
 from mfd_bayes.records.record import checked_window
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, check_trace
 
@@ -110,6 +110,17 @@ def stroke_likelihood(
     return np.asarray(-0.5 * (squares + log).sum(axis=1) - samples.sum() * np.log(sd))
 
 
+class Particles(NamedTuple):
+    """New tests: which draws of the population (n,), and their standard normal numbers (n, m)."""
+
+    draw: Index
+    numbers: Array
+
+    def of(self, chosen: Index) -> Particles:
+        """Some of them."""
+        return Particles(self.draw[chosen], self.numbers[chosen])
+
+
 @dataclass(frozen=True, eq=False)
 class PartialTest:
     """A test of which a part is given, with deviations from the laws on a grid of actuations (G,).
@@ -124,13 +135,16 @@ class PartialTest:
 
     def draw(self, n: int, rng: np.random.Generator) -> Particles:
         """Particles of which nothing is known."""
-        level = self.setting.actuation
-        return self.predictor.population.draw_tests(n, level, self.grid, rng)
+        population = self.predictor.population
+        index = population.draw_index(n, self.setting.actuation, rng)
+        size = n, population.count_numbers(self.grid.size)
+        return Particles(index, rng.standard_normal(size))
 
     def drawn(self, p: Particles, part: Trace, *, scatter: bool = True) -> Drawn:
         """Tests of the particles under a part of the motion."""
+        numbers, motion = self.predictor.population.numbers(p.numbers, self.grid.size), self.motion
         return self.predictor.drawn(
-            part, self.setting, p, self.grid, scatter=scatter, motion=self.motion
+            part, self.setting, p.draw, numbers, self.grid, scatter=scatter, motion=motion
         )
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -195,7 +209,7 @@ class PartialTest:
     def _gaussian(self, p: Particles, log_weights: Array) -> tuple[Index, Array, Array]:
         """Columns of the numbers that matter, their weighted mean and root of covariance."""
         active = self.predictor.population.active(self.setting, self.grid)
-        weights, own = np.exp(log_weights - log_weights.max()), p.numbers.flat[:, active]
+        weights, own = np.exp(log_weights - log_weights.max()), p.numbers[:, active]
         spread = np.atleast_2d(np.cov(own.T, aweights=weights)) + 1e-9 * np.eye(active.size)
         root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
         return active, np.average(own, axis=0, weights=weights), root
@@ -217,12 +231,12 @@ class PartialTest:
         particles take another draw of the population.
         """
         active, mean, root = gaussian
-        n, old, flat = len(log), p.numbers.flat, p.numbers.flat.copy()
+        n, old, flat = len(log), p.numbers, p.numbers.copy()
         walk = rng.standard_normal((n, active.size)) @ root.T
         flat[:, active] = mean + np.sqrt(1.0 - beta**2) * (old[:, active] - mean) + beta * walk
         other = self.predictor.population.draw_index(n, self.setting.actuation, rng)
         index = np.where(rng.random(n) < 0.5, other, p.draw)
-        proposed = Particles(index, replace(p.numbers, flat=flat))
+        proposed = Particles(index, flat)
         new = self.log_likelihood(proposed, part, counted)
 
         def over_gaussian(numbers: Array) -> Array:
@@ -232,7 +246,7 @@ class PartialTest:
 
         ratio = power * (new - log) + over_gaussian(flat) - over_gaussian(old)
         accepted = np.log(rng.random(n)) < ratio
-        numbers = replace(p.numbers, flat=np.where(accepted[:, None], flat, old))
+        numbers = np.where(accepted[:, None], flat, old)
         beta = float(np.clip(beta * np.exp(accepted.mean() - ACCEPT), 0.05, 1.0))
         kept = Particles(np.where(accepted, index, p.draw), numbers)
         return kept, np.where(accepted, new, log), beta
@@ -556,7 +570,7 @@ class Forecaster:
         (noise,) = quantiles(values["noise_sd"], weights, (0.5,))
         most = np.quantile(self._values_of(self._new_tests)["noise_sd"], 0.99)
         active = self._predictor.population.active(self._test.setting, self._test.grid)
-        squares = np.sum(self._particles.numbers.flat[:, active] ** 2, axis=1)
+        squares = np.sum(self._particles.numbers[:, active] ** 2, axis=1)
         (away,) = quantiles(squares, weights, (0.5,))
         return bool(noise > most or away > special.chdtri(active.size, 0.01))
 

@@ -360,10 +360,7 @@ def _cause(
 
 
 def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
-    """A wrong actuation, with the unit or the power of ten that would make it right.
-
-    `away` is the logarithm of how much it is too large.
-    """
+    """A wrong actuation, with the unit or the power of ten that would make it right."""
     number, _, unit = test.actuation.strip().partition(" ")
     for other in dict.fromkeys(t.actuation.strip().partition(" ")[2] for t in others):
         if other and unit and other != unit:

@@ -640,10 +640,7 @@ def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
 
 
 def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
-    """Amplitude, frequency and actuation that none of the figures in the file's name agrees with.
-
-    Of an actuation, only figures of the same kind, pressure or tension, are compared.
-    """
+    """Amplitude, frequency and actuation that no figure in the file's name agrees with."""
     name, loops = record.path.stem, find_loops(trace)
     compared: list[tuple[dict[str, float], tuple[float, ...], str, dict[str, str | Value]]] = []
     if loops.period.size and "displacement" in roles:
@@ -764,7 +761,7 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
         if trace.timed:
             text += ", frequency {}"
             values.append((1.0 / loops.period[strong], "Hz"))
-        facts["full loops"] = _message(text, *values)
+        facts["full loops"] = _message(text, *values, digits=3)
     if record.actuation is not None and record.given_actuation != NO_ACTUATION:
         history = " (mean of a history)" if trace.varying else ""
         level = (float(np.mean(record.actuation)), str(record.actuation_unit))
@@ -785,10 +782,7 @@ _SHOWN = (
 
 
 def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Message]:
-    """Range of the force, measured values of the cycles, and drifts.
-
-    Values that not every model's quantities have are left out where the record's have not.
-    """
+    """Range of the force, measured values of the cycles, and drifts."""
     force, has = np.asarray(trace.force), record.axes.has
     at_peak = max(np.count_nonzero(force == end) for end in (force.min(), force.max()))
     facts = {"force": _message(f"{{}}, samples at a peak: {at_peak}", (force, "kip"))}

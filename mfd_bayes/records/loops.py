@@ -226,10 +226,7 @@ def asymmetry(trace: Trace) -> Array:
 
 
 def _rise(force: Array, travel: Array, slip: Array) -> tuple[Array, Array]:
-    """Slope of the build-up, kip/in, and travel at which it meets the slip force, in, (n,) each.
-
-    Of forces (n, m) in the direction of the motion, over the travel (m,) of one stroke.
-    """
+    """Slope of the build-up, kip/in, and travel at which it meets the slip force, in, (n,) each."""
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(slip[:, None] > 0.0, force / slip[:, None], np.nan)
         top = np.argmax(share >= RISE[1], axis=1)

@@ -102,8 +102,6 @@ def read_text(path: Path) -> Table:
         decimals=(".",) if separator == "," else (".", ","),
         head=tuple(lines[:top]),
     )
-    if table.headed:
-        _check_order(path, lines, table.names, top)
     used = set(table.rows)
     for number, row in zip(numbers, rows, strict=False) if columns is None else ():
         # Between blanks no cell can be empty.
@@ -118,10 +116,7 @@ def read_text(path: Path) -> Table:
 
 
 def _decode(path: Path) -> str:
-    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan.
-
-    Numbers and units are the same in all of these; names may look odd.
-    """
+    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan."""
     size = path.stat().st_size / 2**20
     if size > SIZE:
         raise RecordError(
@@ -223,18 +218,6 @@ def _words(comment: str, separator: str, width: int) -> list[str]:
     return []
 
 
-def _check_order(path: Path, lines: Sequence[str], names: Sequence[str], top: int) -> None:
-    """Refuse a comment below the names that has them in another order."""
-    for at, line in enumerate(lines[top + 1 :], start=top + 2):
-        if line.lstrip().startswith("#"):
-            words = _words(line, ",", len(names))
-            if words and words != list(names) and sorted(words) == sorted(names):
-                raise RecordError(
-                    f"line {at} of {path} names the columns in another order than line {top + 1}: "
-                    "keep one table in a file"
-                )
-
-
 def read_json(path: Path) -> Table:
     """Table of a .json file: an object of lists, a list of objects or of rows, or of pandas.
 
@@ -272,8 +255,6 @@ def read_json(path: Path) -> Table:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
     named = next((key for key in ("units", "unit") if key in whole), "")
     given = whole.get(named)
-    if isinstance(given, list):
-        given = dict(zip([name for name in columns if name != named], given, strict=False))
     if isinstance(given, dict) and all(isinstance(unit, str) for unit in given.values()):
         columns = {name: column for name, column in columns.items() if name != named}
     else:
@@ -713,10 +694,7 @@ def _channels(path: Path) -> Content:
 
 
 def _clock(properties: Mapping[str, Any]) -> tuple[float, float | None, float] | None:
-    """Step of a waveform, its start since 2020 and what is added to it, s; None without a step.
-
-    The start is None where it is not given, or is a writer's zero of 1904.
-    """
+    """Step of a waveform, its start since 2020 and what is added to it, s; None without a step."""
     step, offset = (properties.get(f"wf_{name}", 0.0) for name in ("increment", "start_offset"))
     unit = bare_unit(str(properties.get("wf_xunit_string", ""))) or "s"
     numbers = all(isinstance(v, int | float | np.number) for v in (step, offset))
@@ -735,10 +713,7 @@ def _align(
     every: Mapping[str, _Clock],
     texts: Collection[str],
 ) -> Mapping[str, Column]:
-    """Columns as far as all waveforms among them go.
-
-    Refused where one has no numbers, or another step or start than the first.
-    """
+    """Columns as far as all waveforms among them go."""
     if wrong := next((name for name in columns if name in texts), None):
         raise RecordError(f"channel {wrong!r} of {path} holds no real numbers; expected numbers")
     clocks = {name: every[name] for name in columns if name in every}

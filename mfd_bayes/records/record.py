@@ -623,10 +623,7 @@ def signals_of(
 
 
 def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
-    """Times, s: of a rate, or of a column; dates, counted since 1904 or 1970, from the first row.
-
-    NaN where a cell holds none.
-    """
+    """Times, s, of a rate or of a column; dates are counted from the first row."""
     if source.rate:
         rows = next(iter(raw.values())).size
         return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows, dtype=np.float64)

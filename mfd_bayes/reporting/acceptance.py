@@ -19,7 +19,7 @@ from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import in_digits
 
 LOOPS = 2  # most loops on the page of a device
-_MARKS = {"accepted": "#2e7d32", "rejected": "#c62828", "cannot tell": "#b8860b"}
+_COLOURS = {"within the limit": "#2e7d32", "beyond the limit": "#c62828", "differs": "#c62828"}
 
 
 def acceptance_table(devices: Sequence[Acceptance], system: System) -> pd.DataFrame:
@@ -57,7 +57,9 @@ def acceptance_page(
             verdict=device.verdict,
             sentence=device.sentence,
             about=list(about.items()),
-            rows=[_shown(row) for _, row in to_units(device.rows, system).iterrows()],
+            rows=to_units(device.rows, system).to_dict("records"),
+            number=_number,
+            unit_text=unit_text,
             pictures=pictures,
             remarks=device.remarks,
             batch=batch,
@@ -67,33 +69,11 @@ def acceptance_page(
     )
 
 
-def _shown(row: pd.Series) -> dict[str, str]:
-    """A row of the page's table, as text."""
-
-    def number(name: str, digits: int = 3, form: str = "") -> str:
-        value = float(row[name])
-        if not np.isfinite(value):
-            return ""
-        return f"{value:{form}}" if form else in_digits(value, digits)
-
-    low, high = number("effect_lower", form="+.1f"), number("effect_upper", form="+.1f")
-    verdict = str(row["verdict"])
-    mark = {"beyond the limit": "bad", "differs": "bad", "cannot tell": "open"}.get(verdict, "")
-    return {
-        "quantity": str(row["quantity"]),
-        "direction": str(row["direction"]),
-        "unit": unit_text(str(row["unit"])),
-        "measured": number("measured"),
-        "nominal": number("nominal"),
-        "bounds": f"{number('lower')} to {number('upper')}",
-        "percentile": number("percentile", form=".1f"),
-        "effect": number("effect", form="+.1f"),
-        "interval": f"{low} to {high}" if low else "",
-        "limit": f"±{number('limit', form='.3g')}" if number("limit") else "",
-        "p_value": number("p_value", form=".3f"),
-        "verdict": verdict,
-        "mark": mark,
-    }
+def _number(value: float, form: str = "") -> str:
+    """A number of the page's table, with three digits or in a format of Python's; "" for none."""
+    if not np.isfinite(value):
+        return ""
+    return f"{value:{form}}" if form else in_digits(value, 3)
 
 
 @look.style()
@@ -108,13 +88,7 @@ def draw_batch(devices: Sequence[Acceptance]) -> Figure:
             if name not in device.rows.index:
                 continue
             row = device.rows.loc[name]
-            colour = _MARKS[
-                "rejected"
-                if row["verdict"] in ("beyond the limit", "differs")
-                else "accepted"
-                if row["verdict"] == "within the limit"
-                else "cannot tell"
-            ]
+            colour = _COLOURS.get(row["verdict"], "#b8860b")
             axes.plot([row["effect_lower"], row["effect_upper"]], [place, place], color=colour)
             axes.plot(row["effect"], place, "o", markersize=4, color=colour)
         limits = [d.rows.loc[name, "limit"] for d in devices if name in d.rows.index]

@@ -194,14 +194,7 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
         rows["drift"] = view.drifts
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
-    frames = {name: frame_of(name, lines, view.system) for name, lines in rows.items()}
-    decided = {(r["test"], r["name"]) for test in tests for r in test.noises if r["decides"]}
-    frame = frames["parameters"]
-    for at, (test, name, note) in enumerate(frame[["test", "parameter", "note"]].to_numpy()):
-        if (test, name) in decided:
-            more = "the noise model decides: see noises.csv"
-            frame.loc[at, "note"] = f"{note}; {more}" if note else more
-    return frames
+    return {name: frame_of(name, lines, view.system) for name, lines in rows.items()}
 
 
 def to_csv(frame: pd.DataFrame, about: Iterable[str] = ()) -> str:

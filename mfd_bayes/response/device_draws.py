@@ -242,16 +242,14 @@ def draw_dampers(
     effects = population.level_effects(index, choice.session, grid, shared.level)
     values, about, scales = [], [], []
     for damper, (level, history) in enumerate(zip(levels, histories, strict=True)):
-        at = int(np.argmin(np.abs(grid - level)))
-        here = {name: effect[:, at] for name, effect in effects.items()}
         setting = Setting(level, choice.session, dict(population.design.covariates))
         numbers = _own(shared, np.random.default_rng([choice.seed, 2, damper]))
         scattered = choice.kind == "new_test"
-        parts = population.parts(setting, index, numbers, here, scatter=scattered)
-        x = parts.mean + choice.scatter * parts.scatter
+        mean, scatter = population.parts(setting, index, numbers, effects, scatter=scattered)
+        x = mean + choice.scatter * scatter
         unshared = population.unshared(model, x, numbers.start)
         own = {**unshared, **population.values(x)}
-        typical = slip_force_of(model, {**unshared, **population.values(parts.mean)})
+        typical = slip_force_of(model, {**unshared, **population.values(mean)})
         sources = {
             "law and level": typical,
             "scatter of slip force": np.log(slip_force_of(model, own) / typical),
@@ -260,7 +258,7 @@ def draw_dampers(
         }
         values.append(own)
         about.append({name: source for name, source in sources.items() if source is not None})
-        scales.append(population.scales(model, history, index, level, (grid, effects)))
+        scales.append(population.scales(model, history, index, level, effects))
     slip = np.stack([slip_force_of(model, one) for one in values], axis=1)
     residual = population.residual
     knots = residual.draw_knots(np.random.default_rng([choice.seed, 4]), choice.draws)
@@ -324,10 +322,8 @@ def bound_dampers(
 
 def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:
     """Numbers of one damper: its own scatter, its own place in the gap; a device of its own."""
-    flat = shared.flat.copy()
-    if shared.several:
-        own = slice(3 * shared.quantities, 4 * shared.quantities)
-        flat[:, own] = rng.standard_normal(shared.device.shape)
-    flat[:, : shared.quantities] = rng.standard_normal((len(flat), shared.quantities))
-    flat[:, -1] = rng.standard_normal(len(flat))
-    return replace(shared, flat=flat)
+    if shared.device is not None:
+        shared = shared._replace(device=rng.standard_normal(shared.device.shape))
+    scatter, start = rng.standard_normal(shared.scatter.shape), shared.start.copy()
+    start[:, 1] = rng.standard_normal(len(start))
+    return shared._replace(scatter=scatter, start=start)

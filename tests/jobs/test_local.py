@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
@@ -21,7 +20,6 @@ from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import (
     context,
-    meanwhile,
     run_in_processes,
     several_processes,
     started_alike,
@@ -184,13 +182,3 @@ def test_where_a_process_is_killed_this_one_goes_on(functions):
         os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
         np.testing.assert_array_equal([first, *stream], expected)
         np.testing.assert_array_equal(list(evaluate(POINTS)), expected)
-
-
-def test_work_done_meanwhile_has_its_result_or_its_error():
-    for jobs in [1, 2]:
-        here = threading.get_ident()
-        with meanwhile(jobs) as later:
-            place, wrong = later(threading.get_ident), later(lambda: 1 // 0)
-            assert (place() == here) == (jobs == 1)
-            with pytest.raises(ZeroDivisionError):
-                wrong()

@@ -14,7 +14,7 @@ from mfd_bayes.evaluation.views import Marginal
 from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.figures import draw_inspection, draw_shared, loops
+from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test, loops
 from mfd_bayes.reporting.figures.agg import to_png
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, stretches
 from mfd_bayes.reporting.figures.report import (
@@ -24,8 +24,6 @@ from mfd_bayes.reporting.figures.report import (
     draw_ranks,
     draw_residuals,
     draw_truth,
-    figures_of_test,
-    shared_figures,
     spread,
 )
 from mfd_bayes.reporting.symbols import BANDS, Symbols
@@ -40,9 +38,9 @@ def labels(figure):
 
 
 def figures_of(view):
-    found = dict(shared_figures(view))
+    found = dict(draw_shared(view))
     for test in view.tests:
-        found |= figures_of_test(test, view.system, view.actuation_unit)
+        found |= draw_test(test, view.system, view.actuation_unit)
     return found
 
 
@@ -74,8 +72,8 @@ def test_every_figure_is_drawn_once_with_units_on_its_axes(campaign):
 def test_pngs_are_the_same_each_time_whatever_the_users_settings(campaign, published):
     with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "red"}):
         before = dict(mpl.rcParams)
-        for name, png in draw_shared(campaign):
-            assert png == (published / "figures" / f"{name}.png").read_bytes()
+        for name, figure in draw_shared(campaign):
+            assert to_png(figure) == (published / "figures" / f"{name}.png").read_bytes()
         assert dict(mpl.rcParams) == before
 
 

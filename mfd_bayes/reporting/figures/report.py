@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -298,27 +297,8 @@ OF_TEST = ("loops", "history", "residuals", "marginals", "corner", "ranks")
 _MEDIAN = "#4db894"
 
 
-def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
-    """PNGs of the figures that show all tests together, one at a time, each with its key.
-
-    Keys are "overview", "laws", "truth" and "next"; what has nothing to show is left out.
-    """
-    return _pngs(shared_figures(view))
-
-
-def draw_test(
-    test: TestView, system: System, actuation_unit: str, model: Model | None = None
-) -> Iterator[tuple[str, bytes]]:
-    """PNGs of the figures of one test, one at a time, each with its key.
-
-    Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out. The
-    test and `actuation_unit` are in internal units, the figures in those of `system`.
-    """
-    return _pngs(figures_of_test(test, system, actuation_unit, model))
-
-
-def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
-    """Figures that show all tests together, each with its key."""
+def draw_shared(view: CampaignView) -> Iterator[tuple[str, Figure]]:
+    """Figures that show all tests together, each with its key; without what has nothing to show."""
     system, unit, symbols = view.system, view.actuation_unit, Symbols(view.model)
     if view.tests:
         title = "Measured loops over their bands"
@@ -333,44 +313,31 @@ def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
         yield "next", draw_next(view.next_test, system, unit, "Which test next")
 
 
-def figures_of_test(
+def draw_test(
     test: TestView, system: System, actuation_unit: str, model: Model | None = None
 ) -> Iterator[tuple[str, Figure]]:
-    """Figures of one test in the units of a system, each with its key."""
+    """Figures of one test in the units of a system, each with its key, "tests/ID/loops".
+
+    One with nothing to show is left out. The test and `actuation_unit` are in internal units.
+    """
     names, title = Symbols(model), f"{test.id}, {system.actuation(test.trace, actuation_unit)}"
-    fans = [fan for fan in (test.observation, test.device) if fan is not None]
+    motion = title, test.trace, [f for f in (test.observation, test.device) if f is not None]
     shown = [
         Marginal(m.name, system.unit(m.unit), m.prior * by, m.posterior * by, m.contraction)
         for m in test.marginals
         for by in [system.factor(m.unit)]
     ]
-    figures: dict[str, Callable[[], Figure | None]] = {
-        "loops": lambda: draw_loops(title, test.trace, fans, system),
-        "history": lambda: draw_history(title, test.trace, fans, system, test.first),
-        "residuals": lambda: draw_residuals(f"{title}: residuals", test, system),
-        "marginals": lambda: draw_marginals(f"{title}: priors and posteriors", shown, names),
-        "corner": lambda: draw_corner(f"{title}: joint posterior", shown, test.corner, names),
-        "ranks": lambda: draw_ranks(f"{title}: ranks of each chain", shown, test.chains, names),
-    }
-    for name in OF_TEST:
-        figure = figures[name]()
+    figures = (
+        draw_loops(*motion, system),
+        draw_history(*motion, system, test.first),
+        draw_residuals(f"{title}: residuals", test, system),
+        draw_marginals(f"{title}: priors and posteriors", shown, names),
+        draw_corner(f"{title}: joint posterior", shown, test.corner, names),
+        draw_ranks(f"{title}: ranks of each chain", shown, test.chains, names),
+    )
+    for name, figure in zip(OF_TEST, figures, strict=True):
         if figure is not None:
             yield f"tests/{test.id}/{name}", figure
-
-
-def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
-    """PNGs of figures; Matplotlib's many small objects would call the collector too often."""
-    enabled = gc.isenabled()
-    gc.disable()
-    gc.freeze()
-    try:
-        for key, figure in drawn:
-            yield key, look.to_png(figure)
-            gc.collect()
-    finally:
-        gc.unfreeze()
-        if enabled:
-            gc.enable()
 
 
 @look.style()
