@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfd_bayes.errors import BuildingError, path_of, real_number, whole_number
+from mfd_bayes.errors import MOST_DRAWS, BuildingError, path_of, real_number, whole_number
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers
+from mfd_bayes.response.device_draws import FEWEST, KINDS, bound_dampers, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.time_integration import response_of
@@ -30,12 +30,18 @@ def respond(
     run: Run,
     building: Building | str | PathLike[str],
     grounds: Grounds,
-    choice: Choice,
+    kind: str,
+    draws: int,
+    seed: int,
     tolerance: float,
     jobs: int,
     observe: Callable[[Step], None],
 ) -> Response:
     """Response of a building with the device of a run as its dampers; see `Run.respond`."""
+    if kind not in KINDS:
+        raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
+    whole_number("draws", draws, FEWEST, BuildingError, MOST_DRAWS)
+    whole_number("seed", seed, 0, BuildingError)
     whole_number("jobs", jobs, 0, BuildingError)
     tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
     built = building if isinstance(building, Building) else read_building(building)
@@ -44,9 +50,9 @@ def respond(
         where = f"the actuation of the damper at {device.name}"
         check_kind(where, device.unit, run.actuation_unit)
     model, bounds = run.predictor.model, {}
-    dampers = draw_dampers(run.population, model, built, choice)
+    dampers = draw_dampers(run.population, model, built, kind, draws, seed)
     if dampers.count and (model.slip_forces or model.laws):
-        bounds = bound_dampers(run.population, model, built, dampers, choice)
+        bounds = bound_dampers(run.population, model, built, dampers, seed)
     if not model.slip_forces:  # by which forces are judged to be in equilibrium
         typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
         dampers, *few = (

@@ -21,7 +21,7 @@ from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.properties import design_rows
 from mfd_bayes.population.population import LawDraws
 from mfd_bayes.response.building import Limits, read_building
-from mfd_bayes.response.device_draws import Choice, draw_dampers, plain_friction
+from mfd_bayes.response.device_draws import draw_dampers, plain_friction
 from mfd_bayes.response.ground import Ground, read_ground
 from mfd_bayes.response.result import sweep_of, variance_shares
 from mfd_bayes.response.time_integration import response_of
@@ -104,8 +104,10 @@ def alone(population):
 
 def dampers_of(run, path, scatter, draws=40):
     model = next(iter(run.tests.values())).posterior.model
-    choice = Choice("new_test", draws, 3, scatter=scatter)
-    found = draw_dampers(alone(run.population), model, read_building(path), choice)
+    building = read_building(path)
+    found = draw_dampers(
+        alone(run.population), model, building, draws=draws, seed=3, scatter=scatter
+    )
     return replace(found, start=np.full(found.start.shape, 0.5))
 
 
