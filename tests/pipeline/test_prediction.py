@@ -13,7 +13,6 @@ from PIL import Image
 
 import mfd_bayes as mb
 from tests.command_line import here, refusal, write_csv
-from tests.run_folders import write_run
 
 TIME = np.arange(401) / 100.0
 SINE = ("--sine", "1 in, 0.5 Hz, 3 cycles")
@@ -375,8 +374,8 @@ def test_the_bands_of_a_law_are_nested_and_smooth(out, name):
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_report_is_asked_for_in_other_units_and_forms(tmp_path):
-    write_run(tmp_path / "out", small=True)
+def test_a_report_is_asked_for_in_other_units_and_forms(small_run, tmp_path):
+    shutil.copytree(small_run, tmp_path / "out")
     here("report", tmp_path / "out", "--units", "si", "--excel")
     assert "N/mm" in (tmp_path / "out" / "parameters.csv").read_text()
     assert (tmp_path / "out" / "tables.xlsx").is_file()
