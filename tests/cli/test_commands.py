@@ -113,7 +113,7 @@ def test_a_record_that_cannot_be_used_is_refused(folder):
     for columns, words in RECORDS:
         write_csv(folder / "p500.csv", *columns)
         assert_refused(folder, "p500", *words)
-        assert_refused(folder, "p500", *words, arguments=("--dry-run",))
+    assert_refused(folder, "p500", *words, arguments=("--dry-run",))
 
 
 def test_a_cell_that_is_no_number_is_named_by_line_and_column(folder):
