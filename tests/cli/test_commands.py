@@ -193,14 +193,6 @@ def test_a_campaign_file_that_is_not_there_is_named_with_one_like_it(folder, tmp
     assert_refused(folder, "campaign.toml", "No such file")
 
 
-def test_warnings_of_a_dry_run_are_a_line_each_and_no_error(folder):
-    assert "p500 (201 samples)" in accepted(folder)
-    write_csv(folder / "p500.csv", *faulty())
-    lines = [x for x in accepted(folder).splitlines() if x.startswith("warning: p500: ")]
-    for word in ("negative work", "isolated sample", "samples were dropped"):
-        assert sum(word in line for line in lines) == 1
-
-
 # --- run folders
 
 
