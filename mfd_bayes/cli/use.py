@@ -163,12 +163,11 @@ def crossvalidate(
     """
     with mistakes(resumption()):
         from mfd_bayes.pipeline import calibrate as pipeline
-        from mfd_bayes.pipeline.report import left_out_shown
 
         run_options = options.run_options(ctx, out)
         with show_progress(quiet=quiet) as observe:
             view = pipeline.crossvalidate(campaign, out, run_options, observe)
-        console.print_left_out(*left_out_shown(view), quiet=quiet)
+        console.print_left_out(view, quiet=quiet)
         console.print_end(view, out, quiet=quiet)
     if not view.whole:
         raise typer.Exit(1)
@@ -223,10 +222,13 @@ def compare(
         )
         run_options = options.run_options(ctx, out, noises=others)
         with show_progress(quiet=quiet) as observe:
-            comparison, left_out = pipeline.compare(campaign, out, names, run_options, observe)
+            comparison, views = pipeline.compare(campaign, out, names, run_options, observe)
         console.print_comparison(comparison, quiet=quiet)
-        for model, (view, unit) in left_out.items():
-            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean['crps']:.3f} {unit}.")
+        for model, view in views.items():
+            if scores := view.left_out:
+                crps = scores.mean["crps"] * view.system.factor("kip")
+                words = f"{scores.sentence} Mean CRPS {crps:.3f} {view.system.force}."
+                console.say(f"{model}: {words}")
         if not quiet:
             console.say(f"look next at {out / 'comparison.csv'}")
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.population.design import SAME_LEVEL
-from mfd_bayes.reporting.page import Picture, Units, render_page
+from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex, to_csv
 from mfd_bayes.response.building import Building, read_building
@@ -336,7 +336,7 @@ class ResponseView:
 def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:
     """HTML of the page; `images` are PNGs by "profile_us", "profile_si" and so on."""
     units = Units(SYSTEMS, view.metric, _factor_and_name)
-    pictures = {name: Picture.of(name, png) for name, png in images.items()}
+    pictures = {name: picture(name, png) for name, png in images.items()}
     return render_page("response.html.j2", units, view=view, pictures=pictures)
 
 
