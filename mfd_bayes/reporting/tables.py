@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.next_test import advice_rows
+from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
-from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
@@ -577,11 +576,11 @@ def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
     return to_csv(frame_of("comparison", rows))
 
 
-def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
+def next_csv(advice: AdviceInWords) -> str:
     """Candidates for the next test, the best first, and what each is expected to tell."""
     import pandas as pd
 
-    return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
+    return to_csv(pd.DataFrame(advice.rows()))
 
 
 def _by_column(table: str, rows: Rows) -> dict[str, list[Any]]:
@@ -673,7 +672,8 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     if view.truth:
         yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
     if view.next_test is not None:
-        yield table_of("next"), next_csv(view.next_test, system, view.actuation_unit)
+        advice = AdviceInWords(view.next_test, system, view.actuation_unit)
+        yield table_of("next"), next_csv(advice)
 
 
 def record_table(test: TestView, system: System = US) -> str:
