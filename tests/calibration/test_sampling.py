@@ -4,16 +4,18 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.diagnostics import Effort, autocorrelation_time
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import (
     Mixture,
+    Mode,
     Proposal,
     climb,
     fit_mixture,
+    learn,
     least_squares,
 )
-from mfd_bayes.calibration.sampling import sample, sample_density
+from mfd_bayes.calibration.sampling import Walkers, sample, sample_density
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
 
@@ -21,6 +23,7 @@ DIM = 5
 MEAN = np.array([0.0, 1.0, -2.0, 10.0, 0.5])
 SD = np.array([1.0, 0.1, 3.0, 1.0, 20.0])
 COVARIANCE = SD * SD[:, None] * (0.8 ** np.abs(np.subtract.outer(np.arange(DIM), np.arange(DIM))))
+FACTOR = np.linalg.cholesky(COVARIANCE)
 PRECISION = np.linalg.inv(COVARIANCE)
 EFFORT = Effort(ess=800, limit=4000, ensembles=4, walkers=24)
 
@@ -76,6 +79,82 @@ def test_the_seed_decides_and_what_is_reported_does_not():
     assert news[-1].missing == ""
 
 
+# --- moves: every move goes through one harness, which a wrong one must fail
+
+ENSEMBLES, WALKERS = 4, 40
+
+
+def exact(n, seed=20):
+    return MEAN + np.random.default_rng(seed).normal(size=(n, DIM)) @ FACTOR.T
+
+
+LEARNED = learn(
+    exact(4000),
+    3,
+    np.random.default_rng(21),
+    Mixture(np.ones(1), MEAN[None], 1.5 * FACTOR[None], np.full(1, 6.0)),
+)
+NARROW = Mixture(
+    np.array([0.3, 0.7]),
+    np.array([MEAN + 0.5 * SD, MEAN - 0.3 * SD]),
+    np.linalg.cholesky(np.array([0.5 * COVARIANCE, 0.8 * COVARIANCE])),
+    np.array([4.0, 6.0]),
+)
+
+
+class Forgetful(Mixture):
+    """The wrong way: proposals from a mixture, accepted as if they were symmetric."""
+
+    def log_density(self, q):
+        return np.zeros(len(q))
+
+
+def run(source, steps, move=None):
+    """Chains (ensemble, step, walker, dim) of moves that begin with exact draws."""
+    effort = Effort(ess=1, limit=1, ensembles=ENSEMBLES, walkers=WALKERS)
+    mode = Mode(MEAN, 0.0, COVARIANCE)
+    walkers = Walkers(normal, [mode], effort, np.random.default_rng(0))
+    walkers.heat(1.0)
+    walkers.source, walkers.q = source, exact(ENSEMBLES * WALKERS, 100)
+    walkers.log_prob, stored = normal(walkers.q), []
+    for _ in range(steps):
+        getattr(walkers, move)() if move else walkers.run(1)
+        stored.append(walkers.q)
+    return np.swapaxes(np.reshape(stored, (steps, ENSEMBLES, WALKERS, DIM)), 0, 1)
+
+
+def sampled(chains):
+    """Whether means, variances and the law of the first coordinate are the normal's."""
+    late = chains[:, chains.shape[1] // 6 :]
+    standard = np.linalg.solve(FACTOR, (late - MEAN).reshape(-1, DIM).T).T.reshape(late.shape)
+    apart = int(3 * np.max(autocorrelation_time(standard)))
+    mean, variance = standard.mean(axis=(0, 1, 2)), standard.var(axis=(0, 1, 2))
+    law = stats.kstest(standard[:, ::apart, :, 0].ravel(), stats.norm.cdf)
+    near = np.max(np.abs(mean)) < 0.05 and np.max(np.abs(variance - 1)) < 0.05
+    return bool(near and law.pvalue > 0.001)
+
+
+@pytest.mark.parametrize(
+    ("source", "move", "steps", "right"),
+    [
+        (NARROW, "jump", 1500, True),
+        (NARROW, "evolve", 1500, True),
+        (LEARNED, None, 800, True),
+        (Forgetful(*vars(NARROW).values()), "jump", 400, False),
+    ],
+    ids=["independent, badly placed", "differential evolution", "both", "without their density"],
+)
+def test_a_move_samples_a_correlated_normal(source, move, steps, right):
+    assert sampled(run(source, steps, move)) is right
+
+
+def test_the_harness_rejects_draws_that_are_slightly_too_wide_or_shifted():
+    chains = exact(ENSEMBLES * 1000 * WALKERS).reshape(ENSEMBLES, 1000, WALKERS, DIM)
+    assert sampled(chains)
+    assert not sampled(MEAN + 1.04 * (chains - MEAN))
+    assert not sampled(chains + 0.08 * SD)
+
+
 # --- modes
 
 
@@ -121,14 +200,6 @@ def test_least_squares_ends_where_scipy_does_and_stays_where_there_is_no_number(
 
 
 # --- proposals
-
-
-NARROW = Mixture(
-    np.array([0.3, 0.7]),
-    np.array([MEAN + 0.5 * SD, MEAN - 0.3 * SD]),
-    np.linalg.cholesky(np.array([0.5 * COVARIANCE, 0.8 * COVARIANCE])),
-    np.array([4.0, 6.0]),
-)
 
 
 def test_the_density_of_a_mixture_is_that_of_scipy():
