@@ -141,12 +141,8 @@ class Posterior:
     def log_prob(self, q: ArrayLike) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,)."""
         points = self._check(q)
-        density = self.log_prior(points)
-        inside = np.isfinite(density)
-        density[inside] += self._log_likelihood(points[inside])
-        if np.any(np.isnan(density)):
-            raise FitError("the log posterior is not a number: please report this as a bug")
-        return density
+        prior = self.log_prior(points)
+        return prior + self._log_likelihood(points, prior)
 
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
@@ -162,58 +158,43 @@ class Posterior:
         It is −inf too where the prior has no density, since a value there may be none of a damper.
         """
         points = self._check(q)
-        density = np.full(len(points), -np.inf)
-        inside = np.isfinite(self.log_prior(points))
-        density[inside] = self._log_likelihood(points[inside])
-        return density
+        return self._log_likelihood(points, self.log_prior(points))
 
-    def _log_likelihood(self, points: Array) -> Array:
+    def _log_likelihood(self, points: Array, log_prior: Array) -> Array:
         """As `log_likelihood`; many points of a long record some at a time, to bound the memory."""
-        if len(points) == 0:
-            return np.empty(0)
-        parts = min(-(-len(points) * self.trace.samples // AT_ONCE), len(points))
-        if parts > 1:
-            some = np.array_split(points, parts)
-            return np.concatenate([self._log_likelihood(part) for part in some])
-        values, kept = self.values(points), slice(self.first, None)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            residual, travel = self._residual(values)[:, kept], self.travel(values)
-            travel = None if travel is None else travel[:, kept]
-            density = self.noise.log_density(residual, self.trace.time[kept], values, travel)
+        density, kept = np.full(len(points), -np.inf), slice(self.first, None)
+        inside = np.flatnonzero(np.isfinite(log_prior))
+        most = max(AT_ONCE // self.trace.samples, 1)
+        for begin in range(0, inside.size, most):
+            rows = inside[begin : begin + most]
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                values = self.values(points[rows])
+                residual, travel = self.residual(points[rows])[:, kept], self.travel(values)
+                travel = None if travel is None else travel[:, kept]
+                density[rows] = self.noise.log_density(
+                    residual, self.trace.time[kept], values, travel
+                )
         return np.where(np.isnan(density), -np.inf, density)
 
     def residual(self, q: ArrayLike, scales: Mapping[str, Array] | None = None) -> Array:
         """What the model leaves over, F_obs − F0 − F, (n, T), kip; scales as in `Model.force`."""
-        return self._residual(self.values(q), scales)
-
-    def _residual(
-        self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
-    ) -> Array:
-        left = np.asarray(self.trace.force) - self.force(values, scales=scales)
+        values = self.values(q)
+        left = np.asarray(self.trace.force) - self.force(values, scales)
         left -= values["offset"][:, None]
         return left
 
     def force(
-        self,
-        values: Mapping[str, Array],
-        trace: Trace | None = None,
-        scales: Mapping[str, Array] | None = None,
+        self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
     ) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        return self.model.force_unbounded(*self._motion(values, trace), scales=scales)
+        theta, start = self.theta(values), named_columns(values, ("start",))["start"]
+        return self.model.force_unbounded(theta, self.trace, start, scales=scales)
 
-    def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
+    def travel(self, values: Mapping[str, Array]) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""
         if not self.noise.needs_travel:
             return None
-        return self.model.travel(*self._motion(values, trace))
-
-    def _motion(
-        self, values: Mapping[str, Array], trace: Trace | None
-    ) -> tuple[Array, Trace, Array]:
-        """Parameters, motion and place in the gap, as the model takes them."""
-        motion = self.trace if trace is None else check_trace("trace", trace, FitError)
-        return self.theta(values), motion, named_columns(values, ("start",))["start"]
+        return self.model.travel(self.theta(values), self.trace, values["start"])
 
     def values(self, q: ArrayLike) -> dict[str, Array]:
         """Values of all quantities of q by name, (n,) each, internal units.
