@@ -24,26 +24,6 @@ Array = NDArray[np.float64]
 AT_ONCE = 1 << 24  # points times samples whose forces are computed at once: some 400 MB
 
 
-@dataclass(frozen=True)
-class Pivot:
-    """Friction at the record's usual speed, sampled in place of kinetic friction.
-
-    A slow test tells F_s, a fast one F_c; F_c (1 + c e), with c the mean of exp(−(v/v_s)²)
-    over the motion and e the excess of static friction, is what either knows best. The
-    logarithms of both differ by log(1 + c e), which depends on e alone: the Jacobian is 1.
-    """
-
-    kinetic: int  # columns of q
-    excess: int
-    share: float  # c
-    prior: Prior  # of the excess
-
-    def shift(self, points: Array) -> Array:
-        """Difference between the sampled coordinate and log F_c, log(1 + c e), (n,)."""
-        shift: Array = np.log1p(self.share * self.prior.value(points[:, self.excess]))
-        return shift
-
-
 @dataclass(frozen=True, init=False, eq=False)
 class Posterior:
     """Density of the parameters of one test, given its record (model.md section 5).
@@ -65,9 +45,7 @@ class Posterior:
     Attributes
     ----------
     names : tuple of str
-        The quantity of each column of q. Each column is the coordinate of the quantity's prior,
-        except kinetic friction where there is a `Pivot`.
-    pivots : tuple of Pivot
+        The quantity of each column of q, which is the coordinate of the quantity's prior.
     first : int
         Samples before this one are left out of the likelihood.
 
@@ -84,7 +62,6 @@ class Posterior:
     noise: Noise
     priors: Mapping[str, Prior]
     names: tuple[str, ...]
-    pivots: tuple[Pivot, ...]
     first: int
 
     def __init__(
@@ -107,10 +84,9 @@ class Posterior:
         kind = find_noise(noise)
         own = priors_of_fit(file, chosen, kind, sampled_start=start == "sample")
         names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
-        vars(self).update(trace=trace, model=chosen, noise=kind, priors=own, names=names)
+        first = first_slip(trace, file, chosen) if start == "mask" else 0
         vars(self).update(
-            pivots=_pivots(trace, names, own) if chosen.standard_names else (),
-            first=first_slip(trace, file, chosen) if start == "mask" else 0,
+            trace=trace, model=chosen, noise=kind, priors=own, names=names, first=first
         )
         if chosen.own:  # a user's model that cannot be used is refused before it is sampled
             typical = {name: np.array([prior.typical]) for name, prior in own.items()}
@@ -146,9 +122,9 @@ class Posterior:
 
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
-        own = self.to_own(self._check(q))
-        density = np.zeros(len(own))
-        for name, column in zip(self.names, own.T, strict=True):
+        points = self._check(q)
+        density = np.zeros(len(points))
+        for name, column in zip(self.names, points.T, strict=True):
             density += self.priors[name].log_density(column)
         return density
 
@@ -201,37 +177,21 @@ class Posterior:
 
         γ1 is 1 here: it does not matter to the force.
         """
-        own = self.to_own(self._check(q))
-        values = {name: np.full(len(own), value) for name, value in self._defaults.items()}
-        columns = zip(self.names, own.T, strict=True)
+        points = self._check(q)
+        values = {name: np.full(len(points), value) for name, value in self._defaults.items()}
+        columns = zip(self.names, points.T, strict=True)
         return values | {name: self.priors[name].value(column) for name, column in columns}
 
     def derived(self, q: ArrayLike) -> Array:
         """Friction forces that follow from several coordinates, (n, m), kip."""
-        theta = self.theta(self.values(q))
-        several = {self.names[pivot.kinetic] for pivot in self.pivots}
-        several |= set(self.model.composed(self.names))
+        theta, several = self.theta(self.values(q)), self.model.composed(self.names)
         return theta[:, [k for k, n in enumerate(self.model.parameters) if n in several]]
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""
         columns = named_vectors(values, self.names)
-        own = [self.priors[name].coordinate(value) for name, value in columns.items()]
-        return self.from_own(np.stack(own, axis=1))
-
-    def to_own(self, points: Array) -> Array:
-        """Coordinates of the priors themselves, of those that are sampled, (n, dim)."""
-        own = points.copy()
-        for pivot in self.pivots:
-            own[:, pivot.kinetic] -= pivot.shift(points)
-        return own
-
-    def from_own(self, own: Array) -> Array:
-        """The coordinates that are sampled, of those of the priors, (n, dim)."""
-        points = own.copy()
-        for pivot in self.pivots:
-            points[:, pivot.kinetic] += pivot.shift(own)
-        return points
+        q = [self.priors[name].coordinate(value) for name, value in columns.items()]
+        return np.stack(q, axis=1)
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters of the model in its own order, (n, p)."""
@@ -252,23 +212,6 @@ class Posterior:
         if np.any(np.isnan(points)):
             raise FitError("q holds NaN")
         return points
-
-
-def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -> tuple[Pivot, ...]:
-    """Pivots of the directions in which F_c, on its log scale, and its excess are sampled."""
-    if "v_s" not in priors:
-        return ()
-    velocity = trace.velocity
-    moving = np.abs(velocity) > 0.01 * np.max(np.abs(velocity))
-    stribeck = np.exp(-((velocity / priors["v_s"].typical) ** 2))
-    pivots = []
-    for side, sign in (("fwd", 1.0), ("bwd", -1.0)):
-        kinetic, excess = f"Fc_{side}", f"static_excess_{side}"
-        there = moving & (sign * velocity > 0)
-        if {kinetic, excess} <= set(names) and priors[kinetic].on_half_line and np.any(there):
-            columns = names.index(kinetic), names.index(excess)
-            pivots.append(Pivot(*columns, float(np.mean(stribeck[there])), priors[excess]))
-    return tuple(pivots)
 
 
 def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
