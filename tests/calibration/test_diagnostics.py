@@ -17,10 +17,10 @@ def autoregressive(phi, steps=3000, seed=0, shape=(4, 20)):
 
 @pytest.mark.parametrize("phi", [0.0, 0.9])
 def test_autocorrelation_time_and_effective_size_of_ar1_are_their_closed_forms(phi):
-    chains = autoregressive(phi, steps=1000)
+    chains = autoregressive(phi)  # of which either has an error of 4 %
     time = (1 + phi) / (1 - phi)
-    assert autocorrelation_time(chains) == pytest.approx([time], rel=0.1)
-    assert measure(chains).ess_bulk[0] == pytest.approx(chains.size / time, rel=0.15)
+    assert autocorrelation_time(chains) == pytest.approx([time], rel=0.16)
+    assert measure(chains).ess_bulk[0] == pytest.approx(chains.size / time, rel=0.16)
 
 
 def test_stuck_walkers_have_a_long_autocorrelation_time():

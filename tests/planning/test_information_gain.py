@@ -5,6 +5,8 @@ import pytest
 
 from mfd_bayes.planning.study import Goals, directions_of, fit_left_out, gain_of, greedy
 
+DRAWS = 20_000
+
 
 def linear_gaussian(seed, noise):
     """Draws of goals A u and of summaries B u + noise of standard normal u (6,).
@@ -13,8 +15,8 @@ def linear_gaussian(seed, noise):
     """
     rng = np.random.default_rng(seed)
     a, b = rng.standard_normal((3, 6)), rng.standard_normal((5, 6))
-    sd, u = noise * rng.uniform(0.5, 2.0, 5), rng.standard_normal((6000, 6))
-    summaries = u @ b.T + sd * rng.standard_normal((6000, 5))
+    sd, u = noise * rng.uniform(0.5, 2.0, 5), rng.standard_normal((DRAWS, 6))
+    summaries = u @ b.T + sd * rng.standard_normal((DRAWS, 5))
     before = a @ a.T
     after = before - a @ b.T @ np.linalg.inv(b @ b.T + np.diag(sd**2)) @ b @ a.T
     return u @ a.T, summaries, before, after
@@ -31,11 +33,12 @@ def test_a_linear_gaussian_population_gives_its_closed_form(noise):
         goals, summaries, before, after = linear_gaussian(seed, noise)
         gain, left = judged(goals, summaries)
         reduction = 1.0 - np.sqrt(np.diag(after)).sum() / np.sqrt(np.diag(before)).sum()
-        assert abs(gain.reduction - reduction) < 2.5 * gain.error
+        assert abs(gain.reduction - reduction) < 4.0 * gain.error + 0.005  # which a penalty costs
         information = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
-        assert gain.information == pytest.approx(information, rel=0.03, abs=0.01)
+        assert abs(gain.information - information) < 4.0 * gain.information_error
         closed = np.diag(after) / np.diag(before)
-        np.testing.assert_allclose(left.var(axis=0) / goals.var(axis=0), closed, rtol=0.06)
+        share = left.var(axis=0) / goals.var(axis=0)
+        np.testing.assert_allclose(share, closed, rtol=4.0 * np.sqrt(4.0 / DRAWS))
 
 
 def test_a_test_that_tells_nothing_has_no_gain():

@@ -154,7 +154,7 @@ TITLES = {
 def test_inspect_shows_the_measured_values_of_shared_records(data_folder, tmp_path, small_pictures):
     for path in sorted(data_folder.glob("20*.csv"))[::6]:
         record = read_record(path)
-        cycles = measured_cycles(record)
+        cycles = measured_cycles(record.trace())
         assert np.nanmax(cycles.peak_fwd) <= cycles.largest_fwd == record.force.max(), path
         assert np.nanmax(cycles.peak_bwd) <= cycles.largest_bwd == -record.force.min(), path
         content = cycles.to_content()

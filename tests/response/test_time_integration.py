@@ -189,14 +189,6 @@ def test_the_mirrored_earthquake_has_the_mirrored_response():
     assert not np.allclose(one[1], -other[1], atol=1e-2)  # the control
 
 
-def test_kept_forces_begin_with_that_at_rest():
-    ground, dampers = shaking(), three_stages([[0.98], [0.5]])
-    found = integrate(shear_building(1), ground, dampers, FINE, kept=2)
-    at_rest = dampers.state(-np.sign(ground.acceleration[:1])).force
-    assert np.max(np.abs(at_rest)) > 1.0
-    assert np.allclose(found.forces[0][:, 0, 0], at_rest, rtol=1e-5)
-
-
 class Dashpot(Model):
     """A user's own model that can stand in a building."""
 
