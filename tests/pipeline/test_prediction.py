@@ -160,15 +160,6 @@ def test_a_sine_in_customary_units_needs_no_library_that_is_slow_to_load(words):
 # --- what was tested, and what cannot be asked
 
 
-def test_the_tested_range_is_in_the_report(out):
-    table = pd.read_csv(out / "tested_range.csv").set_index("condition")
-    assert list(table.index) == ["stroke", "speed", "frequency", "actuation"]
-    assert table.loc["actuation", ["smallest", "largest"]].tolist() == [0.5, 1.5]
-    page = (out / "report.html").read_text()
-    head = page[: page.index('<nav aria-label="Contents">')]
-    assert 'data-value="1.5" data-unit="actuation in ksi"' in head
-
-
 def test_far_outside_what_was_tested_it_refuses_without_extrapolate(words, ask, tested, tmp_path):
     fast = ("--sine", f"{0.5 * tested['stroke'].highest:g} in, 2 Hz, 3 cycles", "--no-figures")
     sentence = refusal(*words(*fast))
