@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
-from mfd_bayes.evaluation.scores import Compared, compare
-from mfd_bayes.evaluation.views import Fan, Interval, Rows
+from mfd_bayes.evaluation.scores import Compared, compare, fan_of_band
+from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
@@ -292,11 +292,7 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
         return
     from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
-    intervals = [Interval(band.probability, band.lower, band.upper)]
-    if band.whole_lower is not None and band.whole_upper is not None:
-        bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
-        intervals.append(Interval(band.probability, *bounds, whole=True))
-    fan = Fan(band.kind, band.median, tuple(intervals))
+    fan = fan_of_band(band)
     given = band.given.window if band.given else None
     history = drawn
     if band.given is not None:
