@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
-from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import MOST_DRAWS, CampaignError, FitError, NotThereError, whole_number
-from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
 from mfd_bayes.population.bands import Drawn, Predictor
 from mfd_bayes.population.design import Setting, setting_of
 from mfd_bayes.population.joint_fit import slip_force_of
-from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.population import Numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -122,8 +120,7 @@ class Devices:
     @classmethod
     def draw(
         cls,
-        population: Population,
-        kinds: tuple[Model, Noise],
+        predictor: Predictor,
         settings: Sequence[Setting],
         draws: int,
         rng: np.random.Generator,
@@ -132,13 +129,14 @@ class Devices:
 
         No draw of the population is taken twice, so there may be fewer than asked for.
         """
+        population = predictor.population
         count = min(draws, population.size)
         index = np.sort(rng.choice(population.size, size=count, replace=False))
         grid = np.unique([setting.actuation for setting in settings])
         sessions = dict.fromkeys(["", *(setting.session for setting in settings)])
         numbers = {session: population.draw_numbers(count, grid.size, rng) for session in sessions}
         knots = population.residual.draw_knots(rng, count)
-        return cls(Predictor(population, *kinds), index, grid, numbers, knots)
+        return cls(predictor, index, grid, numbers, knots)
 
     def drawn(
         self, trace: Trace, setting: Setting, rng: np.random.Generator, *, scattered: bool = False
@@ -414,51 +412,37 @@ class Advice(Sequence[Row]):
             ) from error
 
 
-@dataclass(frozen=True)
-class Situation:
-    """What a campaign knows: its population, and the tests that were made, with their sessions."""
-
-    population: Population
-    model: Model
-    noise: Noise
-    tests: tuple[Candidate, ...]
-    sessions: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How much is simulated."""
-
-    draws: int = 2000
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
-        whole_number("seed", self.seed, 0, FitError)
-
-
-class _Study:
+class Study:
     """One question about a campaign: draws of the device and of the goal, and simulated tests."""
 
     def __init__(
-        self, situation: Situation, goal: Goal, candidates: Sequence[Candidate], effort: Effort
+        self,
+        predictor: Predictor,
+        tests: Sequence[Candidate],
+        goal: Goal,
+        candidates: Sequence[Candidate] = (),
+        *,
+        draws: int = 2000,
+        seed: int = 0,
     ) -> None:
-        self.candidates, self.seed, self.model = candidates, effort.seed, situation.model
-        population, known = situation.population, dict.fromkeys(situation.sessions)
+        whole_number("draws", draws, FEWEST, FitError, MOST_DRAWS)
+        whole_number("seed", seed, 0, FitError)
+        population, self.model = predictor.population, predictor.model
+        self.candidates, self.seed = candidates, seed
         levels = population.draws.z[..., : len(population.design.names)]
         gap = self.model.gap(population.values(levels.reshape(population.size, -1)))
         self.gap = NO_GAP if gap is None else float(np.median(gap))
         now, self.session = goal.session, NEXT
-        if len(known) == 1:
-            now = self.session = next(iter(known))
-        places = goal.places(typical_of(situation.tests))
+        if len(population.design.sessions) == 1:
+            now = self.session = population.design.sessions[0]
+        places = goal.places(typical_of(tests))
         settings = [
             setting_of(Loop.of(candidate, self.gap).trace, session)
             for session, those in ((now, places), (self.session, candidates))
             for candidate in those
         ]
-        kinds, rng = (self.model, situation.noise), np.random.default_rng([self.seed, DEVICES])
-        self.devices = Devices.draw(population, kinds, settings, effort.draws, rng)
+        rng = np.random.default_rng([seed, DEVICES])
+        self.devices = Devices.draw(predictor, settings, draws, rng)
         values = self._goal(goal, places, now)
         size = np.maximum(np.abs(values).max(axis=0, initial=0.0), 1e-300)
         varying = np.ptp(values, axis=0) > 1e-9 * size
@@ -545,19 +529,20 @@ class _Study:
         return self.gain(*sets, curved=False)
 
 
-def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
-    """Draws of a goal as a campaign knows it now."""
-    return _Study(situation, goal, (), effort).goals
-
-
 def advise(
-    situation: Situation,
+    predictor: Predictor,
+    tests: Sequence[Candidate],
     goal: Goal,
     candidates: Sequence[Candidate],
     limits: Limits,
-    effort: Effort,
+    *,
+    draws: int = 2000,
+    seed: int = 0,
 ) -> Advice:
-    """Candidates with what each is expected to tell of a goal, the best first."""
+    """Candidates with what each is expected to tell of a goal, the best first.
+
+    `tests` are those that were made.
+    """
     every = list(dict.fromkeys(candidates))
     ruled_out = {one: limit for one in every if (limit := limits.forbids(one))}
     allowed = [one for one in every if one not in ruled_out]
@@ -566,8 +551,8 @@ def advise(
             "the limits of velocity and stroke forbid every candidate: give other candidates, or "
             "check the limits' units"
         )
-    study = _Study(situation, goal, allowed, effort)
-    tests: list[tuple[int, Array]] = []
+    study = Study(predictor, tests, goal, allowed, draws=draws, seed=seed)
+    simulated: list[tuple[int, Array]] = []
     gains: dict[int, Gain] = {}
     for number, candidate in enumerate(allowed):
         peaks, directions = study.simulated(number, 0)
@@ -575,36 +560,35 @@ def advise(
             ruled_out[candidate] = "force"
             continue
         gains[number] = study.gain(directions)
-        tests.append((number, directions))
+        simulated.append((number, directions))
     if not gains:
         raise CampaignError(
             f"the limit of the force, {limits.force:.4g} kip, forbids every candidate: give "
             "candidates of less actuation, or check its unit"
         )
-    tests.sort(key=lambda test: -gains[test[0]].reduction)
-    for number, _ in tests[:SHORTLIST]:
+    simulated.sort(key=lambda test: -gains[test[0]].reduction)
+    for number, _ in simulated[:SHORTLIST]:
         # the first copy has put a candidate on the list: it must not judge it too
         copies = [study.simulated(number, copy)[1] for copy in range(1, COPIES + 1)]
         gains[number] = study.gain(*copies)
-        tests += [(number, directions) for directions in copies]
-    chosen = greedy(study.goals, [directions for _, directions in tests], CURVE)
+        simulated += [(number, directions) for directions in copies]
+    chosen = greedy(study.goals, [directions for _, directions in simulated], CURVE)
     together = []
     for one in chosen:
-        numbers = [tests[k][0] for k in one]
+        numbers = [simulated[k][0] for k in one]
         candidates_of = tuple(allowed[n] for n in numbers)
         together.append(Together(**vars(study.gain_of_set(numbers)), candidates=candidates_of))
-    tested = situation.tests
     rows = [
-        Row(**vars(gain), candidate=allowed[n], repeat=repeats(allowed[n], tested))
+        Row(**vars(gain), candidate=allowed[n], repeat=repeats(allowed[n], tests))
         for n, gain in gains.items()
     ]
     return Advice(
         goal=goal,
-        unit=goal.unit(situation.population.actuation_unit, units(situation.model)),
+        unit=goal.unit(predictor.population.actuation_unit, units(predictor.model)),
         width=study.goals.width,
         rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
         together=tuple(together),
         ruled_out=tuple((one, ruled_out[one]) for one in every if one in ruled_out),
-        tests=tested,
+        tests=tuple(tests),
         draws=study.devices.index.size,
     )
