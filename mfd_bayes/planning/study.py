@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
+from scipy import special
 
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import MOST_DRAWS, CampaignError, FitError, NotThereError, whole_number
@@ -47,7 +47,6 @@ FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
 # a direction of the summaries with less than this share of their variance is noise, or repeats
 # others
 SAME = 1e-3
-BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
 PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
 RESAMPLES = 200  # number of bootstrap resamples of the draws
 # information is about the principal directions of the goals with this share of their variance, at
@@ -229,17 +228,17 @@ def directions_of(summaries: Array) -> Array:
     ranks = rankdata(summaries[:, varies], axis=0)
     scores = special.ndtri((ranks - 0.5) / len(summaries))
     scores -= scores.mean(axis=0)
-    left, sizes, _ = linalg.svd(scores, full_matrices=False)
+    left, sizes, _ = np.linalg.svd(scores, full_matrices=False)
     return np.asarray(left[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(len(summaries)))
 
 
-def fit_left_out(goals: Array, directions: Array, *, curved: bool = True) -> Array:
+def fit_left_out(goals: Array, directions: Array) -> Array:
     """Goals (n, m) less their prediction from directions of summaries (n, k), (n, m).
 
-    Each draw is predicted from all others, by ridge regression. Straight and curved forms (squares
-    and products) and several penalties are tried; the one with the least error on draws left out
-    one by one, in closed form (PRESS), summed over the goals in units of their variance, is taken.
-    Where summaries tell nothing the mean of the goals is as good, and is what is taken.
+    Each draw is predicted from all others, by ridge regression. Of several penalties the one with
+    the least error on draws left out one by one, in closed form (PRESS), summed over the goals in
+    units of their variance, is taken. Where summaries tell nothing the mean of the goals is as
+    good, and is what is taken.
 
     Source: Strong, Oakley and Brennan, Medical Decision Making 34 (2014) 311, with ridge
     regression instead of splines, since there are many summaries.
@@ -247,20 +246,14 @@ def fit_left_out(goals: Array, directions: Array, *, curved: bool = True) -> Arr
     n = len(goals)
     centred = goals - goals.mean(axis=0)
     scale = np.maximum(np.mean(centred**2, axis=0), 1e-300)
-    tried, designs = [centred * (n / (n - 1.0))], [directions]
-    if curved and directions.shape[1]:
-        one, other = np.triu_indices(min(directions.shape[1], BENT))
-        products = directions[:, one] * directions[:, other]
-        products = (products - products.mean(axis=0)) / np.sqrt(1.0 + (one == other))
-        designs.append(np.concatenate([directions, products], axis=1))
-    for design in designs if directions.shape[1] else ():
-        left, sizes, _ = linalg.svd(design, full_matrices=False)
-        told = left.T @ centred
-        for penalty in PENALTIES:
-            shrink = sizes**2 / (sizes**2 + penalty * n)
-            leverage = 1.0 / n + left**2 @ shrink
-            away = centred - left @ (shrink[:, None] * told)
-            tried.append(away / np.maximum(1.0 - leverage, 1e-6)[:, None])
+    tried = [centred * (n / (n - 1.0))]
+    left, sizes, _ = np.linalg.svd(directions, full_matrices=False)
+    told = left.T @ centred
+    for penalty in PENALTIES:
+        shrink = sizes**2 / (sizes**2 + penalty * n)
+        leverage = 1.0 / n + left**2 @ shrink
+        away = centred - left @ (shrink[:, None] * told)
+        tried.append(away / np.maximum(1.0 - leverage, 1e-6)[:, None])
     return min(tried, key=lambda away: float(np.sum(np.mean(away**2, axis=0) / scale)))
 
 
@@ -309,7 +302,7 @@ def greedy(goals: Goals, tests: Sequence[Array], size: int) -> list[tuple[int, .
             return 0.0
         matrix = gram[np.ix_(columns, columns)] + SMALL * n * np.eye(q)
         right = told[columns]
-        explained = np.sum(right * linalg.solve(matrix, right, assume_a="pos"), axis=0)
+        explained = np.sum(right * np.linalg.solve(matrix, right), axis=0)
         share = (whole - explained) / (n - 1.0 - q) * (n - 1.0) / np.maximum(whole, 1e-300)
         return float(goals.narrower(np.clip(share, 0.0, None)))
 
@@ -506,11 +499,11 @@ class Study:
         force = self.devices.measured(loop, self.session, candidate.device, candidate.cycles, seed)
         return np.abs(force).max(axis=1), directions_of(force[:, loop.first :])
 
-    def gain(self, *copies: Array, curved: bool = True) -> Gain:
+    def gain(self, *copies: Array) -> Gain:
         """Gain of tests whose summaries have these directions: the mean of several copies."""
         gains = []
         for directions in copies:
-            left = fit_left_out(self.goals.values, directions, curved=curved)
+            left = fit_left_out(self.goals.values, directions)
             rng = np.random.default_rng([self.seed, BOOTSTRAP])
             gains.append(list(vars(gain_of(self.goals, left, rng)).values()))
         return Gain(*np.mean(gains, axis=0).tolist())
@@ -526,7 +519,7 @@ class Study:
             first = COPIES + 1 + again * CURVE
             tests = [self.simulated(n, first + place)[1] for place, n in enumerate(numbers)]
             sets.append(np.concatenate(tests, axis=1))
-        return self.gain(*sets, curved=False)
+        return self.gain(*sets)
 
 
 def advise(

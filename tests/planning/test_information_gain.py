@@ -47,18 +47,6 @@ def test_a_test_that_tells_nothing_has_no_gain():
         assert 0.0 <= gain.information < 0.01
 
 
-def test_a_curved_dependence_is_found():
-    rng = np.random.default_rng(4)
-    x = rng.standard_normal((2000, 2))
-    goals = (x[:, 0] ** 2 + 0.1 * rng.standard_normal(2000))[:, None]
-    directions = directions_of(x)
-    curved, straight = (
-        fit_left_out(goals, directions, curved=c).var() / goals.var() for c in (True, False)
-    )
-    assert curved < 0.05
-    assert straight > 0.9
-
-
 ROWS = [(2.0, 0.0), (2.0, 0.0), (0.0, 1.5), (0.3, 0.3)]
 """A test, its copy, one about the other goal, and a weak one."""
 
