@@ -30,11 +30,10 @@ from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.records.data_quality import contradictions, force_sign, length_in_name
-from mfd_bayes.records.loops import Scales, channels_swapped, middle, scales_of
+from mfd_bayes.records.data_quality import contradictions, length_in_name, runs_backward
+from mfd_bayes.records.loops import Scales, middle, scales_of
 from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.trace import without_spikes
 from mfd_bayes.store.files import commented, quoted, read_toml
 from mfd_bayes.units import (
     DAMPER,
@@ -181,8 +180,7 @@ def _draft_test(
     roles, scales = dict(file.columns), None
     record = _read_record(file.path, roles, actuation, axes)
     if axes.of_damper and axes.timed:
-        sound = without_spikes(record.trace())
-        if any(force_sign(sound)) and not channels_swapped(sound):
+        if runs_backward(record.trace()):
             doubt = (
                 "its loops run backward, with negative work, so the sign of the force is turned; "
                 "if that of the displacement is wrong, write sign = -1 there instead"
@@ -190,14 +188,13 @@ def _draft_test(
             force = roles["force"]
             roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
             record = _read_record(file.path, roles, actuation, axes)
-            sound = without_spikes(record.trace())
         known = {role for role, guess in roles.items() if guess.unit is not None}
         doubts += tuple(str(fault.message) for fault in contradictions(record, roles=known))
         if "displacement" not in known and (length := length_in_name(record)):
             lacking = f'write unit = "{length[0]}": {length[1]}'
             roles["displacement"] = replace(roles["displacement"], lacking=lacking)
         if known.issuperset(ESSENTIAL):
-            scales = scales_of(sound)
+            scales = scales_of(record.trace())
     return TestDraft(
         *(new_id(file.path.stem, taken), file.path.name, roles, actuation, source, doubts, scales),
         (float(np.ptp(record.displacement)), float(np.ptp(np.asarray(record.force)))),

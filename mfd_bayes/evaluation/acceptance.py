@@ -345,7 +345,7 @@ def birge_ratios(run: Run) -> dict[str, float]:
 
 def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparison:
     """A record with what was expected of it; its values are those of its own samples."""
-    cycles = measured_cycles(record)
+    cycles = measured_cycles(record.trace())
     assert cycles is not None  # a trace with a force has them
     away = np.asarray(trace.force) - expected.fan.median
     measured = measured_properties(cycles) | {"loop": float(np.sqrt(np.mean(away**2)))}

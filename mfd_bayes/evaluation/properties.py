@@ -266,7 +266,7 @@ def predicted_rows(
         drawn = properties_of(trace, band.draws, peaks_of(first), smooth=test.draws)
     else:
         first, drawn = source, device_properties(source, trace, band, test)
-    cycles = None if record is None else measured_cycles(record)
+    cycles = None if record is None else measured_cycles(record.trace())
     measured = {} if cycles is None else measured_properties(cycles)
     drawn = kept(drawn, first.system.axes)
     return property_rows("", band.kind, trace, drawn, measured, band.probability)

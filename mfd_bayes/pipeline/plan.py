@@ -355,7 +355,7 @@ def _read(campaign: Campaign, test: Test) -> Record:
 
 def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entry:
     before, after = record.around(trace, campaign.since(test))
-    measured = measured_cycles(record)
+    measured = measured_cycles(record.trace())
     assert measured is not None  # a test has a force
     entry = Entry(
         role=test.role,

@@ -180,6 +180,11 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
         )
 
 
+def runs_backward(trace: Trace) -> bool:
+    """Whether the loops have negative work because the sign of one channel is swapped."""
+    return any(fault.name == "force sign" for fault in force_sign(without_spikes(trace)))
+
+
 def velocity(trace: Trace) -> Iterator[Fault]:
     """A velocity that is not that of the displacement.
 
@@ -786,7 +791,7 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Mes
     force, has = np.asarray(trace.force), record.axes.has
     at_peak = max(np.count_nonzero(force == end) for end in (force.min(), force.max()))
     facts = {"force": _message(f"{{}}, samples at a peak: {at_peak}", (force, "kip"))}
-    cycles = measured_cycles(record)
+    cycles = measured_cycles(trace)
     if cycles is None or not cycles.energy.size:
         return facts
     own, since = cycles.of_test(), "from the first loops to the last"

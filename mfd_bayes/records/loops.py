@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Array, Trace, turning_points, without_spikes
 
 STRONG = 0.95  # a loop is strong from this share of the largest amplitude; others ramp in or out
@@ -354,7 +353,7 @@ FORMULAS: Mapping[str, str] = {
 class MeasuredCycles:
     """Measured values of the L full cycles of a record, (L,) each, in internal units (`UNITS`).
 
-    They are of the record's own samples: no model, no filter, and no offset is taken off. Forces
+    They are of the trace's own samples: no model, no filter, and no offset is taken off. Forces
     are positive in the direction of the motion.
     """
 
@@ -401,12 +400,12 @@ class MeasuredCycles:
         return cls(**values | {name: float(values[name].item()) for name in single})
 
 
-def measured_cycles(record: Record | Trace) -> MeasuredCycles | None:
-    """Measured values of every full cycle of a record in its fit window; None without a force.
+def measured_cycles(trace: Trace) -> MeasuredCycles | None:
+    """Measured values of every full cycle of a record's trace; None without a force.
 
-    Spikes, which `inspect` names, count for nothing. Of a trace, its own samples are taken.
+    Spikes, which `inspect` names, count for nothing.
     """
-    trace = without_spikes(record.trace() if isinstance(record, Record) else record)
+    trace = without_spikes(trace)
     if trace.force is None:
         return None
     force, loops = trace.force[None], find_loops(trace)
@@ -462,8 +461,8 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
 def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
     """Mean of values (…, L) that are known, of some cycles or of all, (…); NaN where none is."""
     known = np.isfinite(values) if kept is None else np.isfinite(values) & kept
-    count, total = known.sum(axis=-1), np.where(known, values, 0.0).sum(axis=-1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    means = np.ma.array(values, mask=~known).mean(axis=-1)
+    return np.asarray(np.ma.filled(means, np.nan))
 
 
 def _at(x: Array, force: Array, level: float) -> Array:

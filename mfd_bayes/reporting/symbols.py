@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from html import unescape
 from types import MappingProxyType
+from typing import Any
 
 from markupsafe import Markup, escape
 
@@ -87,16 +88,23 @@ class Symbols:
             html = quantity.html or html_of(quantity.maths)
             self.written[name] = quantity.maths, html, quantity.meaning
 
-    def maths(self, name: str) -> str:
-        """Symbol in the maths that LaTeX and matplotlib share, "" if there is none."""
-        return self.written.get(name, ("", "", ""))[0]
+    def written_as(
+        self, name: str, symbol: Callable[[str, str], Any], text: Callable[[str], Any]
+    ) -> Any:
+        """A quantity, or one of a population, by its symbol (mathtext and HTML) or in words."""
+        if name in self.written:
+            maths, html, _ = self.written[name]
+            return symbol(maths, html)
+        prefix, of, more = _split(name)
+        if prefix == "scatter" and of in self.pooled:
+            of = self.pooled[of][0]
+        if not prefix:
+            return text(name.replace("_", " "))
+        return text(_PREFIXES[prefix][0]) + " " + self.written_as(of, symbol, text) + more
 
     def in_figure(self, name: str) -> str:
         """Symbol as matplotlib writes it; an unknown name as plain text."""
-        if symbol := self.maths(name):
-            return f"${symbol}$"
-        word, of, more = split_population(name, self.pooled)
-        return f"{word} {self.in_figure(of)}{more}" if word else plain(name.replace("_", " "))
+        return str(self.written_as(name, lambda maths, _: f"${maths}$", plain))
 
     def label(self, name: str, unit: str) -> str:
         """Axis label of a quantity with its unit."""
@@ -105,12 +113,8 @@ class Symbols:
 
     def in_html(self, name: str) -> Markup:
         """Symbol as HTML; an unknown name escaped."""
-        if name in self.written:
-            return Markup(self.written[name][1])
-        shown = printable(name)
-        word, of, more = split_population(shown, self.pooled)
-        text = shown.replace("_", " ")
-        return escape(word + " ") + self.in_html(of) + more if word else escape(text)
+        words = self.written_as(name, lambda _, html: Markup(html), lambda t: escape(printable(t)))
+        return Markup(words)
 
     def sentence(self, text: str) -> Markup:
         """A sentence as HTML, with symbols for the code names of quantities in it."""
@@ -160,14 +164,6 @@ def check_symbols(model: Model) -> None:
                 f"{model.where}, parameter {quantity.name!r}: the symbol {quantity.maths!r} is no "
                 r"mathematics in LaTeX, such as r'\alpha' or r'k_\mathrm{up}'"
             ) from None
-
-
-def split_population(name: str, pooled: Mapping[str, tuple[str, str]]) -> tuple[str, str, str]:
-    """Prefix in words, quantity and covariate of a population's quantity; else empty."""
-    prefix, of, more = _split(name)
-    if prefix == "scatter" and of in pooled:
-        of = pooled[of][0]
-    return (_PREFIXES[prefix][0], of, more) if prefix else ("", "", "")
 
 
 def _split(name: str) -> tuple[str, str, str]:

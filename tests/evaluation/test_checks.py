@@ -23,7 +23,6 @@ from mfd_bayes.evaluation.views import DIRECTIONS
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
-from tests.run_folders import write_run
 
 
 def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
@@ -113,10 +112,8 @@ def test_tests_stand_apart_by_chance_as_rarely_as_stated():
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("made") / "out"
-    write_run(folder)
-    run = open_run(folder)
+def run(made_run):
+    run = open_run(made_run)
     settings = run.manifest.settings.with_test("b", after="a")
     return replace(run, manifest=run.manifest.changed(settings=settings))
 

@@ -11,7 +11,6 @@ from mfd_bayes.evaluation.crossvalidate import FOLDER, Fold, folds_of, left_out_
 from mfd_bayes.population.design import Setting
 from mfd_bayes.runs.manifest import CampaignCrossValidation, Prediction, Score, with_keys
 from mfd_bayes.runs.run import open_run
-from tests.run_folders import write_run
 
 
 def test_scores_of_another_fold_are_computed_anew(tmp_path):
@@ -23,9 +22,8 @@ def test_scores_of_another_fold_are_computed_anew(tmp_path):
     assert not replace(fold, rests_on="other laws").stored(tmp_path)
 
 
-def test_folds_of_a_run_rest_on_its_laws_and_posteriors(tmp_path):
-    write_run(tmp_path / "out")
-    run = open_run(tmp_path / "out")
+def test_folds_of_a_run_rest_on_its_laws_and_posteriors(made_run):
+    run = open_run(made_run)
     first, second = folds_of(run, "test", "quick")
     assert first.rests_on == second.rests_on != ""
     laws = {**run.manifest.settings.laws, "sigma0": "constant"}

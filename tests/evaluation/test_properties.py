@@ -17,7 +17,7 @@ from mfd_bayes.evaluation.properties import (
     parse_condition,
 )
 from mfd_bayes.records.trace import Trace
-from tests.run_folders import FORCE, MOTION, write_run
+from tests.run_folders import FORCE, MOTION
 
 DATA = Path(__file__).parents[1] / "data" / "run"
 UNIT = (np.arange(2000) + 0.5) / 2000.0
@@ -97,9 +97,8 @@ def test_it_says_what_was_tested_and_what_is_not_known(sheet):
     assert any("Temperature" in str(message) for message in sheet.not_known)
 
 
-def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(tmp_path):
-    write_run(tmp_path / "out")
-    sheet = datasheet(open_run(tmp_path / "out"))
+def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):
+    sheet = datasheet(open_run(made_run))
     rows = sheet.rows
     levels = ["500 psi", "700 psi", "1000 psi"]  # of tests a, c, which is held out, and b
     assert list(dict.fromkeys(rows["condition"])) == [f"{level}, 1 in, 1 Hz" for level in levels]

@@ -168,7 +168,7 @@ def test_slope_and_gap_are_those_of_the_record_and_its_rate(run, tmp_path):
     record = mb.read_record(fast, actuation="1000 psi")
     (judged,) = mb.accept(run, record, draws=400)
     whole, thin = replace(record.trace(), force=None), record.trace(50.0)
-    band, own = run.predict(whole, "device", draws=400), measured_cycles(record).of_test()
+    band, own = run.predict(whole, "device", draws=400), measured_cycles(record.trace()).of_test()
     for name in ("build_up_slope", "gap"):
         assert judged.rows.loc[name, "measured"] == pytest.approx(own[name])
         fine = np.median(properties_of(whole, band.draws)[name])

@@ -316,17 +316,6 @@ def test_a_name_that_the_record_contradicts_is_named_and_no_other(tmp_path):
         assert all(words in sentence for sentence in said)
 
 
-def test_commands_say_it_once(tmp_path, small_pictures):
-    named(tmp_path, "36lb_0.25Hz_1.5in")
-    sentence = "the name of 36lb_0.25Hz_1.5in.csv says 1.5in"
-    run = CliRunner().invoke
-    assert sentence in run(app, ["init", str(tmp_path)]).output
-    campaign = str(tmp_path / "campaign.toml")
-    dry = run(app, ["calibrate", campaign, "-o", str(tmp_path / "out"), "--dry-run"])
-    assert dry.exit_code == 0, dry.output
-    assert " ".join(dry.output.split()).count(sentence) == 1
-
-
 def test_real_records_raise_no_false_alarm(data_folder, tmp_path):
     for path in sorted(data_folder.glob("20*.csv")):
         record = mb.read_record(path)

@@ -15,7 +15,6 @@ import mfd_bayes as mb
 from mfd_bayes.errors import ReportError
 from mfd_bayes.store.cards import card, grid
 from tests.command_line import refusal, said
-from tests.run_folders import write_run
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)
@@ -23,15 +22,8 @@ with warnings.catch_warnings():
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    out = tmp_path_factory.mktemp("run") / "out"
-    write_run(out)
-    return out
-
-
-@pytest.fixture(scope="module")
-def run(folder):
-    return mb.open_run(folder)
+def run(made_run):
+    return mb.open_run(made_run)
 
 
 @pytest.fixture(scope="module")
@@ -88,19 +80,19 @@ def test_arviz_takes_a_test_and_a_band_without_a_change(run, band):
     assert force.attrs["units"] == "kip"
 
 
-def test_opening_a_run_imports_no_matplotlib(folder):
+def test_opening_a_run_imports_no_matplotlib(made_run):
     code = (
         "import sys, mfd_bayes as mb; run = mb.open_run(sys.argv[1]); run._repr_html_(); "
         "print(sorted({'matplotlib', 'arviz'} & set(sys.modules)))"
     )
-    command = [sys.executable, "-W", "ignore", "-c", code, str(folder)]
+    command = [sys.executable, "-W", "ignore", "-c", code, str(made_run)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert done.stdout == "[]\n", done.stderr
 
 
-def test_draws_are_written_with_their_units_or_refused_in_one_sentence(folder, tmp_path):
+def test_draws_are_written_with_their_units_or_refused_in_one_sentence(made_run, tmp_path):
     out = tmp_path / "out"
-    shutil.copytree(folder, out)
+    shutil.copytree(made_run, out)
     assert "draws.csv written" in said("draws", out, "--to", "csv", "--units", "si")
     table, run = pd.read_csv(out / "draws.csv"), mb.open_run(out)
     assert set(table["test"]) == set(run.tests)

@@ -249,40 +249,39 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     kept = [row for row in rows if row["truth"] > 0]
     if not kept:
         return None
+    names = list(dict.fromkeys(row["name"] for row in kept))
+    figure = look.new_figure(9, 1.3 + 0.12 * (len(names) + 0.25 * len(kept)), title)
+    axes = figure.subplots()
     kinds = {
         (True, True): (POSTERIOR, "o", 3, "interval holds the truth"),
         (True, False): (TRUTH, "X", 6, "interval misses the truth"),
         (False, True): (PRIOR, "o", 3, "not informed by the data"),
         (False, False): (PRIOR, "X", 6, ""),
     }
-    names = list(dict.fromkeys(row["name"] for row in kept))
-    heights = [1.0 + 0.25 * sum(row["name"] == name for row in kept) for name in names]
-    ends = np.cumsum(heights)
-    figure = look.new_figure(9, 1.3 + 0.12 * float(ends[-1]), title)
-    axes = figure.subplots()
-    for number, (name, end, height) in enumerate(zip(names, ends, heights, strict=True)):
+    reach, end, middles = 1.25, 0.0, []
+    for number, name in enumerate(names):
+        own = [row for row in kept if row["name"] == name]
+        begin, end = end, end + 1.0 + 0.25 * len(own)
+        middles.append(0.5 * (begin + end))
         if number % 2:
-            axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
-        for at, row in enumerate(row for row in kept if row["name"] == name):
+            axes.axhspan(begin, end, color="#f4f4f4", zorder=0)
+        for y, row in enumerate(own):
             colour, marker, size, _ = kinds[bool(row["informed"]), bool(row["inside"])]
-            y = end - height + 0.625 + 0.25 * at
             lower, median, upper = (row[k] / row["truth"] for k in ("lower", "median", "upper"))
-            axes.plot([lower, upper], [y, y], color=colour, lw=1.2)
-            axes.plot([median], [y], marker, color=colour, ms=size)
+            axes.plot([lower, upper], [begin + 0.625 + 0.25 * y] * 2, color=colour, lw=1.2)
+            axes.plot([median], [begin + 0.625 + 0.25 * y], marker, color=colour, ms=size)
+            if row["informed"]:
+                reach = max(reach, 1.05 * upper, 1.05 / max(lower, 0.1))
     axes.axvline(1.0, color=DATA, linewidth=1.2, zorder=1)
-    middles = ends - 0.5 * np.array(heights)
     axes.set_yticks(middles, [symbols.in_figure(name) for name in names], fontsize=9)
-    axes.set_ylim(ends[-1], 0.0)
+    axes.set_ylim(end, 0.0)
     axes.grid(visible=False, axis="y")
-    informed = [row for row in kept if row["informed"]] or kept
-    widest = max(
-        max(r["upper"] / r["truth"], r["truth"] / max(r["lower"], 1e-12)) for r in informed
-    )
-    reach = float(np.clip(1.05 * widest, 1.25, 8.0))
-    ticks = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
+    reach = min(reach, 8.0)
     axes.set(xscale="log", xlim=(1.0 / reach, reach))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xticks([tick for tick in ticks if 1 / reach <= tick <= reach])
+    axes.set_xticks(
+        [t for t in (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0) if 1 / reach <= t <= reach]
+    )
     axes.xaxis.set_major_formatter(_PLAIN)
     axes.set_xlabel("posterior ÷ truth (1 = truth), logarithmic; bars are 95 % intervals")
     shown = [kind for kind in kinds.values() if kind[3]]
@@ -411,17 +410,16 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     by, name = system.of_actuation(unit)
     gains: dict[tuple[float, float], float] = {}  # of the best amplitude
-    for row in advice:
-        place = row.candidate.actuation * by, row.candidate.frequency
-        gains[place] = max(gains.get(place, 0.0), 100.0 * row.reduction)
-    look_of: dict[str, Any] = {"s": 130, "cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
-    places = np.array(list(gains)).T
-    shown = left.scatter(*places, c=list(gains.values()), linewidths=0.5, **look_of)
+    for row in reversed([*advice]):
+        gains[row.candidate.actuation * by, row.candidate.frequency] = 100.0 * row.reduction
+    shades: dict[str, Any] = {"cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
+    shown = left.scatter(*zip(*gains, strict=True), s=130, c=[*gains.values()], lw=0.5, **shades)
     first = advice[0].candidate
     ring: dict[str, Any] = {"mfc": "none", "mec": DATA, "mew": 1.6, "ms": 15}
     left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
-    made = [(test.actuation * by, test.frequency) for test in advice.tests]
-    left.plot(*np.reshape(made, (-1, 2)).T, "x", color="#c0392b", ms=5, label="tests made")
+    levels = [test.actuation * by for test in advice.tests]
+    frequencies = [test.frequency for test in advice.tests]
+    left.plot(levels, frequencies, "x", color="#c0392b", ms=5, label="tests made")
     left.set_yscale("log")
     left.yaxis.set_major_formatter(ScalarFormatter())
     left.yaxis.set_minor_formatter(ScalarFormatter())
