@@ -198,12 +198,6 @@ def _take(handle: int, out: Path, here: Owner) -> None:
         )
 
 
-def other_owner(out: Path) -> str:
-    """Words that name another process which works in a folder: ": …"; "" where none is known."""
-    owner = _owner_of(out)
-    return "" if owner is None or owner.pid == os.getpid() else f": {owner}"
-
-
 def _owner_of(out: Path) -> Owner | None:
     """Owner that a folder names; None where it names none, or the name cannot be read."""
     with suppress(StoreError):
@@ -254,7 +248,8 @@ def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
             raise StoreError(f"{path} is a link to outside of the run folder")
         if name in digests and hash_file(path) != digests[name]:
             raise StoreError(
-                f"{path} is not what this run wrote: its SHA-256 is not that in {MANIFEST}"
+                f"{path} is not what this run wrote: its SHA-256 is not that in {MANIFEST}; or "
+                "another process has changed the run meanwhile"
             )
     except (OSError, RuntimeError) as error:
         raise StoreError(f"cannot read {path}: {error}") from error
