@@ -66,39 +66,53 @@ def dimension_of(kind: str) -> Dimension:
 # Usual spellings of units, and pint's; from three letters on, upper or lower case does not matter.
 # There are no masses here, so a pound is a force, and no conductances, so S is the second.
 _SPELLINGS = {
-    **dict.fromkeys(("S", "sec", "secs"), "s"),
-    **dict.fromkeys(("msec", "msecs"), "ms"),
-    **dict.fromkeys(("IN", "In", "inch"), "in"),
-    **dict.fromkeys(("FT", "Ft", "foot", "feet"), "ft"),
-    **{word.upper(): word for word in ("mm", "cm")},
-    **dict.fromkeys(("lb", "Lb", "LB", "lbs", "lbf", "pound", "pounds"), "lbf"),
-    **dict.fromkeys(("kip", "kips"), "kip"),
-    **dict.fromkeys(("KN", "Kn", "kn"), "kN"),
-    **dict.fromkeys(("MPA", "Mpa"), "MPa"),
-    **dict.fromkeys(("KPA", "Kpa", "kpa"), "kPa"),
-    **dict.fromkeys(("psi", "psig"), "psi"),
-    **dict.fromkeys(("amp", "amps", "Amp", "Amps", "ampere"), "A"),
-    **dict.fromkeys(("rev", "revs"), "turn"),
-    "Nm": "N*m",
-    "kNm": "kN*m",
-    **{word: word for word in ("%", "percent")},
-    **{word: word for word in ("klbf", "ksi", "psf", "bar", "deg")},
-    **dict.fromkeys(("klb", "klbs"), "klbf"),
-    **dict.fromkeys(("kp", "Kgf", "KGF"), "kgf"),
-    **dict.fromkeys(("mil", "mils", "thous"), "thou"),  # not a thousandth of a radian
-    **dict.fromkeys(("gal", "gals"), "Gal"),  # of earthquakes; of a flow, see `_FLUIDS`
-    **dict.fromkeys(("µε", "με", "uε", "µstrain", "μstrain", "ue"), "microstrain"),
-    "ε": "strain",
+    spelled: unit
+    for unit, words in {
+        "s": "S sec secs",
+        "ms": "msec msecs",
+        "in": "IN In inch",
+        "ft": "FT Ft foot feet",
+        "mm": "MM",
+        "cm": "CM",
+        "lbf": "lb Lb LB lbs lbf pound pounds",
+        "kip": "kip kips",
+        "kN": "KN Kn kn",
+        "MPa": "MPA Mpa",
+        "kPa": "KPA Kpa kpa",
+        "psi": "psi psig",
+        "A": "amp amps Amp Amps ampere",
+        "turn": "rev revs",
+        "N*m": "Nm",
+        "kN*m": "kNm",
+        "%": "%",
+        "percent": "percent",
+        "ksi": "ksi",
+        "psf": "psf",
+        "bar": "bar",
+        "deg": "deg",
+        "klbf": "klbf klb klbs",
+        "kgf": "kp Kgf KGF",
+        "thou": "mil mils thous",  # not a thousandth of a radian
+        "Gal": "gal gals",  # of earthquakes; of a flow, see `_GALLONS`
+        "microstrain": "µε με uε µstrain μstrain ue",
+        "strain": "ε",
+        "(L/min)": "lpm",
+        "(gallon/min)": "gpm",
+        "(ft^3/min)": "cfm",
+    }.items()
+    for spelled in words.split()
 }
 
 _METRIC_TON, _US_TON = "'tf' (9.807 kN)", "'ton_force' (2000 lbf)"
-_FORCES: Mapping[str, str] = MappingProxyType(
-    {
-        **dict.fromkeys(("kg", "kgs", "kilogram", "kilograms"), "'kgf' (9.807 N)"),
-        **dict.fromkeys(("t", "tonne", "tonnes"), _METRIC_TON),
-        **dict.fromkeys(("ton", "tons", "tonf", "tonsf"), f"{_METRIC_TON} or {_US_TON}"),
-    }
-)
+_FORCES = {
+    word: meant
+    for words, meant in (
+        ("kg kgs kilogram kilograms", "'kgf' (9.807 N)"),
+        ("t tonne tonnes", _METRIC_TON),
+        ("ton tons tonf tonsf", f"{_METRIC_TON} or {_US_TON}"),
+    )
+    for word in words.split()
+}
 """What to write for a mass, or for one of several units, that people write for a force."""
 
 UNREAD = frozenset(_FORCES) | {"div", "volt", "volts", "v", "mv", "ma", "counts", "cts", "bits"}
@@ -125,12 +139,7 @@ _UNIT = re.compile(rf"(?:1|{_TERM})(?:(?:\s*[*/·]\s*|\s+){_TERM})*")
 _ABBREVIATED = re.compile(r"(?<=[A-Za-z])\.(?!\w)")  # in., lb./in.
 _INCHES = re.compile("\"|''|″|′′|”")
 _DASH = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")  # kip-in, kN-m
-_FLUIDS = (
-    (re.compile(r"\bgals?(?=\s*/\s*(?:s|sec|min|h|hr|d)\b)", re.IGNORECASE), "gallon"),
-    (re.compile(r"\blpm\b", re.IGNORECASE), "(L/min)"),
-    (re.compile(r"\bgpm\b", re.IGNORECASE), "(gallon/min)"),
-    (re.compile(r"\bcfm\b", re.IGNORECASE), "(ft^3/min)"),
-)
+_GALLONS = re.compile(r"\bgals?(?=\s*/\s*(?:s|sec|min|h|hr|d)\b)", re.IGNORECASE)  # of a flow
 _GROUPED = re.compile(r"\s*[+-]?\d{1,3}(?:[ ,'’\u00a0\u202f]\d{3})+(?!\d)")  # 1,000 · 1 000
 _ANGLES = re.compile(r"radian|degree|revolution|turn|grad|cycle|arc")  # pint takes them for 1
 _LONGEST = 200  # characters of a quantity
@@ -316,8 +325,7 @@ def _parse(unit: str, named: str) -> Any:
     text = _ABBREVIATED.sub("", unit.strip()) if isinstance(unit, str) else ""
     text = _INCHES.sub("in", text)
     text = _DASH.sub("*", _POWER.sub(r"^\1", text))
-    for spelled, plain in _FLUIDS:
-        text = spelled.sub(plain, text)
+    text = _GALLONS.sub("gallon", text)
     if not text or len(text) > 60 or not _UNIT.fullmatch(text):
         raise UnitError(unknown)
     words = re.sub(r"[A-Za-z_µμε]+", lambda word: _spelled(word[0]), text)

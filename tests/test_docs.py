@@ -1,13 +1,13 @@
 """The documentation: its blocks run, its names exist, and the site is built without a warning."""
 
 import importlib.util
+import inspect
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-import tomllib
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,9 +86,9 @@ class Reader:
     """Someone who types in the blocks of a page one after the other, in one folder."""
 
     def __init__(self, commands=Path(sys.executable).parent):
-        self.commands = commands  # folder of the commands that are found first
-        self.names = {"__name__": "__main__"}
-        self.said = ""
+        path = [str(commands), str(Path(sys.executable).parent), os.environ["PATH"]]
+        self.environment = os.environ | {"PATH": os.pathsep.join(path)}
+        self.names, self.said = {"__name__": "__main__"}, ""
 
     def run(self, block):
         getattr(self, f"run_{block.language}")(block)
@@ -105,27 +105,15 @@ class Reader:
         try:
             exec(code, self.names)
         except BaseException as error:
-            lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)]
-            files = [f.filename for f in traceback.extract_tb(error.__traceback__)]
-            at = [n for n, name in zip(lines, files, strict=True) if name == block.page]
+            frames = traceback.extract_tb(error.__traceback__)
+            at = [frame.lineno for frame in frames if frame.filename == block.page]
             pytest.fail(f"{block.page}:{at[-1] if at else block.line}: {error!r}")
 
     def run_bash(self, block):
-        told = f"trap 'echo at line $((LINENO + {block.line - 1})) >&2' ERR; "
-        environment = os.environ | {
-            "PATH": os.pathsep.join(
-                [str(self.commands), str(Path(sys.executable).parent), os.environ["PATH"]]
-            ),
-            "OPENBLAS_NUM_THREADS": "1",
-        }
-        done = subprocess.run(
-            ["bash", "-euo", "pipefail", "-c", told + block.code],
-            capture_output=True,
-            text=True,
-            env=environment,
-            timeout=300,
-            check=False,
-        )
+        trap = f"trap 'echo at line $((LINENO + {block.line - 1})) >&2' ERR; "
+        command = ["bash", "-euo", "pipefail", "-c", trap + block.code]
+        how = {"capture_output": True, "text": True, "timeout": 300, "check": False}
+        done = subprocess.run(command, env=self.environment, **how)
         if done.returncode != 0:
             at = re.findall(r"^at line (\d+)$", done.stderr, re.MULTILINE)
             where = at[-1] if at else block.line
@@ -184,6 +172,7 @@ def test_every_picture_of_a_page_is_there():
     assert {path.name for path in folder.glob("*.png")} == shown | SCREENSHOTS
 
 
+@pytest.mark.slow
 def test_the_sketches_are_drawn(folder):
     script = ROOT / "docs/sketches.py"
     subprocess.run([sys.executable, script, folder], check=True, timeout=120)
@@ -196,24 +185,21 @@ def test_every_page_with_blocks_is_run():
     assert with_blocks == {page for pages in SERIES for page in pages}
 
 
-@pytest.mark.parametrize(
-    ("language", "code", "line"),
-    [("python", "fine = 1\n1 / 0\n", 5), ("bash", "true\nmfd-bayes inspect nothing.csv\n", 5)],
-)
-def test_a_broken_block_fails_with_its_page_and_line(folder, language, code, line):
-    text = f"# A page\n\n```{language}\n{code}```\n"
-    (block,) = blocks_of("page.md", text)
-    with pytest.raises(pytest.fail.Exception, match=f"^page.md:{line}: "):
-        Reader().run(block)
-
-
-def test_words_that_no_command_printed_fail_with_their_line(folder):
-    text = "```bash\necho one; echo two\n```\n\n```text\none\n…\nthree\n```\n"
-    command, words = blocks_of("page.md", text)
-    reader = Reader()
-    reader.run(command)
-    with pytest.raises(pytest.fail.Exception, match=r"^page\.md:8: not printed: three"):
-        reader.run(words)
+def test_a_broken_block_or_words_that_were_not_printed_fail_with_their_line(folder):
+    for text, words in (
+        ("```python\nfine = 1\n1 / 0\n```\n", "page.md:3: "),
+        ("```bash\ntrue\nfalse\n```\n", "page.md:3: "),
+        (
+            "```bash\necho one\n```\n\n```text\none\n…\nthree\n```\n",
+            "page.md:8: not printed: three",
+        ),
+    ):
+        reader = Reader()
+        *blocks, last = blocks_of("page.md", text)
+        for block in blocks:
+            reader.run(block)
+        with pytest.raises(pytest.fail.Exception, match=f"^{words}"):
+            reader.run(last)
 
 
 def test_the_reference_of_the_campaign_file_has_every_table_and_each_key_a_meaning():
@@ -262,16 +248,6 @@ def test_every_public_name_is_in_the_reference():
     assert shown - {"TestResult"} == set(mb.__all__)  # TestResult: what run.tests holds
 
 
-def test_the_citation_is_that_of_the_package():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
-    assert {f"title: {project['name']}", f"version: {project['version']}"} <= set(lines)
-    assert f"license: {project['license']}" in lines
-    assert [f'  - name: "{author["name"]}"' for author in project["authors"]] == [
-        line for line in lines if line.startswith("  - name: ")
-    ]
-
-
 def test_names_commands_and_files_that_are_named_exist():
     for page, path in PAGES.items():
         text = path.read_text(encoding="utf-8")
@@ -315,13 +291,31 @@ def test_the_site_is_built_and_loads_nothing_from_elsewhere(site):
         assert f"<code>mfd-bayes {command}</code>" in pages["commands.md"]
 
 
-@needs_docs
-@pytest.mark.parametrize("wish", ["lines of benchmarks/sbc/sbc.txt with no such words", "nonsense"])
-def test_a_page_that_asks_for_what_is_not_there_stops_the_build(wish):
-    from mkdocs.exceptions import PluginError
+def functions_of(name):
+    """Functions of a name on the page of Python: itself, and the public methods of a class."""
+    module, _, what = name.rpartition(".")
+    found = getattr(importlib.import_module(module), what)
+    yield name, found
+    for method, function in vars(found).items() if inspect.isclass(found) else ():
+        function = getattr(function, "__func__", function)
+        if inspect.isfunction(function) and not method.startswith("_"):
+            yield f"{name}.{method}", function
 
-    spec = importlib.util.spec_from_file_location("docs_hooks", ROOT / "docs/hooks.py")
-    hooks = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(hooks)
-    with pytest.raises(PluginError, match=r"page\.md"):
-        hooks._fill(wish, "page.md")
+
+def test_defaults_on_the_page_are_those_of_python():
+    griffe = pytest.importorskip("griffe", reason='needs the extra "docs": pip install ".[docs]"')
+    package = griffe.load("mfd_bayes", search_paths=[ROOT], docstring_parser="numpy")
+    names = re.findall(r"^::: (\S+)", PAGES["python.md"].read_text("utf-8"), re.MULTILINE)
+    checked = 0
+    for path, function in (found for name in names for found in functions_of(name)):
+        described = package[path.removeprefix("mfd_bayes.")].docstring
+        sections = described.parsed if described else []
+        for item in (i for s in sections if s.kind.value == "parameters" for i in s.value):
+            if item.default is not None:
+                module = importlib.import_module(function.__module__)
+                named = vars(module).get(str(item.default))
+                shown = str(item.default).strip("'\"") if named is None else str(named)
+                real = inspect.signature(function).parameters[item.name].default
+                assert shown == str(real), f"{path}: {item.name}"
+                checked += 1
+    assert checked > 10

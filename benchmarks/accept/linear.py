@@ -65,7 +65,7 @@ def new_run(base: Run, seed: int, folder: Path) -> Run:
         record = mb.read_record(folder / f"{name}.csv", actuation=f"{level} psi")
         trace = record.trace(settings.campaign.rate, gap=base.priors.gap)
         tests[name] = replace(before, posterior=Posterior(trace, base.priors, "ou", base.model))
-        measured = measured_cycles(record).to_content()
+        measured = measured_cycles(record.trace()).to_content()
         entries[name] = entries[name].model_copy(update={"measured": measured})
     found = inference.infer_population(tests, base.priors, settings.inference("quick", (seed, 5)))
     for j, name in enumerate(tests):

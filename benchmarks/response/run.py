@@ -29,7 +29,7 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.response.building import Content, building_of
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import read_ground
-from mfd_bayes.response.time_integration import Accuracy, Analysis, settle
+from mfd_bayes.response.time_integration import response_of, settle
 
 PARTS = 20
 
@@ -66,7 +66,7 @@ def beside_opensees(ground, python):
     dampers = Dampers(BoucWen(), theta, np.full((1, 6), 0.5), theta[..., 2])
     building = six_storeys()
     undamped = replace(building, damping=0.0 * building.damping)
-    ours = settle(undamped, ground, dampers, Accuracy())
+    ours = settle(undamped, ground, dampers)
     with tempfile.TemporaryDirectory() as folder:
         values = Path(folder) / "values.txt"
         np.savetxt(values, ground.acceleration / opensees.GRAVITY)
@@ -86,7 +86,7 @@ def speed(ground, draws, jobs):
     theta = np.array([[three_stage_row(rng, 0.05 * w) for w in above] for _ in range(draws)])
     dampers = Dampers(ThreeStage(), theta, rng.random((draws, 6)), theta[..., 4])
     begun, clock = spent(), time.perf_counter()
-    found = Analysis(six_storeys(), [ground], dampers).respond(jobs)
+    found = response_of(six_storeys(), [ground], dampers, jobs=jobs)
     used, clock = spent() - begun, time.perf_counter() - clock
     print(f"\n{draws} draws x 6 storeys x 6 dampers x {ground.acceleration.size} samples", end="")
     print(

@@ -14,9 +14,8 @@ from scipy import special
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
-from mfd_bayes.records.inputs import real_number, whole_number
 from mfd_bayes.store.netcdf import import_arviz
 
 Array = NDArray[np.float64]

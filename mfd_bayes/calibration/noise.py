@@ -21,25 +21,18 @@ Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 
 LOG_2PI = float(np.log(2 * np.pi))
-SD = Quantity("noise_sd", "force", "s", "s", "standard deviation of the noise")
-TIME = Quantity("noise_time", "time", r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise")
+SD = Quantity("noise_sd", "force", "s", "standard deviation of the noise")
+TIME = Quantity("noise_time", "time", r"\tau_c", "correlation time of the noise")
 DOF = Quantity(
     "noise_dof",
     "dimensionless",
     r"\nu",
-    "ν",
     "degrees of freedom of the noise",
     pooled=False,
 )
-BUILD = Quantity(
-    "noise_build", "force", "s_b", "s<sub>b</sub>", "added noise where the force builds up"
-)
-FADE = Quantity(
-    "noise_fade", "displacement", r"\lambda", "λ", "slip over which the added noise fades"
-)
-BUILD_TIME = Quantity(
-    "noise_build_time", "time", r"\tau_b", "τ<sub>b</sub>", "correlation time of the added noise"
-)
+BUILD = Quantity("noise_build", "force", "s_b", "added noise where the force builds up")
+FADE = Quantity("noise_fade", "displacement", r"\lambda", "slip over which the added noise fades")
+BUILD_TIME = Quantity("noise_build_time", "time", r"\tau_b", "correlation time of the added noise")
 
 
 class Noise:
@@ -62,15 +55,17 @@ class Noise:
         `values` are the noise's parameters, (n,) each, with d2 and d3 where there is a gap;
         `travel` (n, T), in, is the one since the last slip, where it is needed.
         """
-        phi, shrink = self._correlation(time, values)
-        scale = values["noise_sd"][:, None]
-        standard = phi * residual[:, :-1]
-        np.subtract(residual[:, 1:], standard, out=standard)
-        standard /= scale * np.sqrt(shrink)
-        total = self._density(residual[:, :1] / scale, values) + self._density(standard, values)
-        repeats = (time.size - 1) // shrink.shape[1]  # one φ stands for all uniform steps
-        steps = 0.5 * repeats * np.log(shrink).sum(axis=1)
-        return np.asarray(total - (time.size * np.log(values["noise_sd"]) + steps))
+        decay, scale = self._steps(time, values, travel)
+        before, after = (scale, scale) if scale.shape[1] == 1 else (scale[:, :-1], scale[:, 1:])
+        shrink = -np.expm1(-2.0 * decay)
+        innovations = np.exp(-decay) * after / before * residual[:, :-1]
+        np.subtract(residual[:, 1:], innovations, out=innovations)
+        innovations /= after * np.sqrt(shrink)
+        first = self._density(residual[:, :1] / scale[:, :1], values)
+        total = first + self._density(innovations, values)
+        # one number may stand for all steps, or all samples
+        total -= 0.5 * (time.size - 1) * np.log(shrink).mean(axis=1)
+        return np.asarray(total - time.size * np.log(scale).mean(axis=1))
 
     def draw(
         self,
@@ -92,13 +87,15 @@ class Noise:
         self, time: Array, values: Values, travel: Array | None = None
     ) -> tuple[Array, Array]:
         """−log φ of the step to each sample (∞ at the first), and scale, kip, (n, T) each."""
-        shape = values["noise_sd"].size, time.size
-        return np.full(shape, np.inf), np.broadcast_to(values["noise_sd"][:, None], shape)
+        decay, scale = self._steps(time, values, travel)
+        whole = np.full((len(scale), time.size), np.inf)
+        whole[:, 1:] = decay
+        return whole, np.broadcast_to(scale, whole.shape)
 
-    def _correlation(self, time: Array, values: Values) -> tuple[Array, Array]:
-        """φ of neighbours, and 1 − φ²: (n, T − 1), or (n, 1) where all are alike."""
-        n = values["noise_sd"].size
-        return np.zeros((n, 1)), np.ones((n, 1))
+    def _steps(self, time: Array, values: Values, travel: Array | None) -> tuple[Array, Array]:
+        """As `memory`, without the first sample; (n, 1) what is the same of all."""
+        scale = values["noise_sd"][:, None]
+        return np.full(scale.shape, np.inf), scale
 
     def _density(self, standard: Array, values: Values) -> Array:
         """Log density of standardised innovations (n, m), (n,)."""
@@ -119,20 +116,11 @@ class OU(Noise):
     name: ClassVar[str] = "ou"
     quantities: ClassVar[tuple[Quantity, ...]] = (SD, TIME)
 
-    def memory(
-        self, time: Array, values: Values, travel: Array | None = None
-    ) -> tuple[Array, Array]:
-        """How much each sample depends on the one before, and its scale; see `Noise.memory`."""
-        decay, scale = super().memory(time, values)
-        decay[:, 1:] = np.diff(time) / values["noise_time"][:, None]
-        return decay, scale
-
-    def _correlation(self, time: Array, values: Values) -> tuple[Array, Array]:
+    def _steps(self, time: Array, values: Values, travel: Array | None) -> tuple[Array, Array]:
         steps = np.diff(time)
         if np.ptp(steps) <= 1e-6 * steps[0]:
             steps = steps[:1]
-        ratio = steps / values["noise_time"][:, None]
-        return np.exp(-ratio), -np.expm1(-2.0 * ratio)
+        return steps / values["noise_time"][:, None], values["noise_sd"][:, None]
 
 
 class StudentT(OU):
@@ -167,49 +155,21 @@ class Staged(OU):
     quantities: ClassVar[tuple[Quantity, ...]] = (SD, TIME, BUILD, FADE, BUILD_TIME)
     needs_travel: ClassVar[bool] = True
 
-    def log_density(
-        self, residual: Array, time: Array, values: Values, travel: Array | None = None
-    ) -> Array:
-        """Normalised log density of residuals, (n,); see `Noise.log_density`."""
-        weight = _weight(values, _needed(travel).T)  # time first, as all here: (T, n)
-        slow = 1.0 / values["noise_time"]
-        rate = slow + (1.0 / values["noise_build_time"] - slow) * weight[1:]
-        scale = values["noise_sd"] + values["noise_build"] * weight
-        standard, phi = residual.T / scale, np.exp(-np.diff(time)[:, None] * rate)
-        shrink = (1.0 - phi) * (1.0 + phi)
-        squares = (standard[1:] - phi * standard[:-1]) ** 2 / shrink
-        total = standard[0] ** 2 + squares.sum(axis=0) + time.size * LOG_2PI
-        total += 2.0 * np.log(scale[0]) + np.log(scale[1:] ** 2 * shrink).sum(axis=0)
-        return np.asarray(-0.5 * total)
-
-    def memory(
-        self, time: Array, values: Values, travel: Array | None = None
-    ) -> tuple[Array, Array]:
-        """How much each sample depends on the one before, and its scale; see `Noise.memory`."""
-        weight = _weight(values, _needed(travel).T).T
-        decay, scale = super().memory(time, values)
-        slow = 1.0 / values["noise_time"][:, None]
-        faster = 1.0 / values["noise_build_time"][:, None] - slow
-        decay[:, 1:] = np.diff(time) * (slow + faster * weight[:, 1:])
-        return decay, scale + values["noise_build"][:, None] * weight
-
-
-def _needed(travel: Array | None) -> Array:
-    if travel is None:
-        raise FitError("staged noise needs the travel since the last slip")
-    return travel
-
-
-def _weight(values: Values, travel: Array) -> Array:
-    """Weight h of travels u, time first, (T, n)."""
-    gap = "d3" in values
-    weight = (values["d2"] + values["d3"] if gap else 0.0) - travel
-    weight /= values["noise_fade"]
-    np.exp(np.minimum(weight, 0.0, out=weight), out=weight)
-    if gap:
-        risen = (travel - values["d2"]) / np.maximum(values["d3"], 1e-12)
-        weight *= np.clip(risen, 0.0, 1.0, out=risen)
-    return weight
+    def _steps(self, time: Array, values: Values, travel: Array | None) -> tuple[Array, Array]:
+        if travel is None:
+            raise FitError("staged noise needs the travel since the last slip")
+        column = {name: value[:, None] for name, value in values.items()}
+        gap = "d3" in values
+        weight = (column["d2"] + column["d3"] if gap else 0.0) - travel
+        weight /= column["noise_fade"]
+        np.exp(np.minimum(weight, 0.0, out=weight), out=weight)
+        if gap:
+            risen = (travel - column["d2"]) / np.maximum(column["d3"], 1e-12)
+            weight *= np.clip(risen, 0.0, 1.0, out=risen)
+        slow = 1.0 / column["noise_time"]
+        rate = slow + (1.0 / column["noise_build_time"] - slow) * weight[:, 1:]
+        scale = column["noise_sd"] + column["noise_build"] * weight
+        return np.diff(time) * rate, scale
 
 
 # every noise by its name in campaign files

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,7 +239,7 @@ def least_squares(residual: Callable[[Array, Rows], Array], begin: Array, reach:
 
 SHRINKAGE = 2.0  # draws a dimension that a component's scale is shrunk by to that of all
 PARTS = 12  # largest number of components of a fit, besides the wide one
-ITERATIONS = 12  # steps of expectation-maximisation
+ITERATIONS = 20  # steps of expectation-maximisation
 ANCHORED = 0.25  # share of the anchors in a proposal that is learned from walkers
 LEARNED = 8000  # largest number of walkers' draws from which a proposal is learned
 BENT = 1.5  # bound on the parameters of a coordinate's warp, so that few draws distort it little
@@ -323,8 +322,8 @@ class Mixture:
         parts = constants[:, None] - 0.5 * (dof + dim) * np.log1p(squares / dof)
         return np.asarray(special.logsumexp(parts, axis=0) + slope)
 
-    def draw(self, rng: Any, n: int) -> Array:
-        """Independent draws, (n, dim), of a Generator or a RandomState."""
+    def draw(self, rng: np.random.Generator, n: int) -> Array:
+        """Independent draws, (n, dim)."""
         part = rng.choice(self.weights.size, size=n, p=self.weights)
         normal = rng.standard_normal((n, self.means.shape[1]))
         normal /= np.sqrt(rng.chisquare(self.dof[part]) / self.dof[part])[:, None]
@@ -344,8 +343,8 @@ class Proposal:
         densities = np.stack([part.log_density(q) for part in self.parts])
         return np.asarray(special.logsumexp(densities + np.log(self.shares)[:, None], axis=0))
 
-    def draw(self, rng: Any, n: int) -> Array:
-        """Independent draws, (n, dim), of a Generator or a RandomState."""
+    def draw(self, rng: np.random.Generator, n: int) -> Array:
+        """Independent draws, (n, dim)."""
         counts = rng.multinomial(n, self.shares)
         draws = [part.draw(rng, k) for part, k in zip(self.parts, counts, strict=True)]
         order: NDArray[np.intp] = rng.permutation(n)

@@ -22,7 +22,7 @@ from mfd_bayes.campaign.schema import (
     TestTable,
     keys_of,
 )
-from mfd_bayes.errors import CampaignError, UnitError
+from mfd_bayes.errors import CampaignError, UnitError, file_inside
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import (
@@ -36,7 +36,6 @@ from mfd_bayes.planning.candidate import (
 )
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.laws import complete_laws, default_laws
-from mfd_bayes.records.inputs import file_inside
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import (
     NO_ACTUATION,

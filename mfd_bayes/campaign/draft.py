@@ -23,7 +23,6 @@ from mfd_bayes.campaign.guesses import (
     guess_columns,
     level_in_header,
     levels_in,
-    numbers_of,
     prevailing_unit,
     without_shared_levels,
 )
@@ -31,11 +30,10 @@ from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.records.data_quality import contradictions, force_sign, length_in_name
-from mfd_bayes.records.loops import Scales, channels_swapped, middle, scales_of
+from mfd_bayes.records.data_quality import contradictions, length_in_name, runs_backward
+from mfd_bayes.records.loops import Scales, middle, scales_of
 from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.trace import without_spikes
 from mfd_bayes.store.files import commented, quoted, read_toml
 from mfd_bayes.units import (
     DAMPER,
@@ -69,7 +67,7 @@ class TestDraft:
     source: str  # where the actuation stands, or which columns might hold it
     doubts: tuple[str, ...]  # about the actuation and the file's name
     scales: Scales | None  # of a damper's loops; None where a unit is unknown
-    sizes: tuple[float, float] | None  # of motion and response of a user's own model
+    ranges: tuple[float, float]  # of motion and response, in the model's units
 
     @property
     def earthquake(self) -> bool:
@@ -122,7 +120,7 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
     unit = prevailing_unit(files)
     for file in files:
         try:
-            tests.append(_draft_test(file, unit, axes, own, [test.id for test in tests]))
+            tests.append(_draft_test(file, unit, axes, [test.id for test in tests]))
         except MfdError as error:
             leave_out(file.path, error)
     if not tests:
@@ -175,56 +173,44 @@ def _check_utf8(name: str, what: str) -> None:
 
 
 def _draft_test(
-    file: TestFile, unit: ActuationUnit | None, axes: Axes, own: Model | None, taken: Sequence[str]
+    file: TestFile, unit: ActuationUnit | None, axes: Axes, taken: Sequence[str]
 ) -> TestDraft:
     """Draft of a file; raises where the file cannot be read with the guessed columns."""
     actuation, source, doubts = (None, "", ()) if not axes.actuated else actuation_of(file, unit)
     roles, scales = dict(file.columns), None
+    record = _read_record(file.path, roles, actuation, axes)
     if axes.of_damper and axes.timed:
-        record = _read_record(file.path, roles, actuation)
-        sound = without_spikes(record.trace())
-        if any(force_sign(sound)) and not channels_swapped(sound):
+        if runs_backward(record.trace()):
             doubt = (
                 "its loops run backward, with negative work, so the sign of the force is turned; "
                 "if that of the displacement is wrong, write sign = -1 there instead"
             )
             force = roles["force"]
             roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
-            record = _read_record(file.path, roles, actuation)
-            sound = without_spikes(record.trace())
+            record = _read_record(file.path, roles, actuation, axes)
         known = {role for role, guess in roles.items() if guess.unit is not None}
         doubts += tuple(str(fault.message) for fault in contradictions(record, roles=known))
         if "displacement" not in known and (length := length_in_name(record)):
             lacking = f'write unit = "{length[0]}": {length[1]}'
             roles["displacement"] = replace(roles["displacement"], lacking=lacking)
         if known.issuperset(ESSENTIAL):
-            scales = scales_of(sound)
+            scales = scales_of(record.trace())
     return TestDraft(
         *(new_id(file.path.stem, taken), file.path.name, roles, actuation, source, doubts, scales),
-        _sizes(file, axes) if own else None,
+        (float(np.ptp(record.displacement)), float(np.ptp(np.asarray(record.force)))),
     )
 
 
-def _read_record(path: Path, roles: dict[str, Guess], actuation: str | Guess | None) -> Record:
-    """Record of the guessed columns; unknown units are taken for the internal ones."""
+def _read_record(
+    path: Path, roles: dict[str, Guess], actuation: str | Guess | None, axes: Axes
+) -> Record:
+    """Record of the guessed columns; unknown units are taken for the model's."""
     sources = {role: guess.source for role, guess in roles.items()}
-    units = {r: _INTERNAL[r] for r, g in roles.items() if g.unit is None and g.name}
+    units = {r: axes.unit(_INTERNAL[r]) for r, g in roles.items() if g.unit is None and g.name}
     if isinstance(actuation, Guess):
         sources["actuation"] = actuation.source
-    return read_record(path, sources, units, actuation if isinstance(actuation, str) else None)
-
-
-def _sizes(file: TestFile, axes: Axes) -> tuple[float, float]:
-    """Half the range of the motion and of the response, in the model's units."""
-    sizes = []
-    for role, axis in (("displacement", axes.motion), ("force", axes.response)):
-        guess = file.columns[role]
-        values = numbers_of(file.table, guess.name)
-        if values is None:
-            raise RecordError(f"column {guess.name!r} holds no numbers")
-        by = convert(guess.unit, axis.unit) if guess.unit else 1.0
-        sizes.append(by * 0.5 * float(np.ptp(values[np.isfinite(values)])))
-    return sizes[0], sizes[1]
+    level = actuation if isinstance(actuation, str) else None
+    return read_record(path, sources, units, level, axes=axes)
 
 
 def new_id(stem: str, taken: Sequence[str]) -> str:
@@ -322,7 +308,7 @@ def lacks_priors(draft: Draft) -> bool:
 def own_priors(draft: Draft) -> str | None:
     """Text of the prior file of a draft that needs one of its own, and whose units are known."""
     if draft.own:
-        return priors_of_model(draft.own, [test.sizes for test in draft.tests if test.sizes])
+        return priors_of_model(draft.own, [test.ranges for test in draft.tests])
     if _priors_of(draft)[0] != WRITTEN or not draft.scales:
         return None
     force, length = (
@@ -552,10 +538,10 @@ _HEAD_OWN = """\
 """
 
 
-def priors_of_model(model: Model, sizes: Sequence[tuple[float, float]]) -> str:
-    """Prior file of a user's own model, wide, in the sizes of the records' motion and response."""
+def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
+    """Prior file of a user's own model, wide, in the ranges of the records' motion and response."""
     x, f = model.axes.motion.unit, model.axes.response.unit
-    motion, response = np.maximum(np.median(sizes, axis=0), 1e-12).tolist()
+    motion, response = np.maximum(0.5 * np.median(ranges, axis=0), 1e-12).tolist()
     ratio = response / motion
     known = {f: response, x: motion, f"({f})/({x})": ratio, f"({x})/s": motion}
     known[f"({f})*s/({x})"] = ratio

@@ -16,7 +16,7 @@ from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.record import Source, header_unit, stated_unit, step_of
-from mfd_bayes.records.table import Table, own_name
+from mfd_bayes.records.table import Table, listed, own_name
 from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
     ActuationUnit,
@@ -31,22 +31,22 @@ from mfd_bayes.units import (
 )
 
 ESSENTIAL = ("time", "displacement", "force")
-_WORDS: Mapping[str, Mapping[str, int]] = {
-    "time": {"time": 4, "timestamp": 3, "elapsed": 3, "t": 3, "zeit": 4, "seconds": 2, "sec": 2},
-    "displacement": {
-        **dict.fromkeys(("displacement", "disp", "displ", "lvdt", "stroke", "weg"), 4),
-        **dict.fromkeys(("deflection", "travel", "extension", "displacment"), 3),
-        **dict.fromkeys(("position", "pos", "x", "d", "motion"), 2),
-    },
-    "force": {
-        **dict.fromkeys(("force", "load", "loadcell", "kraft"), 4),
-        **dict.fromkeys(("f", "reaction", "resistance", "cell"), 2),
-    },
-    "actuation": {
-        **dict.fromkeys(("pressure", "actuation", "tension", "preload", "druck"), 6),
-        **dict.fromkeys(("press", "clamping", "clamp", "psi", "kpa", "mpa", "bar"), 5),
-        **dict.fromkeys(("current", "amperage", "voltage", "torque", "strom"), 3),
-    },
+_WORDS = {
+    role: {word: score for score, words in scored.items() for word in words.split()}
+    for role, scored in {
+        "time": {4: "time zeit", 3: "timestamp elapsed t", 2: "seconds sec"},
+        "displacement": {
+            4: "displacement disp displ lvdt stroke weg",
+            3: "deflection travel extension displacment",
+            2: "position pos x d motion",
+        },
+        "force": {4: "force load loadcell kraft", 2: "f reaction resistance cell"},
+        "actuation": {
+            6: "pressure actuation tension preload druck",
+            5: "press clamping clamp psi kpa mpa bar",
+            3: "current amperage voltage torque strom",
+        },
+    }.items()
 }
 """Score of a word in a column's name for each role."""
 
@@ -63,8 +63,10 @@ FAST_CYCLE, SLOWEST_STEP = 100.0, 10.0
 
 _EARLIEST = 20_000.0
 _DATES = {
-    "day": (_EARLIEST, 800_000.0),
-    **{unit: (5e8 * by, 6e9 * by) for unit, by in (("s", 1.0), ("ms", 1e3), ("us", 1e6))},
+    "day": (_EARLIEST, 8e5),
+    "s": (5e8, 6e9),
+    "ms": (5e11, 6e12),
+    "us": (5e14, 6e15),
 }
 """Ranges of dates of these decades: days of Excel and of MATLAB, seconds since 1970 and 1904."""
 
@@ -123,16 +125,12 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
         guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
     for role, guess in guesses.items():
         found = guess if guess.unit or role in own else _with_unit(table, role, guess, guesses)
-        if role == "time" and (problem := _equal_stamps(table, guess.name)):
-            found = Guess("", None, lacking=problem)
-        if found.name and own_name(found.name) != found.name:  # no name of its own
+        if own_name(found.name) != found.name:  # no name of its own
             found = replace(found, number=table.number_of(found.name))
         guesses[role] = found
     rate, doubt = rate_in_header(table.head)
-    if (time := guesses.get("time")) is None:
-        lacks = {"displacement", "force"} <= guesses.keys()
-    else:
-        lacks = bool(rate and time.lacking)
+    time = guesses.get("time")
+    lacks = bool(rate and time.lacking) if time else {"displacement", "force"} <= guesses.keys()
     if axes.timed and lacks and (rate or not (table.notes or table.blocks)):
         stated = Guess("", "s", (doubt,) if doubt else (), rate=rate)
         guesses["time"] = stated if rate else Guess("", None, lacking=NO_TIME)
@@ -197,7 +195,7 @@ def _by_name(table: Table, role: str, taken: Sequence[str]) -> Guess | None:
     fewest = max(scores[best] - 1, min(scores[best], 2))
     rivals = [name for name, score in scores.items() if name != best and score >= fewest]
     alone = (f"column for {role} chosen by its unit alone",) if scores[best] == _UNIT_ALONE else ()
-    others = (f"column for {role} could also be {_listed(rivals)}",) if rivals else ()
+    others = (f"column for {role} could also be {listed(rivals)}",) if rivals else ()
     return Guess(best, unit_of(table, best, role), alone + others)
 
 
@@ -244,7 +242,7 @@ def _by_numbers(table: Table, missing: Sequence[str], taken: Sequence[str]) -> d
     for role in missing:
         found = sorted(steady, key=lambda name: steady[name]) if role == "time" else names
         if found:
-            others = f"; it could also be {_listed(found[1:])}" if found[1:] else ""
+            others = f"; it could also be {listed(found[1:])}" if found[1:] else ""
             doubt = f"column for {role} guessed from the numbers{others}"
             guesses[role] = Guess(found[0], unit_of(table, found[0], role), (doubt,))
             names = names if role == "time" else names[1:]
@@ -291,25 +289,8 @@ def _with_unit(table: Table, role: str, guess: Guess, guesses: Mapping[str, Gues
     return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
-def _equal_stamps(table: Table, name: str) -> str:
-    """What to write in place of time stamps that are equal in several rows; empty of others."""
-    stamps = numbers_of(table, name, is_time=True) if name in table.stamped else None
-    if stamps is None or np.all(np.diff(stamps) != 0.0) or not stamps[-1] > stamps[0]:
-        return ""
-    new = np.flatnonzero(np.diff(stamps) > 0.0)
-    first, last = (new[0], new[-1]) if new.size > 1 else (0, stamps.size - 1)
-    rate = (last - first) / (stamps[last] - stamps[first])
-    return (
-        f"time stamps of {name!r} are equal in several rows, about {rate:.3g} in a second: write "
-        'the rate in place of the column, time = { rate = "100 Hz" }'
-    )
-
-
 def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> Guess:
-    """A time with the unit that its numbers look like; or what it lacks: a count, a date, s or ms.
-
-    A time is in s unless its cycles are long; then its steps decide between s and ms.
-    """
+    """A time with the unit that its numbers look like; or what it lacks."""
     values = numbers_of(table, guess.name, is_time=True)
     if values is None or values.size < 3 or values[-1] <= values[0]:
         return guess
@@ -345,11 +326,6 @@ def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -
     return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(repr(name) for name in names[:4])
-    return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"
-
-
 CONSTANT = 0.02
 """An actuation is constant when its standard deviation is below this share of its mean."""
 
@@ -358,9 +334,23 @@ IDLE = "no actuation: only laws with an intercept learn from it, affine and resi
 
 _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
 _DRIVES = r"ma|amps?|a|mv|volts?|v|turns?|clicks?|nm"
-_SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN", "n": "N", "lb": "lbf", "lbs": "lbf"}
-_SPELLED |= {"kips": "kip", "nm": "N*m", "mv": "mV", "ma": "mA", "a": "A", "v": "V"}
-_SPELLED |= {"amp": "A", "amps": "A", "volt": "V", "volts": "V"}
+_SPELLED = {
+    written: unit
+    for unit, words in {
+        "kPa": "kpa",
+        "MPa": "mpa",
+        "kN": "kn",
+        "N": "n",
+        "lbf": "lb lbs",
+        "kip": "kips",
+        "N*m": "nm",
+        "mV": "mv",
+        "mA": "ma",
+        "A": "a amp amps",
+        "V": "v volt volts",
+    }.items()
+    for written in words.split()
+}
 _WITH_UNIT = re.compile(rf"{NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
 _DRIVEN = re.compile(rf"(?<![A-Za-z]){NUMBER}[ _-]?({_DRIVES})(?![a-z])", re.IGNORECASE)
 # what follows a number may not make another of it, or be its unit
@@ -486,7 +476,6 @@ def without_shared_levels(files: list[TestFile]) -> list[TestFile]:
         return files
     names = [{level.text for level in file.levels if level.place == NAMED} for file in files]
     shared = set.intersection(*names)
-
     return [
         file
         if own == shared
@@ -542,7 +531,7 @@ def actuation_of(
         )
     used = {guess.name for guess in file.columns.values()}
     names = [n for n in file.table.names if n not in used and unit_of(file.table, n, "actuation")]
-    hint = f"; columns that might: {', '.join(map(repr, names[:4]))}" if names else ""
+    hint = f"; columns that might: {listed(names)}" if names else ""
     return None, hint, doubts
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
-    from mfd_bayes.evaluation.views import CampaignView, Check, LeftOutView, Rows
+    from mfd_bayes.evaluation.views import CampaignView, Check, Rows
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.manifest import Comparison, Finding
     from mfd_bayes.runs.unit_system import System
@@ -217,26 +217,31 @@ def print_comparison(comparison: Comparison, *, quiet: bool = False) -> None:
     say(comparison.sentence)
 
 
-def print_left_out(view: LeftOutView | None, force: str, *, quiet: bool = False) -> None:
-    """Print how well each part left out was predicted, in a unit of force; quiet: a summary."""
-    if view is None:
+def print_left_out(view: CampaignView, *, quiet: bool = False) -> None:
+    """Print how well each part left out was predicted, if it was; quiet: a summary."""
+    scores, by = view.left_out, view.system.factor("kip")
+    if scores is None:
         return
-    parts = ["left out"] if view.by != "test" else []
+    parts = ["left out"] if scores.by != "test" else []
     rows = [
         (
             *(r["test"], *([r["part"]] if parts else [])),
             *(f"{100 * r[f'coverage_{share}']:.1f}" for share in (50, 90, 95)),
-            *(f"{r['width_95']:.3f} ({r['fitted_width']:.3f})", f"{r['width_ratio']:.2f}"),
-            *(f"{r['interval_score']:.3f}", f"{r['crps']:.3f} ({r['fitted_crps']:.3f})"),
+            *(
+                f"{by * r['width_95']:.3f} ({by * r['fitted_width']:.3f})",
+                f"{r['width_ratio']:.2f}",
+            ),
+            f"{by * r['interval_score']:.3f}",
+            f"{by * r['crps']:.3f} ({by * r['fitted_crps']:.3f})",
             *(f"{r['crps_ratio']:.2f}", f"{r['rrse']:.3f}"),
         )
-        for r in (*view.rows, view.mean)
+        for r in (*scores.rows, scores.mean)
     ]
     if not quiet:
         heads = ["50 %", "90 %", "95 %", "width (fitted)", "×", "interval", "CRPS (fitted)", "×"]
-        title = f"Each test predicted without its {view.by}, scores in {force}"
+        title = f"Each test predicted without its {scores.by}, scores in {view.system.force}"
         print_rows(title, ["test", *parts, *heads, "RRSE"], rows[:-1], last=rows[-1])
-    say(view.sentence)
+    say(scores.sentence)
 
 
 def print_checks(view: CampaignView, *, every: bool) -> None:

@@ -163,12 +163,11 @@ def crossvalidate(
     """
     with mistakes(resumption()):
         from mfd_bayes.pipeline import calibrate as pipeline
-        from mfd_bayes.pipeline.report import left_out_shown
 
         run_options = options.run_options(ctx, out)
         with show_progress(quiet=quiet) as observe:
             view = pipeline.crossvalidate(campaign, out, run_options, observe)
-        console.print_left_out(*left_out_shown(view), quiet=quiet)
+        console.print_left_out(view, quiet=quiet)
         console.print_end(view, out, quiet=quiet)
     if not view.whole:
         raise typer.Exit(1)
@@ -223,10 +222,13 @@ def compare(
         )
         run_options = options.run_options(ctx, out, noises=others)
         with show_progress(quiet=quiet) as observe:
-            comparison, left_out = pipeline.compare(campaign, out, names, run_options, observe)
+            comparison, views = pipeline.compare(campaign, out, names, run_options, observe)
         console.print_comparison(comparison, quiet=quiet)
-        for model, (view, unit) in left_out.items():
-            console.say(f"{model}: {view.sentence} Mean CRPS {view.mean['crps']:.3f} {unit}.")
+        for model, view in views.items():
+            if scores := view.left_out:
+                crps = scores.mean["crps"] * view.system.factor("kip")
+                words = f"{scores.sentence} Mean CRPS {crps:.3f} {view.system.force}."
+                console.say(f"{model}: {words}")
         if not quiet:
             console.say(f"look next at {out / 'comparison.csv'}")
 
@@ -357,18 +359,18 @@ def next_test(
     with mistakes():
         from mfd_bayes.pipeline import next_test as pipeline
 
-        best = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
+        best, files = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
     for remark in best.advice.remarks:
         console.say(f"warning: {remark}", err=True)
     if not quiet:
         heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
         title = "How much the best candidates are expected to narrow the goal"
-        console.print_rows(title, ["test", *heads], best.rows)
+        console.print_rows(title, ["test", *heads], best.shown(10))
     console.say(best.sentence)
     if not quiet:
         for sentence in best.together:
             console.say(sentence)
-        console.say(f"look next at {' and '.join(map(str, best.files[:1] + best.files[2:]))}")
+        console.say(f"look next at {' and '.join(map(str, files[:1] + files[2:]))}")
 
 
 def respond(

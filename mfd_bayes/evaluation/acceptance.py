@@ -30,17 +30,20 @@ from scipy import interpolate, special
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.properties import (
     NO_FACTOR,
+    UNITS,
     Peaks,
+    expected_factors,
     kept,
     measured_of,
     measured_properties,
     peaks_of,
     properties_of,
+    without_noise,
 )
 from mfd_bayes.evaluation.views import Fan, Interval
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
-from mfd_bayes.records.loops import UNITS, MeasuredCycles, measured_cycles
+from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
@@ -58,19 +61,19 @@ FINEST = 16  # most samples at which these are predicted, for each one of the tr
 DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
 """Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
 
-QUANTITIES: Mapping[str, tuple[str, str, str, str]] = {
-    "slip_fwd": ("slip", "slip force", "forward", UNITS["slip_fwd"]),
-    "slip_bwd": ("slip", "slip force", "backward", UNITS["slip_bwd"]),
-    "build_up_slope": ("build_up", "stiffness of the build-up", "", UNITS["build_up_slope"]),
-    "gap": ("gap", "gap", "", UNITS["gap"]),
-    "peak_fwd": ("peak", "peak force", "forward", UNITS["peak_fwd"]),
-    "peak_bwd": ("peak", "peak force", "backward", UNITS["peak_bwd"]),
-    "energy_per_cycle": ("energy", "energy of a cycle", "", UNITS["energy"]),
-    "effective_stiffness": ("stiffness", "effective stiffness", "", UNITS["effective_stiffness"]),
-    "effective_damping": ("damping", "effective damping", "", UNITS["effective_damping"]),
-    "loop": ("loop", "whole loop, rms from the nominal one", "", "kip"),
+QUANTITIES: Mapping[str, tuple[str, str, str]] = {
+    "slip_fwd": ("slip", "slip force", "forward"),
+    "slip_bwd": ("slip", "slip force", "backward"),
+    "build_up_slope": ("build_up", "stiffness of the build-up", ""),
+    "gap": ("gap", "gap", ""),
+    "peak_fwd": ("peak", "peak force", "forward"),
+    "peak_bwd": ("peak", "peak force", "backward"),
+    "energy_per_cycle": ("energy", "energy of a cycle", ""),
+    "effective_stiffness": ("stiffness", "effective stiffness", ""),
+    "effective_damping": ("damping", "effective damping", ""),
+    "loop": ("loop", "whole loop, rms from the nominal one", ""),
 }
-"""Name of the limit, words, direction and unit of each quantity, in the order of tables."""
+"""Name of the limit, words and direction of each quantity, in the order of tables."""
 
 LIMITS = tuple(dict.fromkeys(name for name, *_ in QUANTITIES.values() if name != "loop"))
 
@@ -82,42 +85,23 @@ ALONE = 1.96  # size at which one quantity by itself differs, 5 %
 class Expected:
     """What the population expects of a record of a device under a motion.
 
-    Attributes
-    ----------
-    nominal : mapping of str to (n,)
-        Draws of the nominal value of each quantity.
-    device, among : mapping of str to (n,)
-        Draws of a record of a device at the nominal value, and of any device. They are the same
-        where tests of one device are all that is known.
-    fan : Fan
-        Band of a record of any device.
-    remarks : tuple of str
+    Where tests of one device are all that is known, `device` and `among` are the same.
     """
 
-    nominal: Mapping[str, Array]
-    device: Mapping[str, Array]
-    among: Mapping[str, Array]
-    fan: Fan
+    nominal: Mapping[str, Array]  # draws (n,) of the nominal value of each quantity
+    device: Mapping[str, Array]  # of a record of a device at the nominal value
+    among: Mapping[str, Array]  # of a record of any device
+    fan: Fan  # band of a record of any device
     remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """One record, and what was expected of it.
-
-    Attributes
-    ----------
-    record : Record
-    trace : Trace
-        With its force, at the rate of the calibrated tests.
-    measured : mapping of str to float
-        Value of each quantity that the record shows.
-    expected : Expected
-    """
+    """One record, with its trace at the rate of the calibrated tests, and what was expected."""
 
     record: Record
     trace: Trace
-    measured: Mapping[str, float]
+    measured: Mapping[str, float]  # value of each quantity that the record shows
     expected: Expected
 
 
@@ -197,10 +181,7 @@ def accept(
     records = [records] if isinstance(records, Record) else list(records)
     if not records:
         raise CampaignError("accept needs one record or more")
-    if isinstance(device, str):
-        names = [device or record.path.stem for record in records]
-    else:
-        names = list(device)
+    names = [device or r.path.stem for r in records] if isinstance(device, str) else list(device)
     if len(names) != len(records):
         raise CampaignError(
             f"give one device for all records, or one for each: there are {len(records)} records "
@@ -212,13 +193,13 @@ def accept(
             raise CampaignError(
                 f"{quantity} of this run follows the {name}: say the {name} of the records"
             )
-    place: dict[str, Any] = {"session": session, "conditions": conditions}
     groups: dict[str, list[Comparison]] = {}
     ratios = birge_ratios(run)
+    how: dict[str, Any] = {"ratios": ratios, "draws": draws, "seed": seed}
+    how["place"] = {"session": session, "conditions": conditions}
     for name, record in zip(names, records, strict=True):
         trace = trace_of(run, record)
-        how: dict[str, Any] = {"rate": record.rate, "ratios": ratios, "draws": draws, "seed": seed}
-        expected = expect(run, trace, name, place, **how)
+        expected = expect(run, trace, name, rate=record.rate, **how)
         groups.setdefault(name, []).append(compare_record(record, trace, expected))
     independent = not any(run.manifest.settings.sessions.values())
     levels = [Level.of(group, independent=independent) for group in groups.values()]
@@ -253,12 +234,6 @@ def trace_of(run: Run, record: Record) -> Trace:
     return trace
 
 
-def _tests(trace: Trace, seen: Band, test: Band, peaks: Peaks) -> dict[str, Array]:
-    """Draws of the quantities of a measurement; `test` is the same without noise and offset."""
-    values = _quantities(trace, seen, test, peaks)
-    return values | {"loop": np.sqrt(np.mean((seen.draws - seen.median) ** 2, axis=1))}
-
-
 def expect(
     run: Run,
     trace: Trace,
@@ -275,44 +250,47 @@ def expect(
     `place` has the session and the conditions of the record, `rate` is that of its samples, Hz, and
     `ratios` are those of `birge_ratios`.
     """
-    motion, peaks = replace(trace, force=None), peaks_of(run)
-    resolution = at_rate(run, motion, {**(place or {}), "device": device}, rate)
-
-    def resolved(values: dict[str, Array]) -> dict[str, Array]:
-        return {name: value * resolution.get(name, 1.0) for name, value in values.items()}
+    motion, peaks, place = replace(trace, force=None), peaks_of(run), dict(place or {})
+    resolution = at_rate(run, motion, {**place, "device": device}, rate)
+    place |= {"draws": draws, "seed": seed}
 
     def predict(kind: str, of: str) -> Band:
-        how = {**(place or {}), "device": of, "draws": draws, "seed": seed}
-        return run.predict(motion, kind, 1.0 - ALPHA, **how)
+        return run.predict(motion, kind, 1.0 - ALPHA, device=of, **place)
+
+    def quantities(band: Band, smooth: Band, factors: Peaks) -> dict[str, Array]:
+        values = kept(_quantities(motion, band, smooth, factors), run.system.axes)
+        return {name: value * resolution.get(name, 1.0) for name, value in values.items()}
 
     def nominal_of(of: str) -> dict[str, Array]:
         band = predict("device", of)
-        values = _quantities(motion, band, band)
-        by = {f"peak_{side}": factor.expected for side, factor in peaks.items()}
-        return resolved({name: value * by.get(name, 1.0) for name, value in values.items()})
+        return quantities(band, band, expected_factors(peaks))
 
     known = [name for name in run.devices if name]
     nominal, seen = nominal_of(device), predict("observation", device)
-    among = own = resolved(_tests(motion, seen, predict("new_test", device), peaks))
+    among = own = quantities(seen, predict("new_test", device), peaks)
     if device not in known and len(run.devices) > 1:  # tests of a known one scatter as its own do
         one, itself = known[0], nominal_of(known[0])
-        own = _tests(motion, predict("observation", one), predict("new_test", one), peaks)
-        own = resolved(own)
+        own = quantities(predict("observation", one), predict("new_test", one), peaks)
         own = {n: v * nominal[n] / itself[n] if n in nominal else v for n, v in own.items()}
-    band = Interval(1.0 - ALPHA, seen.lower, seen.upper)
-    nominal, own, among = (kept(values, run.system.axes) for values in (nominal, own, among))
     remarks = list(seen.remarks)
     for name, ratio in ratios.items():
         if name in nominal and ratio > 1.0:
-            for values in (own, among):
-                values[name] = nominal[name] * (values[name] / nominal[name]) ** ratio
-            words = run.system.axes.text(" ".join(QUANTITIES[name][1:3]).strip())
-            remarks.append(
-                f"the {words} of the calibrated tests scatters {ratio:.1f} times as much as the "
-                "population says: its intervals are widened by that"
+            own, among = (
+                {**of, name: nominal[name] * (of[name] / nominal[name]) ** ratio}
+                for of in (own, among)
             )
+            remarks.append(
+                f"the {run.system.axes.text(_words(name))} of the calibrated tests scatters "
+                f"{ratio:.1f} times as much as the population says: its intervals are widened by "
+                "that"
+            )
+    band = Interval(1.0 - ALPHA, seen.lower, seen.upper)
     fan = Fan("observation", seen.median, (band,))
     return Expected(nominal, own, among, fan, tuple(dict.fromkeys(remarks)))
+
+
+def _words(name: str) -> str:
+    return " ".join(QUANTITIES[name][1:]).strip()
 
 
 def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> dict[str, float]:
@@ -333,7 +311,7 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
     values = []
     for trace in (finer, motion):
         band = run.predict(trace, "new_test", **{**place, "draws": FEW // 2})
-        values.append(_quantities(trace, band, band))
+        values.append(_quantities(trace, band, band, NO_FACTOR))
     fine, coarse = values
     with np.errstate(all="ignore"):
         ratios = {n: float(np.nanmedian(fine[n] / coarse[n])) for n in RESOLVED if n in fine}
@@ -366,10 +344,11 @@ def birge_ratios(run: Run) -> dict[str, float]:
 
 
 def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparison:
-    """A record with what was expected of it."""
-    cycles = measured_cycles(record)
+    """A record with what was expected of it; its values are those of its own samples."""
+    cycles = measured_cycles(record.trace())
     assert cycles is not None  # a trace with a force has them
-    measured = _measured(cycles, trace, expected.fan.median)
+    away = np.asarray(trace.force) - expected.fan.median
+    measured = measured_properties(cycles) | {"loop": float(np.sqrt(np.mean(away**2)))}
     shown = {
         name: measured[name]
         for name in QUANTITIES
@@ -378,58 +357,33 @@ def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparis
         and np.isfinite(expected.device[name]).mean() >= 1.0 - ALPHA  # else it may be zero
     }
     if wrong := [name for name, value in shown.items() if not value > 0.0]:
-        words = " ".join(QUANTITIES[wrong[0]][1:3]).strip()
         raise RecordError(
-            f"{record.path}: the {words} is {shown[wrong[0]]:.3g}, and must be above zero; is a "
-            "sign swapped? See mfd-bayes inspect"
+            f"{record.path}: the {_words(wrong[0])} is {shown[wrong[0]]:.3g}, and must be above "
+            "zero; is a sign swapped? See mfd-bayes inspect"
         )
     return Comparison(record, trace, shown, expected)
 
 
-def _measured(cycles: MeasuredCycles, trace: Trace, middle: Array) -> dict[str, float]:
-    """Measured values, of the record's own samples, and the distance from the whole loop."""
-    loop = float(np.sqrt(np.mean((np.asarray(trace.force) - middle) ** 2)))
-    return measured_properties(cycles) | {"loop": loop}
-
-
-def _quantities(
-    trace: Trace, band: Band, smooth: Band, peaks: Peaks = NO_FACTOR
-) -> dict[str, Array]:
+def _quantities(trace: Trace, band: Band, smooth: Band, peaks: Peaks) -> dict[str, Array]:
     """Draws of the quantities of a band; `smooth` is the same without noise, for its peaks."""
-    force = smooth.draws
+    values = properties_of(trace, band.draws, peaks, smooth=without_noise(band, smooth))
     if band.kind == "observation":
-        force = force + np.asarray(smooth.values["offset"])[:, None]
-    values = properties_of(trace, band.draws, peaks, smooth=force)
+        values["loop"] = np.sqrt(np.mean((band.draws - band.median) ** 2, axis=1))
     with np.errstate(invalid="ignore"):
         return {n: np.where(values[n] > 0.0, values[n], np.nan) for n in QUANTITIES if n in values}
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """Level of one device over its records, in logarithms, of K quantities.
-
-    Attributes
-    ----------
-    names : tuple of str
-    measured : (K,)
-        Mean over the records.
-    device, among : (n, K)
-        Draws of this mean for a device at the nominal value, and for any device.
-    p_values : (K,)
-        Two-sided, adjusted over the quantities; of the loop for a larger distance.
-    sizes : (K,)
-        Differences in standard deviations.
-    critical : float
-        Number of standard deviations that counts as a difference.
-    """
+    """Level of one device over its records, in logarithms, of K quantities."""
 
     names: tuple[str, ...]
-    measured: Array
-    device: Array
-    among: Array
-    p_values: Array
-    sizes: Array
-    critical: float
+    measured: Array  # (K,), mean over the records
+    device: Array  # (n, K), draws of this mean for a device at the nominal value
+    among: Array  # (n, K), and for any device
+    p_values: Array  # (K,), two-sided, adjusted over the quantities; of the loop for a larger one
+    sizes: Array  # (K,), differences in standard deviations
+    critical: float  # number of standard deviations that counts as a difference
 
     @property
     def p_value(self) -> float:
@@ -453,7 +407,12 @@ class Level:
             return np.asarray(np.mean(each, axis=0))
 
         device, among = level("device"), level("among")
-        size, own = _standard(device, measured, names)
+        mean, sd = device.mean(axis=0), np.maximum(device.std(axis=0), 1e-9)
+        two_sided = np.array([name != "loop" for name in names])  # a near loop is no difference
+        size, own = (
+            np.where(two_sided, np.abs(away), away)
+            for away in ((device - mean) / sd, (measured - mean) / sd)
+        )
         largest = size.max(axis=1)
         p = (1.0 + np.sum(largest[:, None] >= own, axis=0)) / (1.0 + len(largest))
         critical = float(np.quantile(largest, 1.0 - ALPHA))
@@ -475,14 +434,6 @@ def _logs(
     return np.stack(columns, axis=1)
 
 
-def _standard(draws: Array, measured: Array, names: Sequence[str]) -> tuple[Array, Array]:
-    """Sizes of standardised draws (n, K) and measured values (K,); a near loop is none."""
-    mean, sd = draws.mean(axis=0), np.maximum(draws.std(axis=0), 1e-9)
-    size, own = (draws - mean) / sd, (measured - mean) / sd
-    two = np.array([name != "loop" for name in names])
-    return np.where(two, np.abs(size), size), np.where(two, np.abs(own), own)
-
-
 def false_discovery(p_values: Sequence[float]) -> Array:
     """P-values of a batch, adjusted by Benjamini and Hochberg."""
     from scipy import stats  # which takes long to import
@@ -501,66 +452,53 @@ def judge(
     """Verdict of a device: two one-sided tests against limits, and what tests scatter."""
     rows: dict[str, Row] = {}
     for k, name in enumerate(level.names):
-        _, words, direction, unit = QUANTITIES[name]
-        effect = level.measured[k] - level.device[:, k]
+        _, words, direction = QUANTITIES[name]
+        effect, p_value = level.measured[k] - level.device[:, k], float(level.p_values[k])
         among, sd = np.exp(level.among[:, k]), float(effect.std())
-        nominal = float(np.exp(np.median(level.device[:, k])))
-        low, middle, high = np.expm1(np.quantile(effect, [ALPHA, 0.5, 1.0 - ALPHA]))
-        row: Row = {
+        low, middle, high = 100.0 * np.expm1(np.quantile(effect, [ALPHA, 0.5, 1.0 - ALPHA]))
+        detectable = 100.0 * float(np.expm1((level.critical + special.ndtri(0.8)) * sd))
+        if name == "loop":
+            low = middle = high = detectable = np.nan
+        differs = p_value < ALPHA and p_batch < ALPHA
+        limit, beyond, power = limits.get(name, np.nan), np.nan, np.nan
+        verdict = "differs" if differs else "like the others"
+        if name in limits:
+            beyond = float(np.mean(np.abs(np.expm1(effect)) > limit))
+            power = float(special.ndtr(np.log1p(limit) / sd - level.critical))
+            verdict = "beyond the limit" if beyond > 0.5 and differs else "cannot tell"
+            verdict = "within the limit" if beyond <= ALPHA else verdict
+        rows[name] = {
             "quantity": axes.text(words),
             "direction": direction,
-            "unit": unit,
+            "unit": UNITS.get(name, "kip"),
             "measured": float(np.exp(level.measured[k])),
-            "nominal": nominal,
+            "nominal": float(np.exp(np.median(level.device[:, k]))),
             "lower": float(np.quantile(among, 0.5 * ALPHA)),
             "upper": float(np.quantile(among, 1.0 - 0.5 * ALPHA)),
             "percentile": 100.0 * float(np.mean(level.among[:, k] < level.measured[k])),
-            "effect": 100.0 * float(middle),
-            "effect_lower": 100.0 * float(low),
-            "effect_upper": 100.0 * float(high),
-            "limit": np.nan,
-            "beyond_limit": np.nan,
-            "p_value": float(level.p_values[k]),
-            "detectable": 100.0 * float(np.expm1((level.critical + special.ndtri(0.8)) * sd)),
-            "power": np.nan,
-            "verdict": "differs" if _differs(level.p_values[k], p_batch) else "like the others",
+            "effect": float(middle),
+            "effect_lower": float(low),
+            "effect_upper": float(high),
+            "limit": 100.0 * limit,
+            "beyond_limit": beyond,
+            "p_value": p_value,
+            "detectable": detectable,
+            "power": power,
+            "verdict": verdict,
         }
-        if name == "loop":
-            row |= dict.fromkeys(("effect", "effect_lower", "effect_upper", "detectable"), np.nan)
-        limit = limits.get(name)
-        if limit is not None:
-            beyond = float(np.mean(np.abs(np.expm1(effect)) > limit))
-            row |= {"limit": 100.0 * limit, "beyond_limit": beyond}
-            row["power"] = float(special.ndtr(np.log1p(limit) / sd - level.critical))
-            if beyond <= ALPHA:
-                row["verdict"] = "within the limit"
-            elif beyond > 0.5 and _differs(level.p_values[k], p_batch):
-                row["verdict"] = "beyond the limit"
-            else:
-                row["verdict"] = "cannot tell"
-        rows[name] = row
-    differing = [name for name, row in rows.items() if _differs(row["p_value"], p_batch)]
+    differing = [name for name, row in rows.items() if row["p_value"] < ALPHA and p_batch < ALPHA]
     size = dict(zip(level.names, level.sizes, strict=True))
     # where something differs, slip forces are named before what is read off at shares of them
     slips = [n for n in size if differing and n.startswith("slip") and size[n] > ALONE]
     others = [n for n in differing if n in RESOLVED]
     first = slips or others or differing
     named = max(first, key=lambda name: size[name], default="")
-    verdict = _verdict(rows)
+    verdicts = {row["verdict"] for row in rows.values() if np.isfinite(row["limit"])}
+    verdict = "accepted" if verdicts == {"within the limit"} else "cannot tell"
+    verdict = "rejected" if "beyond the limit" in verdicts else verdict
     table = pd.DataFrame(list(rows.values()), index=pd.Index(level.names, name="name"))
     sentence = _sentence(verdict, rows, named)
     return Acceptance(device, verdict, sentence, level.p_value, p_batch, named, table, group)
-
-
-def _differs(p_value: float, p_batch: float) -> bool:
-    return p_value < ALPHA and p_batch < ALPHA
-
-
-def _verdict(rows: Mapping[str, Row]) -> str:
-    verdicts = [row["verdict"] for row in rows.values() if np.isfinite(row["limit"])]
-    if "beyond the limit" in verdicts:
-        return "rejected"
-    return "accepted" if {*verdicts} == {"within the limit"} else "cannot tell"
 
 
 def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:
@@ -582,19 +520,17 @@ def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:
     }[verdict]
     about, row = "", rows.get(named)
     if row is not None:
-        much = (
-            ""
-            if named == "loop"
-            else (
+        what = words(row)
+        if named != "loop":
+            what += (
                 f", {row['effect']:+.0f} % ({100 - 200 * ALPHA:.0f} % interval "
                 f"{row['effect_lower']:+.0f} to {row['effect_upper']:+.0f} %)"
             )
-        )
-        about = f" It differs from the others, most in {words(row)}{much}."
+        about = f" It differs from the others, most in {what}."
         if row["p_value"] >= ALPHA:
             about = (
-                f" It differs from the others; look first at the {words(row)}{much}: what is read "
-                "off at shares of it follows it."
+                f" It differs from the others; look first at the {what}: what is read off at "
+                "shares of it follows it."
             )
     worst = min(limited.values(), key=lambda row: row["power"])
     return (

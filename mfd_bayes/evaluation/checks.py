@@ -13,7 +13,13 @@ from mfd_bayes.calibration.diagnostics import Directions, Effort
 from mfd_bayes.calibration.posterior import COVERAGES, Posterior, Replicas, check_predictive
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances
-from mfd_bayes.evaluation.properties import EXTREME, TOLERANCE_OF, measured_properties
+from mfd_bayes.evaluation.properties import (
+    EXTREME,
+    TOLERANCE_OF,
+    UNITS,
+    measured_properties,
+    share_above,
+)
 from mfd_bayes.evaluation.views import (
     CONTRACTION,
     COVERAGE,
@@ -61,16 +67,16 @@ SECOND_MODE, SMALLEST_MODE = 0.1, 0.01
 which a further mode is not spoken of."""
 
 _FEATURES = {
-    "energy_per_cycle": ("energy per cycle", "kip*in", PREDICTIVE),
-    "energy_in_all": ("energy in all", "kip*in", PREDICTIVE),
-    "peak_fwd": ("peak force forward", "kip", PREDICTIVE),
-    "peak_bwd": ("peak force backward", "kip", PREDICTIVE),
-    "slip_fwd": ("slip force forward", "kip", LOOP_ESTIMATE),
-    "slip_bwd": ("slip force backward", "kip", LOOP_ESTIMATE),
-    "build_up_slope": ("build-up slope", "kip/in", LOOP_ESTIMATE),
-    "gap": ("gap", "in", LOOP_ESTIMATE),
+    "energy_per_cycle": ("energy per cycle", PREDICTIVE),
+    "energy_in_all": ("energy in all", PREDICTIVE),
+    "peak_fwd": ("peak force forward", PREDICTIVE),
+    "peak_bwd": ("peak force backward", PREDICTIVE),
+    "slip_fwd": ("slip force forward", LOOP_ESTIMATE),
+    "slip_bwd": ("slip force backward", LOOP_ESTIMATE),
+    "build_up_slope": ("build-up slope", LOOP_ESTIMATE),
+    "gap": ("gap", LOOP_ESTIMATE),
 }
-"""Feature in words, unit, and check, by property."""
+"""Feature in words, and check, by property."""
 
 
 def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[Check]:
@@ -124,7 +130,7 @@ def predictive_checks(
             checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
     seen = measured_properties(measured)
     axes = posterior.model.axes
-    for name, (feature, unit, check_name) in _FEATURES.items():
+    for name, (feature, check_name) in _FEATURES.items():
         if not axes.has(name):
             continue
         values, own = properties[name][np.isfinite(properties[name])], seen[name]
@@ -134,9 +140,9 @@ def predictive_checks(
             continue  # it says the same as the energy of a cycle
         expected = float(values.mean())
         difference = (expected - own) / max(abs(own), 1e-12)
-        p_value = float(np.mean(values > own) + 0.5 * np.mean(values == own))
         tolerance = allowed[TOLERANCE_OF.get(name, "energy")]
-        figures = unit, own, expected, difference, p_value, tolerance, check_name
+        p_value = share_above(values, own)
+        figures = UNITS[name], own, expected, difference, p_value, tolerance, check_name
         checks.append(feature_check(test, feature, *figures))
     return checks
 
@@ -376,9 +382,8 @@ def _coordinates(
     population = run.population
     numbers = population.draw_numbers(index.size, 1, rng)
     effects = population.level_effects(index, setting.session, [setting.actuation], numbers.level)
-    here = {n: effect[:, 0] for n, effect in effects.items()}
-    parts = population.parts(setting, index, numbers, here, scatter=scatter)
-    return np.asarray(parts.mean + parts.scatter if scatter else parts.mean)
+    mean, scattered = population.parts(setting, index, numbers, effects, scatter=scatter)
+    return mean + scattered
 
 
 def uncommon_device_values(run: Run) -> list[Finding]:

@@ -62,19 +62,11 @@ FOLDER = CROSSVALIDATION
 
 @dataclass(frozen=True)
 class Fold:
-    """A part to be left out, as the job of one process.
-
-    Attributes
-    ----------
-    part : str
-    file : str
-        File of its scores, under OUT/crossvalidation.
-    left_out, kept : tuple of str
-        Ids of tests.
-    """
+    """A part to be left out, as the job of one process."""
 
     part: str
-    file: str
+    file: str  # file of its scores, under OUT/crossvalidation
+    # ids of tests
     left_out: tuple[str, ...]
     kept: tuple[str, ...]
     effort: str
@@ -387,24 +379,16 @@ def check_cycles(task: Task) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Leave-one-cycle-out figures of a model.
+    """Leave-one-cycle-out figures of a model."""
 
-    Attributes
-    ----------
-    cycles : DataFrame
-        A row for each cycle: `test`; `elpd`, the expected log predictive density
-        log p(y_c | y_-c); `lppd`, the same under the posterior with the cycle included; `psis_k`,
-        the Pareto k of PSIS; `k`, that of the weights behind `elpd`.
-    squares, spread : float, kip²
-        Sum of squares of the force minus its predicted median, and about its mean.
-    short : tuple of str
-        Tests whose sampling missed its targets.
-    """
-
+    # A row for each cycle: `test`; `elpd`, the expected log predictive density log p(y_c |
+    # y_-c); `lppd`, the same under the posterior with the cycle included; `psis_k`, the
+    # Pareto k of PSIS; `k`, that of the weights behind `elpd`
     cycles: pd.DataFrame
+    # kip², sum of squares of the force minus its predicted median, and about its mean
     squares: float
     spread: float
-    short: tuple[str, ...]
+    short: tuple[str, ...]  # tests whose sampling missed its targets
     evidence: Evidence
 
     @property

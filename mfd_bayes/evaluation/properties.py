@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.posterior import derive_from_parameters
-from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.scores import spread_of
@@ -35,6 +33,9 @@ from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.manifest import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -93,21 +94,12 @@ class PeakFactor:
     A record is low-passed and thinned before the fit, and the model has no chatter: a load cell
     sees higher peaks. The factor is log-normal, ln f = mean + t_j + c_jk, with scatter from test to
     test and from cycle to cycle.
-
-    Attributes
-    ----------
-    mean : float
-        Of ln f.
-    between, within : float
-        Standard deviations of ln f from test to test and from cycle to cycle.
-    tests : int
-        From which it was learned; 0 where it is 1 for want of any.
     """
 
-    mean: float = 0.0
-    between: float = 0.0
-    within: float = 0.0
-    tests: int = 0
+    mean: float = 0.0  # of ln f
+    between: float = 0.0  # standard deviation of ln f from test to test
+    within: float = 0.0  # and from cycle to cycle
+    tests: float = 0  # from which it was learned; 0 where it is certain
 
     @property
     def expected(self) -> float:
@@ -117,7 +109,7 @@ class PeakFactor:
     def draw(self, rng: np.random.Generator, n: int, cycles: int) -> Array:
         """Factors of the cycles of n new tests, (n, cycles): the mean is uncertain too."""
         if not self.tests:
-            return np.ones((n, cycles))
+            return np.full((n, cycles), np.exp(self.mean))
         t = rng.standard_t(max(self.tests - 1, 3), (n, 1))
         away = self.between * np.sqrt(1.0 + 1.0 / self.tests) * t
         within = self.within * rng.standard_normal((n, cycles))
@@ -143,40 +135,52 @@ Peaks = Mapping[str, PeakFactor]
 NO_FACTOR: Peaks = {"fwd": PeakFactor(), "bwd": PeakFactor()}
 
 
-def peak_factors(manifest: Manifest, tests: Mapping[str, TestResult]) -> Peaks:
+def expected_factors(peaks: Peaks) -> Peaks:
+    """Factors that are their means for certain."""
+    return {side: PeakFactor(float(np.log(factor.expected))) for side, factor in peaks.items()}
+
+
+def peak_factors(run: Run) -> Peaks:
     """Factor by direction from the model's peak of a cycle to the measured one.
 
-    The model's force is that of each test's posterior medians, with its offset.
+    The model's force is that of each calibrated test's posterior medians, with its offset.
     """
     ratios: dict[str, list[Array]] = {"fwd": [], "bwd": []}
-    for name, test in tests.items():
-        cycles = measured_of(manifest, name)
+    for name, test in run.tests.items():
+        cycles = measured_of(run.manifest, name)
         if find_loops(test.trace).strong.size != cycles.full_stroke.size:
             continue  # noise that the filter took away made other cycles
         medians = {name: np.atleast_1d(bounds[0]) for name, bounds in test.intervals.items()}
         force = test.posterior.force(medians) + medians["offset"][:, None]
         values = cycle_values(test.trace, force)
-        for side, side_ratios in ratios.items():
+        for side, of_side in ratios.items():
             measured, model = getattr(cycles, f"peak_{side}"), values[f"peak_{side}"][0]
             kept = cycles.full_stroke & (measured > 0.0) & (model > 0.0)
-            side_ratios.append(measured[kept] / model[kept])
-    return {side: PeakFactor.of(side_ratios) for side, side_ratios in ratios.items()}
+            of_side.append(measured[kept] / model[kept])
+    return {side: PeakFactor.of(of_side) for side, of_side in ratios.items()}
 
 
 def peaks_of(run: Run) -> Peaks:
     """The factors of a run's calibrated tests, as its report has stored them, else computed."""
     stored = run.manifest.peak_factors
     if stored:
-        return {
-            side: PeakFactor(mean, between, within, int(tests))
-            for side, (mean, between, within, tests) in stored.items()
-        }
-    return peak_factors(run.manifest, run.tests)
+        return {side: PeakFactor(*figures) for side, figures in stored.items()}
+    return peak_factors(run)
 
 
 def stored_peaks(run: Run) -> dict[str, tuple[float, ...]]:
     """The factors of a run's calibrated tests as its manifest keeps them."""
-    return {side: astuple(factor) for side, factor in peak_factors(run.manifest, run.tests).items()}
+    return {side: astuple(factor) for side, factor in peak_factors(run).items()}
+
+
+def without_noise(band: Band, test: Band) -> Array:
+    """Forces whose peaks count, (n, T): of `test`, the same motion as a band's without noise.
+
+    Those of a measurement have its offset.
+    """
+    if band.kind == "observation" and "offset" in test.values:
+        return test.draws + np.asarray(test.values["offset"])[:, None]
+    return test.draws
 
 
 def _seen_peaks(force: Array, spans: Sequence[tuple[int, int]], peaks: Peaks) -> dict[str, Array]:
@@ -230,10 +234,7 @@ def of_parameters(
 
 def device_properties(run: Run, trace: Trace, band: Band, test: Band) -> dict[str, Array]:
     """Properties of a band's draws; `test` has the same motion without noise, for its peaks."""
-    smooth = test.draws
-    if band.kind == "observation" and "offset" in test.values:
-        smooth = smooth + np.asarray(test.values["offset"])[:, None]
-    drawn = properties_of(trace, band.draws, peaks_of(run), smooth=smooth)
+    drawn = properties_of(trace, band.draws, peaks_of(run), smooth=without_noise(band, test))
     model, level = run.predictor.model, trace.reference_actuation
     return drawn | of_parameters(model, band.values, level, run.manifest.settings)
 
@@ -249,21 +250,10 @@ def predicted_rows(
 ) -> Rows:
     """Properties of a prediction, with intervals of the band's probability.
 
-    Those of a band of kind "observation" have offset and noise, as a measured record has them.
-
-    Parameters
-    ----------
-    source : Run or ModelAverage
-    trace, band : Trace and Band
-        The motion with its actuation, and its prediction.
-    record : Record, optional
-        Whose measured values stand beside them.
-    after : str
-        Test that the motion follows without a reset.
-    given : Trace, optional
-        With the force of the part that was given.
-    device : str
-        That was predicted.
+    Those of a band of kind "observation" have offset and noise, as a measured record has them. The
+    measured values of a `record` stand beside them. `after` is the test that the motion follows
+    without a reset, `given` the trace with the force of the part that was given, `device` the one
+    that was predicted.
     """
     test = band
     if band.kind == "observation":
@@ -272,12 +262,12 @@ def predicted_rows(
         how |= {"device": device} if device else {}
         test = source.predict(given or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):
-        drawn = properties_of(trace, band.draws, peaks_of(source.runs[0]), smooth=test.draws)
+        first = source.runs[0]
+        drawn = properties_of(trace, band.draws, peaks_of(first), smooth=test.draws)
     else:
-        drawn = device_properties(source, trace, band, test)
-    cycles = None if record is None else measured_cycles(record)
+        first, drawn = source, device_properties(source, trace, band, test)
+    cycles = None if record is None else measured_cycles(record.trace())
     measured = {} if cycles is None else measured_properties(cycles)
-    first = source.runs[0] if isinstance(source, ModelAverage) else source
     drawn = kept(drawn, first.system.axes)
     return property_rows("", band.kind, trace, drawn, measured, band.probability)
 
@@ -326,9 +316,13 @@ def is_missed(values: Array, measured: float, name: str) -> bool:
     finite = values[np.isfinite(values)]
     if not finite.size or not np.isfinite(measured):
         return False
-    share = float(np.mean(finite > measured) + 0.5 * np.mean(finite == measured))
     beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
-    return beyond and not EXTREME <= share <= 1.0 - EXTREME
+    return beyond and not EXTREME <= share_above(finite, measured) <= 1.0 - EXTREME
+
+
+def share_above(values: Array, measured: float) -> float:
+    """Share of draws (n,) above a measured value: a p-value, to which ties count half."""
+    return float(np.mean(values > measured) + 0.5 * np.mean(values == measured))
 
 
 # --- for design
@@ -374,22 +368,19 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
     if len(run.devices) > 1:
         session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
         bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
-    drawn = {}
+    drawn, axes = {}, run.manifest.axes
     for basis, several in bands.items():
-        parts = []
-        for number, band in enumerate(several):
-            smooth = band.draws
-            if basis == "observation":
-                test = bands["new_test"][number]
-                smooth = test.draws + np.asarray(test.values["offset"])[:, None]
-            factor = NO_FACTOR if basis == "device" else peaks
-            parts.append(properties_of(trace, band.draws, factor, smooth=smooth))
+        factors = expected_factors(peaks) if basis == "device" else peaks
+        quiet = bands["new_test"] if basis == "observation" else several
+        parts = [
+            properties_of(trace, band.draws, factors, smooth=without_noise(band, test))
+            for band, test in zip(several, quiet, strict=True)
+        ]
         drawn[basis] = {
-            name: np.concatenate([p[name] for p in parts]) for name in DESIGN_PROPERTIES
+            name: np.concatenate([part[name] for part in parts])
+            for name in DESIGN_PROPERTIES
+            if axes.has(name)
         }
-    for side, factor_of in peaks.items():
-        drawn["device"][f"peak_{side}"] *= factor_of.expected
-    drawn = {basis: kept(of, run.manifest.axes) for basis, of in drawn.items()}
     return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
 
 
@@ -508,31 +499,20 @@ class Condition(NamedTuple):
 class Datasheet:
     """What an engineer needs to use a device, in internal units.
 
-    Attributes
-    ----------
-    rows : DataFrame
-        A row for each condition, quantity, direction and cycle (0: all cycles at full stroke).
-        `stroke` is the amplitude of the motion. `measured` is the mean over the cycles, and
-        `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was
-        tested. `nominal` is the mean of the mean property (the device at this actuation), `lower`
-        and `upper` hold a cycle of a new test with 95 %, offset, noise and chatter included.
-        `n_outside` counts the measured cycles outside of them. `lambda_min_other` and
-        `lambda_max_other` are those of another device: NaN where all tests are of one.
-    tested : mapping of str to Message
-        Ranges and numbers of what was tested, by name.
-    verdict : tuple of Message
-        Three; a fourth of other devices, where there are several.
-    not_known : tuple of Message
-        What a standard asks for and these tests cannot tell.
-    formulas : mapping of str to str
-        How each quantity is computed.
+    `rows` has one for each condition, quantity, direction and cycle (0: all cycles at full stroke).
+    `stroke` is the amplitude of the motion. `measured` is the mean over the cycles, and
+    `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was tested.
+    `nominal` is the mean of the mean property (the device at this actuation), `lower` and `upper`
+    hold a cycle of a new test with 95 %, offset, noise and chatter included. `n_outside` counts the
+    measured cycles outside of them. `lambda_min_other` and `lambda_max_other` are those of another
+    device: NaN where all tests are of one.
     """
 
     rows: pd.DataFrame
-    tested: Mapping[str, Message]
-    verdict: tuple[Message, ...]
-    not_known: tuple[Message, ...]
-    formulas: Mapping[str, str]
+    tested: Mapping[str, Message]  # ranges and numbers of what was tested, by name
+    verdict: tuple[Message, ...]  # three; a fourth of other devices, where there are several
+    not_known: tuple[Message, ...]  # what a standard asks for and these tests cannot tell
+    formulas: Mapping[str, str]  # how each quantity is computed
 
 
 def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:
@@ -564,6 +544,8 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
             if condition in at:
                 raise
             lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
+    import pandas as pd  # which takes long to import
+
     rows = pd.DataFrame(table, columns=_COLUMNS)
     return Datasheet(
         rows=rows,
@@ -680,12 +662,8 @@ def _predicted(
             run.predict(trace, kind, PROBABILITY, draws=draws, session=session, device=name)
             for kind in ("device", "new_test", "observation")
         )
-        middle = cycles_of(trace, device.draws)
-        for side, factor in peaks.items():
-            middle[f"peak_{side}"] *= factor.expected
-        nominal.append(middle)
-        with_offset = test.draws + np.asarray(test.values["offset"])[:, None]
-        bounded.append(cycles_of(trace, seen.draws, peaks, smooth=with_offset))
+        nominal.append(cycles_of(trace, device.draws, expected_factors(peaks)))
+        bounded.append(cycles_of(trace, seen.draws, peaks, smooth=without_noise(seen, test)))
     first, second = (
         {name: np.concatenate([part[name] for part in parts]) for name in CYCLE_UNITS}
         for parts in (nominal, bounded)

@@ -113,31 +113,19 @@ def width_sentence(shares: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Compared:
-    """A predicted band beside the force that was measured in the same motion.
+    """A predicted band beside the force that was measured in the same motion."""
 
-    Attributes
-    ----------
-    coverage, full : float
-        Share inside the band of the measured samples in motion, and of those in full cycles at
-        full stroke; NaN where there are none.
-    samples : int
-        Those in motion that were not given.
-    rrse, crps : float
-        Error of the median; mean distance between the draws and the force, kip.
-    kind : str
-        Of the band.
-    given : bool
-        Whether a first part of the record was given.
-    """
-
+    # share inside the band of the measured samples in motion, and of those in full cycles at
+    # full stroke; NaN where there are none
     coverage: float
     full: float
-    samples: int
+    samples: int  # those in motion that were not given
+    # error of the median; mean distance between the draws and the force, kip
     rrse: float
     crps: float
-    kind: str
+    kind: str  # of the band
     probability: float
-    given: bool = False
+    given: bool = False  # whether a first part of the record was given
 
     def sentence(self, system: System) -> str:
         """Coverage and error in words; whether the band holds what a load cell adds."""

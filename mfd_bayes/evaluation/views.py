@@ -8,7 +8,7 @@ have: `test`, `name` and `unit` of a quantity; `mean`, `sd`, and `lower`, `media
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -155,6 +155,11 @@ class Fan:
         """The band of the largest probability."""
         return max(self.intervals, key=lambda interval: interval.probability)
 
+    def times(self, by: float) -> Fan:
+        """The fan times a factor."""
+        scaled = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in self.intervals)
+        return Fan(self.kind, self.median * by, tuple(scaled))
+
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
@@ -174,8 +179,6 @@ class TestView:
     Attributes
     ----------
     role : {"calibrate", "validate"}
-    actuation : str
-        With its unit.
     trace : Trace
         With its force.
     first : int
@@ -213,7 +216,6 @@ class TestView:
 
     id: str
     role: str
-    actuation: str
     trace: Trace
     first: int
     observation: Fan

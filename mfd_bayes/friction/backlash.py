@@ -11,8 +11,8 @@ recurrence. A record, a step in time and a building go through the same cuts and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -35,6 +35,7 @@ from mfd_bayes.records.trace import Trace
 
 Index = NDArray[np.intp]
 
+SPRING = ("k_fwd", "k_bwd", "gap", "ell", "k_0")
 ACTUATED = ("Fc_fwd", "Fc_bwd")  # they follow the actuation; the spring is steel, and does not
 FLOOR = 1e-6  # least share of the slip force that is left at zero actuation
 
@@ -47,8 +48,9 @@ cell shows 0.02, some of these springs bear 0.1.
 """
 
 # How a motion is cut into steps. Lengths are over the one in which slip sets in.
-RESOLVED = (2.0, 0.4)  # longest step near a turn, and n times it: 0.07 % off steps a tenth as long
+RESOLVED = (1.7, 0.34)  # longest step near a turn, and n times it: 0.07 % off steps a tenth as long
 SURE = 7.0  # way after which it surely slips
+FARTHEST = 256.0  # steps near a turn, at most
 FAR, MOST_FAR = 2.0, 8  # in slip a step may be longer by FAR, and a sample has so many at most
 MOST = 128  # a way that would have more is not cut: slip then sets in within a small part of it
 STIFF = 8.0  # a longer step ends in slip, or slides none
@@ -63,89 +65,9 @@ TINY = 1e-12  # force, kip, that stands for one that does not push against frict
 ITERATIONS = 100  # most steps; three are the rule
 CUTS = 6  # most times that deflections are cut at what friction can hold
 CLOSE, CLOSE_BLUNT = 8e-7, 2e-7  # a step is solved when Newton moves it less; where n < 2
-PATIENCE = 7  # steps after which vectors that are not solved go on without the others
 FAR_OFF = 1e13  # error, over its limit, from which Newton may be beyond what friction can hold
 
-WORTH = 2000  # numbers of an array whose computation takes as long as one more call
-
-
-@dataclass(frozen=True, eq=False)
-class Spring:
-    """Spring of n vectors, (n,) each (model.md section 9).
-
-    G(z) = k_f ℓ ln(1 + e^((z − D/2)/ℓ)) − k_b ℓ ln(1 + e^(−(z + D/2)/ℓ)) + k_0 z
-    """
-
-    k_fwd: Array
-    k_bwd: Array
-    gap: Array
-    ell: Array
-    k_0: Array
-
-    @cached_property
-    def corners(self) -> tuple[Array, Array]:
-        """Forces k_f ℓ and k_b ℓ of the rounded corners, (n,) each, kip."""
-        return self.k_fwd * self.ell, self.k_bwd * self.ell
-
-    def of(self, rows: NDArray[np.intp]) -> Spring:
-        """Spring of some of the vectors, by their number; one may come several times."""
-        parts = (self.k_fwd, self.k_bwd, self.gap, self.ell, self.k_0)
-        return Spring(*(part[rows] for part in parts))
-
-    def evaluate(self, z: Array) -> tuple[Array, Array]:
-        """Force G, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in."""
-        a, half, (fwd, bwd) = z / self.ell, 0.5 * self.gap / self.ell, self.corners
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            e = np.exp(a - half)  # one exponential serves both sides
-            other = np.exp(-2.0 * half) / e
-            e += 1.0
-            other += 1.0
-            force = fwd * np.log(e)
-            force -= bwd * np.log(other)
-            force += self.k_0 * z
-            slope = (self.k_fwd + self.k_bwd + self.k_0) - self.k_fwd / e - self.k_bwd / other
-        if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
-            ahead, back = a - half, -a - half
-            force = fwd * np.logaddexp(0.0, ahead) - bwd * np.logaddexp(0.0, back) + self.k_0 * z
-            slope = self.k_fwd * expit(ahead) + self.k_bwd * expit(back) + self.k_0
-        return force, slope
-
-    def about(self, force: Array, sign: Array) -> Array:
-        """About the deflection s z, (..., n), in, where s G is `force` ≥ 0.
-
-        The inverse of one side alone, where k_0 takes its share of the force as with a sharp
-        corner, and a step of Newton's method.
-        """
-        half, stiff = 0.5 * self.gap, np.where(sign > 0, self.k_fwd, self.k_bwd)
-        sharp = (half + force / stiff) / (1.0 + self.k_0 / stiff)
-        own = np.maximum((force - self.k_0 * sharp) / (stiff * self.ell), 1e-6)
-        ahead: Array = half + self.ell * (own + np.log(-np.expm1(-own)))
-        now, slope = self.evaluate(sign * ahead)
-        ahead -= (sign * now - force) / np.maximum(slope, 1e-300)
-        return ahead
-
-    def deflection(self, force: Array, close: float = 1e-13) -> Array:
-        """Deflection at which the force is G, (..., n), in: the inverse of G.
-
-        Newton's step is taken wherever it stays inside the bounds, else they are bisected, until a
-        step is below `close` times ℓ + |z|.
-        """
-        softest, size = np.minimum(self.k_fwd, self.k_bwd), np.abs(force)
-        uneven = np.log1p(np.maximum(self.k_fwd, self.k_bwd) / softest)
-        high = 0.5 * self.gap + self.ell * (2.0 + uneven) + size / softest
-        sign = np.sign(force)
-        z = sign * np.clip(self.about(size, sign), 0.0, high)
-        low = -high
-        for _ in range(INVERSIONS):
-            now, slope = self.evaluate(z)
-            error = now - force
-            step = error / np.maximum(slope, 1e-300)
-            if np.all(np.abs(step) <= close * (self.ell + np.abs(z))):
-                return z - step
-            low, high = np.where(error < 0, z, low), np.where(error > 0, z, high)
-            new = z - step
-            z = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
-        return z
+TOGETHER = 32  # dampers that are cut into steps together
 
 
 def _softplus(a: Array) -> Array:
@@ -164,21 +86,72 @@ class Damper:
 
     columns: Mapping[str, Array]
 
-    @property
-    def size(self) -> int:
-        """Number of dampers n."""
-        return self.columns["n"].size
-
     def of(self, rows: Index) -> Damper:
         """Some of the dampers."""
         some = Damper({name: column[..., rows] for name, column in self.columns.items()})
         vars(some)["onset"] = self.onset[:, rows]  # the search for it takes longer
         return some
 
-    @cached_property
-    def spring(self) -> Spring:
-        """Their springs."""
-        return Spring(*(self.columns[name] for name in ("k_fwd", "k_bwd", "gap", "ell", "k_0")))
+    def evaluate(self, z: Array) -> tuple[Array, Array]:
+        """Force G of the spring, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in.
+
+        G(z) = k_f ℓ ln(1 + e^((z − D/2)/ℓ)) − k_b ℓ ln(1 + e^(−(z + D/2)/ℓ)) + k_0 z
+        """
+        k_fwd, k_bwd, gap, ell, k_0 = (self.columns[name] for name in SPRING)
+        a, half, fwd, bwd = z / ell, 0.5 * gap / ell, k_fwd * ell, k_bwd * ell
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            e = np.exp(a - half)  # one exponential serves both sides
+            other = np.exp(-2.0 * half) / e
+            e += 1.0
+            other += 1.0
+            force = fwd * np.log(e)
+            force -= bwd * np.log(other)
+            force += k_0 * z
+            slope = (k_fwd + k_bwd + k_0) - k_fwd / e - k_bwd / other
+        if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
+            ahead, back = a - half, -a - half
+            force = fwd * np.logaddexp(0.0, ahead) - bwd * np.logaddexp(0.0, back) + k_0 * z
+            slope = k_fwd * expit(ahead) + k_bwd * expit(back) + k_0
+        return force, slope
+
+    def about(self, force: Array, sign: Array) -> Array:
+        """About the deflection s z, (..., n), in, where s G is `force` ≥ 0.
+
+        The inverse of one side alone, where k_0 takes its share of the force as with a sharp
+        corner, and a step of Newton's method.
+        """
+        k_fwd, k_bwd, gap, ell, k_0 = (self.columns[name] for name in SPRING)
+        half, stiff = 0.5 * gap, np.where(sign > 0, k_fwd, k_bwd)
+        sharp = (half + force / stiff) / (1.0 + k_0 / stiff)
+        own = np.maximum((force - k_0 * sharp) / (stiff * ell), 1e-6)
+        ahead: Array = half + ell * (own + np.log(-np.expm1(-own)))
+        now, slope = self.evaluate(sign * ahead)
+        ahead -= (sign * now - force) / np.maximum(slope, 1e-300)
+        return ahead
+
+    def deflection(self, force: Array, close: float = 1e-13) -> Array:
+        """Deflection at which the force is G, (..., n), in: the inverse of G.
+
+        Newton's step is taken wherever it stays inside the bounds, else they are bisected, until a
+        step is below `close` times ℓ + |z|.
+        """
+        k_fwd, k_bwd, gap, ell, _ = (self.columns[name] for name in SPRING)
+        softest, size = np.minimum(k_fwd, k_bwd), np.abs(force)
+        uneven = np.log1p(np.maximum(k_fwd, k_bwd) / softest)
+        high = 0.5 * gap + ell * (2.0 + uneven) + size / softest
+        sign = np.sign(force)
+        z = sign * np.clip(self.about(size, sign), 0.0, high)
+        low = -high
+        for _ in range(INVERSIONS):
+            now, slope = self.evaluate(z)
+            error = now - force
+            step = error / np.maximum(slope, 1e-300)
+            if np.all(np.abs(step) <= close * (ell + np.abs(z))):
+                return z - step
+            low, high = np.where(error < 0, z, low), np.where(error > 0, z, high)
+            new = z - step
+            z = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
+        return z
 
     @cached_property
     def kinetic(self) -> Array:
@@ -194,7 +167,7 @@ class Damper:
     def onset(self) -> Array:
         """1/length over which slip sets in, n G′/F_c at G = F_c, on each side, (2, n), 1/in."""
         slip = self.kinetic * np.array([[1.0], [-1.0]])
-        slope = self.spring.evaluate(self.spring.deflection(slip, close=1e-4))[1]
+        slope = self.evaluate(self.deflection(slip, close=1e-4))[1]
         return np.asarray(self.columns["n"] * slope / self.kinetic)
 
     @cached_property
@@ -207,15 +180,13 @@ class Damper:
         """Longest step near a turn, and way after a turn beyond which it surely slips, (n,), in.
 
         They depend on a damper's own parameters alone, so that its force does not depend on the
-        others. They are rounded to powers of √2, so that many dampers share them.
+        others.
         """
         c, (fine, coarse) = self.columns, RESOLVED
         step = np.minimum(fine, coarse * c["n"]) / self.rate
         static = self.kinetic * (1.0 + self.excess) / np.stack([c["k_fwd"], c["k_bwd"]])
         window = c["gap"] + (static[0] + static[1]) + SURE / self.rate
-        fineness = np.clip(np.floor(2.0 * np.log2(step)), -99.0, 99.0)
-        times = np.clip(2.0 * np.ceil(np.log2(window)) - fineness, 0.0, 16.0)
-        return 2.0 ** (0.5 * fineness), 2.0 ** (0.5 * (fineness + times))
+        return step, np.clip(window, step, FARTHEST * step)
 
     def slip(self, sign: Array, rate: Array, shares: Columns) -> tuple[Array, Array, Array]:
         """`level`, `bound` and `length` of `Steps`.
@@ -235,7 +206,7 @@ class Damper:
             share = np.where(backward, back, ahead)
             force *= share
             length = np.minimum(share, 1.0) * length
-        return np.log(force), self.spring.about(force, sign), length
+        return np.log(force), self.about(force, sign), length
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
@@ -274,17 +245,6 @@ class Cut(NamedTuple):
     ends: Index
 
 
-def _parts(length: Array, since: Array, step: Array, window: Array) -> tuple[Array, ...]:
-    """Length of each step near a turn and far from it, in, and number of steps of both."""
-    near = np.minimum(np.maximum(window - since, 0.0), length)
-    far = length - near
-    close, loose = near / step, far / (FAR * step)
-    close = np.where(close <= MOST, np.ceil(close), 1.0)
-    loose = np.where(loose <= MOST, np.ceil(np.minimum(loose, MOST_FAR)), 1.0)
-    close[close + loose == 0.0] = 1.0
-    return near, far, close, loose
-
-
 def cut(length: Array, since: Array, step: Array, window: Array) -> Cut:
     """Steps that are short where slip sets in, and long in slip; (M, 1) against (n,), or (1, n).
 
@@ -297,7 +257,12 @@ def cut(length: Array, since: Array, step: Array, window: Array) -> Cut:
     step, window : (n,), in
         `Damper.steps`. Where a damper has fewer steps than another, some have length zero.
     """
-    near, far, close, loose = _parts(length, since, step, window)
+    near = np.minimum(np.maximum(window - since, 0.0), length)
+    far = length - near
+    close, loose = near / step, far / (FAR * step)
+    close = np.where(close <= MOST, np.ceil(close), 1.0)
+    loose = np.where(loose <= MOST, np.ceil(np.minimum(loose, MOST_FAR)), 1.0)
+    close[close + loose == 0.0] = 1.0
     count = close + loose
     most = count.max(axis=1).astype(np.intp)
     ends = np.cumsum(most)
@@ -312,8 +277,7 @@ def cut(length: Array, since: Array, step: Array, window: Array) -> Cut:
     return Cut(way, np.minimum(np.maximum(share, 0.0), 1.0), origin, ends)
 
 
-@dataclass(frozen=True, eq=False)
-class Steps:
+class Steps(NamedTuple):
     """Short steps of a motion, time first.
 
     Attributes
@@ -326,8 +290,6 @@ class Steps:
         About the deflection s z in slip.
     length : (R, n) or (1, n), in
         Over which slip sets in, at least.
-    slip : (R, n) or None, in
-        Deflection s z in slip of the steps that are far longer than that; NaN of all others.
     """
 
     way: Array
@@ -335,20 +297,6 @@ class Steps:
     level: Array
     bound: Array
     length: Array
-    slip: Array | None = None
-
-    def of(self, vectors: Index) -> Steps:
-        """Those of some vectors."""
-        columns = (self.way, self.sign, self.level, self.bound, self.length)
-        some = (c if c.shape[1] == 1 else c[:, vectors] for c in columns)
-        way, sign, level, bound, length = some
-        return Steps(way, sign, level, bound, length)
-
-    @property
-    def turns(self) -> Index:
-        """The first step, and those that turn, (B,)."""
-        turned = (self.sign[1:] != self.sign[:-1]).any(axis=1)
-        return np.flatnonzero(np.append(True, turned))
 
 
 def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
@@ -356,14 +304,15 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
 
     Both are NaN for vectors that Newton's method cannot solve. `first` is the deflection before.
     """
-    n, turns = damper.columns["n"], steps.turns
-    steps = replace(steps, slip=_at_once(damper, steps))
+    n, slip = damper.columns["n"], _at_once(damper, steps)
+    turned = (steps.sign[1:] != steps.sign[:-1]).any(axis=1)
+    turns = np.flatnonzero(np.append(True, turned))  # the first step too
     z = np.concatenate([first[None], guess(damper, steps, turns, first)])
     error = np.square(damper.rate / np.where(n < 2.0, CLOSE_BLUNT, CLOSE))
     lost = np.zeros(n.size, dtype=bool)
     force, now = np.empty(steps.level.shape), z[1:]
     for done in range(ITERATIONS):
-        held, slope, decay, drive = newton(damper, steps, turns, z)
+        held, slope, decay, drive = newton(damper, steps, slip, turns, z)
         step = solve(decay, drive, np.zeros(n.size))
         moved = np.square(step) @ error
         if not np.isfinite(moved.sum()):
@@ -378,11 +327,6 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
             np.multiply(steps.sign, most, out=now, where=steps.way > 0.0)  # at rest more may stay
         if moved.max() <= 1.0:
             break
-        hard = (np.square(step) * error > 1.0).any(axis=0)
-        if done == PATIENCE and 0 < hard.sum() < 0.5 * n.size:
-            rows = np.flatnonzero(hard)
-            force[:, rows], z[-1, rows] = advance(damper.of(rows), steps.of(rows), first[rows])
-            break
     else:
         lost |= (np.square(step) * error > 1.0).any(axis=0)
     force[:, lost] = np.nan
@@ -390,7 +334,7 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
 
 
 def newton(
-    damper: Damper, steps: Steps, turns: Index, ends: Array
+    damper: Damper, steps: Steps, slip: Array | None, turns: Index, ends: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Force and stiffness, and Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k of deflections.
 
@@ -400,18 +344,18 @@ def newton(
 
     and its derivatives neglect the bend of the spring.
 
-    `turns` are those of `Steps`, and `ends`, (R + 1, n), in, the deflections before and after
-    each step.
+    `slip` is that of `_at_once`, `turns` are the first step and those that turn, and `ends`,
+    (R + 1, n), in, the deflections before and after each step.
     """
     n, way, sign = damper.columns["n"], steps.way, steps.sign
     z, begun, bend = ends[1:], ends[:-1], 1.0 - 1.0 / n
-    force, slope = damper.spring.evaluate(z)
+    force, slope = damper.evaluate(z)
     # ln Gⁿ and n G′/G where G pushes against the motion, after each step
     log, share = _push(sign * force, slope, n)
     # before it the same, but for those that turn
     log0, share0 = np.empty_like(log), np.empty_like(share)
     log0[1:], share0[1:] = log[:-1], share[:-1]
-    held, stiff = damper.spring.evaluate(ends[turns])
+    held, stiff = damper.evaluate(ends[turns])
     log0[turns], share0[turns] = _push(sign[turns] * held, stiff, n)
     limit = n * steps.level
     log0 -= limit
@@ -439,12 +383,12 @@ def newton(
     gain /= t
     if over is not None:
         decay[over] = 0.0
-    if steps.slip is not None:
-        row, column = np.nonzero(np.isfinite(steps.slip))
+    if slip is not None:
+        row, column = np.nonzero(np.isfinite(slip))
         ways, signs = (np.broadcast_to(a, z.shape)[row, column] for a in (way, sign))
-        free, slip = signs * ends[row, column] + ways, steps.slip[row, column]
-        decay[row, column] = free < slip
-        gain[row, column] = signs * np.minimum(free, slip) - z[row, column]
+        free, held = signs * ends[row, column] + ways, slip[row, column]
+        decay[row, column] = free < held
+        gain[row, column] = signs * np.minimum(free, held) - z[row, column]
     decay[0] = 0.0
     return force, slope, decay, gain
 
@@ -466,14 +410,14 @@ def _let_go(
 ) -> None:
     """Let steps that begin beyond slip begin where n ln(G/g) is `OVER`; the last two change."""
     _, column = np.nonzero(over)
-    spring, n = damper.spring.of(column), damper.columns["n"][column]
+    some, n = damper.of(column), damper.columns["n"][column]
     level = np.exp(steps.level[over] + OVER / n)
-    begun[over] = spring.deflection(np.broadcast_to(steps.sign, over.shape)[over] * level)
-    share[over] = n * spring.evaluate(begun[over])[1] / level
+    begun[over] = some.deflection(np.broadcast_to(steps.sign, over.shape)[over] * level)
+    share[over] = n * some.evaluate(begun[over])[1] / level
 
 
 def _at_once(damper: Damper, steps: Steps) -> Array | None:
-    """`Steps.slip`: where the step is so long that slip sets in at once, or not at all."""
+    """Deflection s z in slip of steps so long that it sets in at once, or not at all; else NaN."""
     if not steps.way.max() > STIFF * steps.length.min():
         return None
     shape = steps.level.shape
@@ -481,7 +425,7 @@ def _at_once(damper: Damper, steps: Steps) -> Array | None:
     sign = np.broadcast_to(steps.sign, shape)[row, column]
     slip = np.full(shape, np.nan)
     force = sign * np.exp(steps.level[row, column])
-    slip[row, column] = sign * damper.spring.of(column).deflection(force)
+    slip[row, column] = sign * damper.of(column).deflection(force)
     return slip
 
 
@@ -524,7 +468,7 @@ class BacklashLuGre(Model):
 
     name = "backlash"
     parameters = (
-        *("k_fwd", "k_bwd", "gap", "ell", "k_0", "Fc_fwd", "Fc_bwd", "n", "sigma2"),
+        *(*SPRING, *ACTUATED, "n", "sigma2"),
         *("static_excess_fwd", "static_excess_bwd", "v_s"),
     )
     quantities = tuple(map(QUANTITIES.__getitem__, parameters))
@@ -551,9 +495,12 @@ class BacklashLuGre(Model):
         factors = {name: factor.take(nearest, axis=0) for name, factor in factors.items()}
         first, moves = damper.begin(start), np.diff(x)
         sign, since = strokes_of(moves)
-        force, last = np.empty((trace.samples, damper.size)), np.empty(damper.size)
-        force[0] = damper.spring.evaluate(first)[0]
-        for rows, cuts in _courses(damper, np.abs(moves)[:, None], since[:, None]):
+        force, last = np.empty((trace.samples, start.size)), np.empty(start.size)
+        force[0] = damper.evaluate(first)[0]
+        step, window = damper.steps
+        # those with similar steps go together
+        for rows in np.array_split(np.argsort(step), -(-step.size // TOGETHER)):
+            cuts = cut(np.abs(moves)[:, None], since[:, None], step[rows], window[rows])
             own = {k: f if f.shape[1] == 1 else f[:, rows] for k, f in factors.items()}
             motion = sign[:, None], (moves / np.diff(time))[:, None]
             found, last[rows] = follow(damper.of(rows), cuts, motion, own, first[rows])
@@ -606,12 +553,11 @@ class BacklashLuGre(Model):
         The load doubles over the edge. The upper end is at least a thousandth above the lower one,
         also where it is then beyond the range.
         """
-        needed = ("k_fwd", "k_bwd", "gap", "ell", "k_0", "Fc_fwd", "Fc_bwd")
-        damper = Damper(named_columns(values, needed))
+        damper = Damper(named_columns(values, (*SPRING, *ACTUATED)))
         low, high = damper.range
         slip = np.stack([-damper.columns["Fc_bwd"], damper.columns["Fc_fwd"]])
         shares = np.array([LITTLE, 2.0 * LITTLE])[:, None, None]
-        at = damper.spring.deflection(shares * slip, close=1e-4)
+        at = damper.deflection(shares * slip, close=1e-4)
         lower, upper = np.clip((at[0] - low) / (high - low), 0.0, 1.0)
         edge = 0.5 * np.abs(at[1] - at[0]).sum(axis=0) / (high - low)
         return lower, np.maximum(upper, lower + 1e-3), edge
@@ -627,7 +573,7 @@ class BacklashLuGre(Model):
         damper = Damper(self.columns(theta))
         force = self.force(theta, trace, start).T
         force -= trace.velocity[:, None] * damper.columns["sigma2"]
-        z = damper.spring.deflection(force)
+        z = damper.deflection(force)
         moved = np.diff(trace.displacement, prepend=trace.displacement[0])[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.abs(np.diff(z, axis=0, prepend=z[:1]) / moved)
@@ -646,7 +592,7 @@ class BacklashLuGre(Model):
         """A deflection in its range; no direction has to be known before the motion."""
         damper = Damper(state.constants)
         z, zero = damper.begin(start), np.zeros(start.size)
-        spring = damper.spring.evaluate(z)[0]
+        spring = damper.evaluate(z)[0]
         return {"z": z, "spring": spring, "sign": zero, "travelled": zero}
 
     def advance(
@@ -661,7 +607,7 @@ class BacklashLuGre(Model):
         damper = Damper(c)
         vars(damper)["onset"] = c["onset"]
         z = memory["z"] + way
-        spring = damper.spring.evaluate(z)[0]
+        spring = damper.evaluate(z)[0]
         # where the spring still pushes with the motion at the end, nothing slid
         (rows,) = (~(sign * spring <= 0.0)).nonzero()
         if rows.size:
@@ -697,26 +643,6 @@ def strokes_of(moves: Array) -> tuple[Array, Array]:
     return sign, total[:-1] - total[turns][stretch]
 
 
-def _courses(damper: Damper, length: Array, since: Array) -> Iterator[tuple[Index, Cut]]:
-    """Cuts of a motion, each with the vectors that follow it.
-
-    Vectors with similar steps go together, which is faster than one kind after the other.
-    """
-    kinds, which = np.unique(np.stack(damper.steps), axis=1, return_inverse=True)
-    members = [np.flatnonzero(which.ravel() == i) for i in range(kinds.shape[1])]
-    _, _, close, loose = _parts(length, since, *kinds)
-    sizes = (close + loose).sum(axis=0)
-    left = sorted(range(len(sizes)), key=lambda i: -sizes[i])
-    while left:
-        group = [i for i in left if (sizes[left[0]] - sizes[i]) * members[i].size <= WORTH]
-        left = [i for i in left if i not in group]
-        cuts = cut(length, since, *kinds[:, group])
-        if len(group) > 1:
-            own = np.repeat(np.arange(len(group)), [members[i].size for i in group])
-            cuts = cuts._replace(way=cuts.way[:, own], share=cuts.share[:, own])
-        yield np.concatenate([members[i] for i in group]), cuts
-
-
 def follow(
     damper: Damper, cuts: Cut, motion: tuple[Array, Array], factors: Columns, first: Array
 ) -> tuple[Array, Array]:
@@ -732,10 +658,10 @@ def follow(
         Deflection before them.
     """
     sign, rate = motion
-    force, z = np.empty((cuts.ends.size, damper.size)), first
-    lost = np.zeros(damper.size, dtype=bool)
+    force, z = np.empty((cuts.ends.size, first.size)), first
+    lost = np.zeros(first.size, dtype=bool)
     constant = damper.slip(sign, rate, {})
-    size = max(PIECE // max(damper.size, 1), 1)
+    size = max(PIECE // max(first.size, 1), 1)
     for begin in range(0, cuts.origin.size, size):
         end = min(begin + size, cuts.origin.size)
         origin, way, share = cuts.origin[begin:end], cuts.way[begin:end], cuts.share[begin:end]

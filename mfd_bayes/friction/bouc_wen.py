@@ -5,11 +5,12 @@ Bouc (1967), Wen (1976); the admissible range of β is that of Erlicher and Poin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,29 +33,8 @@ FLOOR = 1e-6  # least share of F_y that is left at zero actuation, so that nothi
 NEAR = 2e-9  # distance from w = 1 at which z has reached F_y
 REACH = 4.0  # the curve is resolved down to w = −`REACH` times the ratio of the two F_y
 FAR = 1e7  # factor by which w may go below that range after friction has fallen
-CELLS = 96  # cells of each part of the curve, where it is evaluated
-QUADRATURE = 128  # cells of each part of the curve, where it is integrated
-_NODES = np.array([-(0.6**0.5), 0.0, 0.6**0.5])
-_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 9.0  # Gauss-Legendre on [-1, 1]
-
-
-class Part(NamedTuple):
-    """A part of the curve: its knots' w and their slopes over a cell, (n, cells + 1) each.
-
-    It begins at ξ = `begin` and is `length` long, (n,) each. Cells are graded as t² from its lower
-    end, or its upper one where `flipped`.
-    """
-
-    begin: Array
-    length: Array
-    knots: Array
-    slopes: Array
-    flipped: bool = False
-
-    @property
-    def cells(self) -> int:
-        """Number of cells."""
-        return int(self.knots.shape[1]) - 1
+CELLS = 96  # cells of each part of the curve
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,173 +43,101 @@ class Curve:
 
         dw/dξ = 1 + (2β − 1) |w|^n for w < 0,   1 − |w|^n for w ≥ 0;   w(0) = 0
 
-    Tabulated by Gauss-Legendre quadrature of dξ/dw and resampled so that a formula
-    gives the cell of any ξ. Between knots it is the monotone rational quadratic spline of
-    Gregory and Delbourgo (1982), which a formula inverts too.
-
-    Its parts are w below and above 0. A wide curve has three more, needed only where friction
-    falls: one cell for w far below 0; a gap of length 1 in ξ; and w above 1, where ξ measures the
-    distance to the end.
+    Tabulated by Gauss-Legendre quadrature of dξ/dw. Between its knots it is the monotone rational
+    quadratic spline of Gregory and Delbourgo (1982), which a formula inverts. Where friction falls,
+    w may lie far below 0, or above 1: there ξ, after a gap of length 1, grows as w does.
 
     Attributes
     ----------
-    parts : list of Part
-        By increasing w.
+    knots : (2, n, cells + 1)
+        ξ and w.
     end : (n,)
         ξ at which w has reached 1.
-    low, rise, entry, bend : (cells n,)
-        Of each cell: w at its start, rise of w, slope at the start divided by the rise, and
-        sum of the slopes at both ends divided by the rise, minus 2.
-    keys : (n (cells + 1),)
-        Search keys of the knots: they increase with the vector and with w.
+    length, rise, entry, bend : (n, cells)
+        Of each cell: its length in ξ, rise of w, slope at the start divided by their ratio, and sum
+        of the slopes at both ends divided by it, minus 2.
     """
 
-    parts: list[Part]
+    knots: Array
     end: Array
-    low: Array
+    length: Array
     rise: Array
     entry: Array
     bend: Array
-    keys: Array
 
     @classmethod
-    def of(cls, c: Columns, *, wide: bool) -> Curve:
+    def of(cls, c: Columns) -> Curve:
         """Curves of Bouc-Wen's parameters, (n,) each."""
-        power, soft = c["exponent"][:, None, None], 2.0 * c["beta"][:, None, None] - 1.0
+        power, soft = c["exponent"][:, None], 2.0 * c["beta"][:, None] - 1.0
 
         def slope(w: Array) -> Array:
             log = power * np.log(np.maximum(np.abs(w), 1e-300))
             grown = np.exp(np.minimum(log, 200.0))
-            return np.asarray(np.where(w < 0, 1.0 + soft * grown, np.abs(grown - 1.0)))
+            steep = np.where(w < 0, 1.0 + soft * grown, np.abs(grown - 1.0))
+            return np.asarray(np.maximum(steep, 1e-300))
 
         pair = c["Fy_fwd"], c["Fy_bwd"]
         reach = REACH * (np.maximum(*pair) / np.minimum(*pair))[:, None]
-        y, near = np.linspace(0.0, 1.0, QUADRATURE + 1), np.log(NEAR)
+        y, near = np.linspace(0.0, 1.0, CELLS + 1), np.log(NEAR)
+        below = [-reach * FAR ** y[:0:-8], -np.expm1(y[:0:-1] * np.log1p(reach))]
         up = np.broadcast_to(1.0 - np.exp(near * y**1.5), (len(reach), y.size))
-        below, above = _part(-np.expm1(y[::-1] * np.log1p(reach)), slope), _part(up, slope)
-        below, end = below._replace(begin=-below.length), above.length
-        parts = [below, above]
-        if wide:
-            far = _part(-reach * FAR ** y[::-1], slope, cells=1)
-            one = np.ones((len(reach), 1))
-            gap = np.hstack([one - NEAR, one + NEAR]), 2.0 * NEAR * np.hstack([one, one])
-            over = 1.0 + np.exp(near + y * (np.log(reach - 1.0) - near))
-            beyond = _part(over, slope, flipped=True)
-            parts = [
-                far._replace(begin=below.begin - far.length),
-                *parts,
-                Part(end, one[:, 0], *gap),
-                beyond._replace(begin=end + 1.0),
-            ]
-        low = np.hstack([part.knots[:, :-1] for part in parts])
-        rise = np.hstack([np.diff(part.knots) for part in parts])
-        entry = np.hstack([part.slopes[:, :-1] for part in parts]) / rise
-        leave = np.hstack([part.slopes[:, 1:] for part in parts]) / rise
-        keys = _key(np.hstack([low, parts[-1].knots[:, -1:]]), np.arange(len(low))[:, None]).ravel()
-        tables = (low, rise, entry, entry + leave - 2.0)
-        low, rise, entry, bend = (table.T.ravel() for table in tables)
-        return cls(parts, end, low, rise, entry, bend, keys)
-
-    @property
-    def cells(self) -> int:
-        """Number of cells of each vector."""
-        return sum(part.cells for part in self.parts)
+        w = np.hstack([*below, up, 1.0 + np.exp(near + y * (np.log(reach - 1.0) - near))])
+        half, zero = 0.5 * np.diff(w), below[0].shape[1] + CELLS
+        middle, gap = w[:, :-1] + half, zero + CELLS
+        pairs = zip(_NODES, _WEIGHTS, strict=True)
+        length = half * sum(weight / slope(middle + half * node) for node, weight in pairs)
+        length[:, gap] = 1.0
+        # counted from ξ = 0, where small numbers are exact
+        back = -np.cumsum(length[:, :zero][:, ::-1], axis=1)[:, ::-1]
+        xi = np.hstack([back, np.zeros((len(w), 1)), np.cumsum(length[:, zero:], axis=1)])
+        steep, rise = slope(w), 2.0 * half
+        entry, leave = (part * length / rise for part in (steep[:, :-1], steep[:, 1:]))
+        knots = np.stack([xi, w])
+        return cls(knots, xi[:, gap], length, rise, entry, entry + leave - 2.0)
 
     def move(self, xi: Array, way: Array, row: Rows) -> Array:
         """ξ after a distance `way`, (…, n), from `xi`, (n,); it stops where w has reached 1."""
         end = self.end[row]
         after = np.minimum(xi + way, end)
-        if len(self.parts) > 2 and np.any(over := xi > end + 0.5):
+        if np.any(over := xi > end + 0.5):
             after = np.where(over, np.maximum(xi - way, end + 1.0), after)
         return np.asarray(after)
 
     def value(self, xi: Array, row: Rows) -> Array:
         """Value w at ξ, (…, n), of the vectors `row`, (n,)."""
-        at = np.zeros(xi.shape)
-        for part in self.parts:
-            share = (xi - part.begin[row]) / part.length[row]
-            np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
-            if part.flipped:
-                np.subtract(1.0, share, out=share)
-            np.sqrt(share, out=share)
-            if part.flipped:
-                np.subtract(1.0, share, out=share)
-            share *= part.cells
-            at += share
-        cell = np.minimum(at.astype(np.intp), self.cells - 1)
-        at -= cell
-        cell *= self.end.size
-        cell += row
-        return _spline(at, *(c.take(cell) for c in (self.low, self.rise, self.entry, self.bend)))
+        cell, past, entry, bend = self._cell(0, xi, row)
+        at = np.clip(past / self.length[row, cell], 0.0, 1.0)
+        rest = 1.0 - at
+        share = at * (entry * rest + at) / (1.0 + bend * at * rest)
+        return np.asarray(self.knots[1, row, cell] + self.rise[row, cell] * share)
 
     def place(self, w: Array, row: Rows) -> Array:
         """ξ at which the value is w, (n,), of the vectors `row`."""
-        cell = np.searchsorted(self.keys, _key(w, row), side="right") - 1
-        cell = np.clip(cell - row * (self.cells + 1), 0, self.cells - 1)
-        k = cell * self.end.size + row
-        share = np.clip((w - self.low[k]) / self.rise[k], 0.0, 1.0)
-        at = cell + _inverse(share, self.entry[k], self.bend[k])
-        xi = np.zeros(w.shape)
-        for part in self.parts:
-            share = np.minimum(np.maximum(at, 0.0), part.cells) / part.cells
-            share = 1.0 - (1.0 - share) ** 2 if part.flipped else share**2
-            # counted from ξ = 0, where small numbers are exact
-            xi += part.length[row] * (share - (part.begin[row] < 0.0))
-            at -= part.cells
-        return xi
+        cell, past, entry, bend = self._cell(1, w, row)
+        share = np.clip(past / self.rise[row, cell], 0.0, 1.0)
+        b = entry - share * bend
+        root = np.sqrt(np.maximum(b * b + 4.0 * (1.0 - b) * share, 0.0))
+        stable = 2.0 * share / np.maximum(b + root, 1e-300)
+        at = np.where(b >= 0, stable, (root - b) / np.maximum(2.0 - 2.0 * b, 1.0))
+        return np.asarray(self.knots[0, row, cell] + self.length[row, cell] * at)
+
+    def _cell(self, axis: int, values: Array, row: Rows) -> tuple[Rows, Array, Array, Array]:
+        """Cells of values of ξ or w, the way from their start, and their `entry` and `bend`."""
+        found = np.searchsorted(self._keys[axis], _key(values, row), side="right") - 1
+        knots = self.knots.shape[2]
+        cell = np.clip(found - row * knots, 0, knots - 2)
+        past = values - self.knots[axis, row, cell]
+        return cell, past, self.entry[row, cell], self.bend[row, cell]
+
+    @cached_property
+    def _keys(self) -> Array:
+        """Search keys of ξ and of w, which increase with the vector too."""
+        keys = _key(self.knots, np.arange(len(self.end))[:, None])
+        return keys.reshape(2, -1)
 
 
-def _key(w: Array, row: Rows) -> Array:
-    return np.asarray(w / (1.0 + np.abs(w)) + 4.0 * row)
-
-
-def _part(
-    w: Array, slope: Callable[[Array], Array], cells: int = CELLS, *, flipped: bool = False
-) -> Part:
-    """A part of a curve through values w, (n, M), which increase; it begins at 0."""
-    half = 0.5 * np.diff(w)
-    inside = (w[:, :-1] + half)[..., None] + half[..., None] * _NODES
-    xi = np.zeros(w.shape)
-    np.cumsum(half * ((1.0 / slope(inside)) @ _WEIGHTS), axis=1, out=xi[:, 1:])
-    length = np.maximum(xi[:, -1:], 1e-250)
-    xi /= length
-    t = np.linspace(0.0, 1.0, cells + 1)
-    share, rate = (1.0 - (1.0 - t) ** 2, 2.0 - 2.0 * t) if flipped else (t**2, 2.0 * t)
-    row = np.arange(len(w))[:, None]
-    found = np.searchsorted((xi + 2.0 * row).ravel(), (share + 2.0 * row).ravel(), side="right")
-    cell = np.clip(found.reshape(len(w), -1) - 1 - row * w.shape[1], 0, w.shape[1] - 2)
-    rise, long = 2.0 * half, np.maximum(np.diff(xi), 1e-300)
-    steep = slope(w[..., None])[..., 0] * length
-    entry, leave = steep[:, :-1] * long / rise, steep[:, 1:] * long / rise
-    columns = (w[:, :-1], rise, entry, entry + leave - 2.0)
-    at = np.clip((share - xi[row, cell]) / long[row, cell], 0.0, 1.0)
-    knots = _spline(at, *(c[row, cell] for c in columns))
-    knots[:, 0], knots[:, -1] = w[:, 0], w[:, -1]
-    slopes = slope(knots[..., None])[..., 0] * length * rate / cells
-    return Part(np.zeros(len(w)), length[:, 0], knots, slopes, flipped)
-
-
-def _spline(at: Array, low: Array, rise: Array, entry: Array, bend: Array) -> Array:
-    """Rational quadratic spline at a share `at` of each cell; all but `rise` are overwritten."""
-    rest = 1.0 - at
-    entry *= rest
-    entry += at
-    entry *= at
-    rest *= at
-    bend *= rest
-    bend += 1.0
-    entry /= bend
-    entry *= rise
-    entry += low
-    return entry
-
-
-def _inverse(share: Array, entry: Array, bend: Array) -> Array:
-    """Share of the cell at which `_spline` has made a given share of its rise."""
-    b = entry - share * bend
-    root = np.sqrt(np.maximum(b * b + 4.0 * (1.0 - b) * share, 0.0))
-    stable = 2.0 * share / np.maximum(b + root, 1e-300)
-    return np.where(b >= 0, stable, (root - b) / np.maximum(2.0 - 2.0 * b, 1.0))
+def _key(values: Array, row: Rows) -> Array:
+    return np.asarray(values / (1.0 + np.abs(values)) + 4.0 * row)
 
 
 def strength_of(
@@ -284,7 +192,7 @@ class BoucWen(Model):
     def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Force at the samples, (T, n), kip."""
         n = start.size
-        given: dict[str, Any] = {**c, "curve": Curve.of(c, wide=bool(factors))}
+        given: dict[str, Any] = {**c, "curve": Curve.of(c)}
         row = np.arange(n)
         _, x, nearest, samples = through_vertices(trace)
         z = np.zeros((x.size, n))
@@ -300,7 +208,7 @@ class BoucWen(Model):
 
     def constants(self, c: Columns) -> dict[str, Any]:
         """Columns and the curve of z."""
-        return c | {"curve": Curve.of(c, wide=True), "row": np.arange(c["k"].size)}
+        return c | {"curve": Curve.of(c), "row": np.arange(c["k"].size)}
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """No force, and the displacement that α k counts from."""

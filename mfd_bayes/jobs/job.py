@@ -73,6 +73,8 @@ class Outcome:
     status: State
     seconds: float
     error: str = ""
+    value: Any = None
+    """What it computed, where it stores no files."""
 
 
 class Job(Protocol):

@@ -15,7 +15,7 @@ import tempfile
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -25,7 +25,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.context import ForkServerContext, SpawnContext
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Job, Outcome, State, Step
@@ -218,7 +218,6 @@ def follow_parent() -> None:
     threading.Thread(target=end_with_parent, daemon=True).start()
 
 
-T = TypeVar("T")
 Argument = TypeVar("Argument")
 Value = TypeVar("Value")
 
@@ -285,32 +284,3 @@ def _start(functions: Sequence[Callable[[Any], Any]]) -> None:
 
 def _compute(batch: list[tuple[int, Any]]) -> list[Any]:
     return list(in_turn(_FUNCTIONS.get())(batch))
-
-
-class Meanwhile(Protocol):
-    """Takes work that may be done meanwhile."""
-
-    def __call__(self, work: Callable[[], T], /) -> Callable[[], T]:
-        """Function that waits for the work's result."""
-        ...
-
-
-def when_wanted(work: Callable[[], T], /) -> Callable[[], T]:
-    """Work that is done once its result is wanted."""
-    return work
-
-
-@contextmanager
-def meanwhile(jobs: int) -> Iterator[Meanwhile]:
-    """Let a thread work beside this one; with one job, work is done when its result is wanted.
-
-    What has not begun at the end is left undone.
-    """
-    if jobs < 2:
-        yield when_wanted
-        return
-    thread = ThreadPoolExecutor(1)
-    try:
-        yield lambda work: thread.submit(work).result
-    finally:
-        thread.shutdown(cancel_futures=True)

@@ -29,12 +29,12 @@ from mfd_bayes.evaluation.crossvalidate import (
     parts_of,
     run_folds,
 )
-from mfd_bayes.evaluation.views import CampaignView, LeftOutView
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import Progress, State, Step
 from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.pipeline.report import left_out_shown, write_report
+from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.population import save_population, save_test_draws
@@ -311,8 +311,11 @@ def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
 
 def compare(
     campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
-) -> tuple[Comparison, dict[str, tuple[LeftOutView, str]]]:
-    """Calibrate a campaign under several models or noises, and compare what they predict."""
+) -> tuple[Comparison, dict[str, CampaignView]]:
+    """Calibrate a campaign under several models or noises, and compare what they predict.
+
+    Returns the report of each too.
+    """
     plans = _plan_models(campaign, out, candidates(models, options.noises), options)
     for model, plan in plans.items():
         for task in plan.tasks:
@@ -331,14 +334,11 @@ def compare(
         comparison = compare_runs(runs)
         write_text(out / "comparison.csv", comparison_csv(comparison.rows))
         observe(Step("comparison", State.DONE))
-        left_out: dict[str, tuple[LeftOutView, str]] = {}
+        views = {}
         for model, run in runs.items():
             run = run.rewrite(comparison=comparison)
-            view = write_report(run, _observer_of(model, observe), jobs=options.jobs)
-            shown, force = left_out_shown(view)
-            if options.by and shown:
-                left_out[model] = shown, force
-    return comparison, left_out
+            views[model] = write_report(run, _observer_of(model, observe), jobs=options.jobs)
+    return comparison, views
 
 
 def _plan_models(

@@ -24,10 +24,9 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.plan import faults_for, findings_together, gap_of, tested_of
 from mfd_bayes.records.data_quality import Inspection, inspect_record
-from mfd_bayes.records.loops import Scales, find_loops, scales_of
+from mfd_bayes.records.loops import Scales, scales_of
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.tables import convert_fan, convert_trace
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground
 from mfd_bayes.runs.folder import check_outputs
@@ -61,9 +60,8 @@ def inspect(
         for inspection, record in zip(inspections, records, strict=True)
     ]
     for inspection, picture in zip(shown, pictures, strict=True):
-        trace = convert_trace(inspection.trace, system)
         title = f"{inspection.name}: as read"
-        figure = draw_inspection(title, trace, find_loops(trace), inspection.faults, system)
+        figure = draw_inspection(title, inspection.trace, inspection.faults, system)
         write_bytes(picture, to_png(figure))
     return list(zip(shown, pictures, strict=True)), system
 
@@ -158,8 +156,7 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
         if trace.force is None:
             raise RecordError(f"test {name!r} of {path} has no force to compare with")
         fan = prior_fan(campaign, priors, trace)
-        shown = convert_trace(trace, system), [convert_fan(fan, system.factor("kip"))]
-        figure = draw_loops(f"{name}: data over what the priors allow", *shown, system)
+        figure = draw_loops(f"{name}: data over what the priors allow", trace, [fan], system)
         write_bytes(pictures[name], to_png(figure))
         shares[name] = share_inside(fan, trace)
     still = [name for name, trace in traces.items() if trace.reference_actuation == 0.0]

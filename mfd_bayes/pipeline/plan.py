@@ -19,7 +19,7 @@ from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import CampaignFile, NoiseName
-from mfd_bayes.errors import CampaignError, FitError
+from mfd_bayes.errors import CampaignError, FitError, hash_file
 from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of
@@ -31,7 +31,6 @@ from mfd_bayes.population.inference import swings
 from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
-from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace, without_spikes
@@ -356,7 +355,7 @@ def _read(campaign: Campaign, test: Test) -> Record:
 
 def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entry:
     before, after = record.around(trace, campaign.since(test))
-    measured = measured_cycles(record)
+    measured = measured_cycles(record.trace())
     assert measured is not None  # a test has a force
     entry = Entry(
         role=test.role,

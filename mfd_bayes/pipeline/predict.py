@@ -21,9 +21,7 @@ from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_re
 from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.reporting.tables import (
     bands_csv,
-    convert_fan,
     convert_rows,
-    convert_trace,
     design_csv,
     predicted_csv,
 )
@@ -297,7 +295,7 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
     if band.whole_lower is not None and band.whole_upper is not None:
         bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
         intervals.append(Interval(band.probability, *bounds, whole=True))
-    fan = convert_fan(Fan(band.kind, band.median, tuple(intervals)), system.factor("kip"))
+    fan = Fan(band.kind, band.median, tuple(intervals))
     given = band.given.window if band.given else None
     history = drawn
     if band.given is not None:
@@ -305,7 +303,7 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
         if drawn.force is None:  # the force of the given part alone
             known = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
             history = replace(drawn, force=known)
-    loops = draw_loops(title, convert_trace(drawn, system), [fan], system)
+    loops = draw_loops(title, drawn, [fan], system)
     write_bytes(question.picture, to_png(loops))
-    figure = draw_history(title, convert_trace(history, system), [fan], system, given=given)
+    figure = draw_history(title, history, [fan], system, given=given)
     write_bytes(question.beside("history.png"), to_png(figure))

@@ -13,11 +13,11 @@ import numpy as np
 from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_peaks
 from mfd_bayes.evaluation.summary import assess, verdicts
-from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView, LeftOutView
+from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.local import Workplace, get_ready
 from mfd_bayes.reporting.publish import PLAIN, Forms
-from mfd_bayes.reporting.tables import CROSSVALIDATION, convert_scores
+from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import alone_in, check_places
 from mfd_bayes.runs.manifest import Verdict, read_manifest
 from mfd_bayes.runs.run import Run, open_run
@@ -75,12 +75,6 @@ def write_report(
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
     publish(view, run.folder, processes, observe, forms, sheet)
     return view
-
-
-def left_out_shown(view: CampaignView) -> tuple[LeftOutView | None, str]:
-    """Scores of what was left out in the units of the campaign, and its unit of force."""
-    scores, system = view.left_out, view.system
-    return scores and convert_scores(scores, system.factor("kip")), system.force
 
 
 def check(out: Path, units: str = "") -> CampaignView:

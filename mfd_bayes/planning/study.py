@@ -1,7 +1,7 @@
 """Candidates simulated, and judged one by one and together: the table of advice.
 
 Goal and simulated tests come from one set of draws of the population; what a test would leave
-unknown is found by regression of the goal on the summaries of its simulated records.
+unknown is found by regression of the goal on the principal directions of its simulated loops.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from scipy import linalg, special
 
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import units
-from mfd_bayes.errors import CampaignError, FitError, NotThereError
+from mfd_bayes.errors import MOST_DRAWS, CampaignError, FitError, NotThereError, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
 from mfd_bayes.population.bands import Drawn, Predictor
 from mfd_bayes.population.design import Setting, setting_of
 from mfd_bayes.population.joint_fit import slip_force_of
-from mfd_bayes.population.population import Population
-from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
+from mfd_bayes.population.population import Numbers, Population
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -46,13 +45,10 @@ COLUMNS = ("candidate", "reduction", "error", "information", "information_error"
 DENSE, LOOSE = 14, 8  # samples of a stroke up to `REACH` times the gap, and in the rest
 REACH = 2.5
 LEAD = 4  # every so many samples of a stroke are enough before the loop
-FAST = (0.4, 0.8)
-SLOW = (0.92, 1.0)  # shares of a stroke: slip near the peak speed, and slip just before the turn
-IN_GAP = 0.4  # share of the typical gap at which the force in the gap is read
-RISES = (0.3, 0.5, 0.8)  # shares of the slip force that the force reaches after a turn
 FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
-# a direction of the summaries with less than this share of their variance repeats others
-SAME = 1e-6
+# a direction of the summaries with less than this share of their variance is noise, or repeats
+# others
+SAME = 1e-3
 BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
 PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
 RESAMPLES = 200  # number of bootstrap resamples of the draws
@@ -74,7 +70,6 @@ class Loop:
 
     trace: Trace  # with the actuation
     first: int  # sample at which the loop begins, at the forward end
-    travel: Array  # (S + 1,), in: travel since the turn at the samples of one stroke of the loop
 
     @classmethod
     def of(cls, candidate: Candidate, gap: float) -> Loop:
@@ -92,68 +87,25 @@ class Loop:
                 since, fast = along / candidate.speed, np.full(along.size, candidate.speed)
             else:
                 angle = np.arccos(np.clip(1.0 - along / amplitude, -1.0, 1.0))
-                since, fast = angle / (2.0 * np.pi * candidate.frequency), np.sin(angle)
-                fast = candidate.speed * fast
+                since = angle / (2.0 * np.pi * candidate.frequency)
+                fast = candidate.speed * np.sin(angle)
             time.append(clock + since)
             place.append(way * (along - amplitude))
             speed.append(way * fast)
             clock += since[-1]
         times, places, speeds = (np.concatenate(column) for column in (time, place, speed))
         trace = Trace.from_arrays(times, places, candidate.actuation, velocity=speeds)
-        return cls(trace, lead.size - 1, travel)
+        return cls(trace, lead.size - 1)
 
-    def halves(self, force: Array) -> tuple[Array, Array]:
-        """Force along the backward and along the forward stroke of the loop, (n, S + 1) each.
-
-        The backward one is given as a positive number where the force resists the motion.
-        """
-        strokes = self.travel.size - 1
-        middle = self.first + strokes
-        return -force[:, self.first : middle + 1], force[:, middle : middle + strokes + 1]
+    def peaks(self, force: Array) -> tuple[Array, Array]:
+        """Largest resistance forward and backward in the loop, (n,) each, kip."""
+        middle = (self.first + self.trace.samples) // 2
+        return force[:, middle:].max(axis=1), -force[:, self.first : middle + 1].min(axis=1)
 
     def energy(self, force: Array) -> Array:
         """Energy dissipated in the loop, (n,), kip·in."""
         x = self.trace.displacement[self.first :]
         return np.asarray(np.trapezoid(force[:, self.first :], x, axis=1))
-
-    def summaries(self, force: Array, gap: float) -> Mapping[str, Array]:
-        """Summaries of forces (n, T), kip, that carry what a calibration would learn; (n,) each.
-
-        Energy of the loop, kip·in; of each direction the peak, the slip force near the peak speed
-        and just before the turn, and the force in the gap (of about this width, in), kip; the width
-        of the gap, where half of the slip force is reached, and the travel of the build-up, in.
-        """
-        found = {"energy": self.energy(force)}
-        travel, stroke = self.travel, float(self.travel[-1])
-        share = travel / stroke
-        place = min(IN_GAP * gap, 0.5 * stroke)
-        for side, half in zip(("bwd", "fwd"), self.halves(force), strict=True):
-            fast = half[:, (share >= FAST[0]) & (share <= FAST[1])].mean(axis=1)
-            slow = half[:, (share >= SLOW[0]) & (share < SLOW[1])].mean(axis=1)
-            low, middle, high = (_reached(travel, half, level * fast) for level in RISES)
-            right = int(np.clip(np.searchsorted(travel, place), 1, travel.size - 1))
-            part = (place - travel[right - 1]) / (travel[right] - travel[right - 1])
-            found |= {
-                f"peak_{side}": half.max(axis=1),
-                f"slip_fast_{side}": fast,
-                f"slip_slow_{side}": slow,
-                f"in_gap_{side}": (1.0 - part) * half[:, right - 1] + part * half[:, right],
-                f"gap_{side}": middle,
-                f"rise_{side}": high - low,
-            }
-        return found
-
-
-def _reached(travel: Array, force: Array, level: Array) -> Array:
-    """Travel at which the force of each loop first reaches a level (n,), in."""
-    above = force >= level[:, None]
-    above[:, -1] = True
-    right, row = np.maximum(np.argmax(above, axis=1), 1), np.arange(len(force))
-    before, after = force[row, right - 1], force[row, right]
-    rising = after > before
-    part = np.where(rising, (level - before) / np.where(rising, after - before, 1.0), 0.0)
-    left = travel[right - 1]
-    return np.asarray(left + np.clip(part, 0.0, 1.0) * (travel[right] - left))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +115,8 @@ class Devices:
     predictor: Predictor
     index: NDArray[np.intp]  # (n,) int: draws of the population
     grid: Array  # (G,): actuations that will be asked for, ksi or kip
-    effects: Mapping[str, Mapping[str, Array]]  # (n, G), by session and quantity
-    # (n, d), standard normal: of sessions without a test, and, under "", of motions outside those
-    unknown: Mapping[str, Array]
+    # of the effects of each session; of a motion outside those of the tests, under ""
+    numbers: Mapping[str, Numbers]
     knots: Array  # (n, K), kip: discrepancy
 
     @classmethod
@@ -184,36 +135,30 @@ class Devices:
         count = min(draws, population.size)
         index = np.sort(rng.choice(population.size, size=count, replace=False))
         grid = np.unique([setting.actuation for setting in settings])
-        effects, unknown = {}, {}
-        for session in dict.fromkeys(["", *(setting.session for setting in settings)]):
-            numbers = population.draw_numbers(count, grid.size, rng)
-            effects[session] = population.level_effects(index, session, grid, numbers.level)
-            unknown[session] = numbers.session
+        sessions = dict.fromkeys(["", *(setting.session for setting in settings)])
+        numbers = {session: population.draw_numbers(count, grid.size, rng) for session in sessions}
         knots = population.residual.draw_knots(rng, count)
-        return cls(Predictor(population, *kinds), index, grid, effects, unknown, knots)
+        return cls(Predictor(population, *kinds), index, grid, numbers, knots)
 
     def drawn(
-        self, setting: Setting, rng: np.random.Generator, *, scattered: bool = False
+        self, trace: Trace, setting: Setting, rng: np.random.Generator, *, scattered: bool = False
     ) -> Drawn:
-        """Ingredients of the force under a setting, without noise."""
-        population = self.predictor.population
-        d = len(population.design.names)
-        chance = population.draw_numbers(self.index.size, 0, rng)
-        flat = chance.flat.copy()
-        flat[:, d : 2 * d], flat[:, 2 * d : 3 * d] = self.unknown[""], self.unknown[setting.session]
-        numbers = replace(chance, flat=flat)
-        at = int(np.argmin(np.abs(self.grid - setting.actuation)))
-        effects = {name: v[:, at] for name, v in self.effects[setting.session].items()}
-        parts = population.parts(setting, self.index, numbers, effects, scatter=scattered)
-        x = parts.mean + parts.scatter
-        unshared = population.unshared(self.predictor.model, x, numbers.start, setting)
-        return Drawn(parts, unshared, {}, self.knots)
+        """Ingredients of the force under a motion, without noise."""
+        numbers = self.predictor.population.draw_numbers(self.index.size, 0, rng)
+        numbers = numbers._replace(
+            level=self.numbers[setting.session].level,
+            session=self.numbers[setting.session].session,
+            extrapolation=self.numbers[""].extrapolation,
+        )
+        drawn = self.predictor.drawn(
+            trace, setting, self.index, numbers, self.grid, scatter=scattered
+        )
+        return replace(drawn, knots=self.knots)
 
     def damper(self, loop: Loop, session: str, *, scattered: bool, seed: Sequence[int]) -> Array:
         """The damper's force along a loop, (n, T), kip: without offset and noise."""
-        drawn = self.drawn(
-            setting_of(loop.trace, session), np.random.default_rng(seed), scattered=scattered
-        )
+        setting, rng = setting_of(loop.trace, session), np.random.default_rng(seed)
+        drawn = self.drawn(loop.trace, setting, rng, scattered=scattered)
         return self.predictor.force(loop.trace, drawn)
 
     def measured(
@@ -221,7 +166,8 @@ class Devices:
     ) -> Array:
         """The mean loop of a test's record, with its scatter, offset and noise, (n, T), kip."""
         rng, residual = np.random.default_rng(seed), self.predictor.population.residual
-        drawn = self.drawn(setting_of(loop.trace, session, device), rng, scattered=True)
+        setting = setting_of(loop.trace, session, device)
+        drawn = self.drawn(loop.trace, setting, rng, scattered=True)
         sd = self.predictor.values(drawn)["noise_sd"]
         # variance of the mean of the noise over the time that a sample stands for, over its
         # variance, where its correlation falls by exp(-dt/τ)
@@ -544,7 +490,8 @@ class _Study:
         for number, place in enumerate(places[:1] if goal.quantity == GAP else places):
             loop, seed = Loop.of(place, self.gap), (self.seed, GOALS, number, 0)
             if goal.quantity in ("slip", GAP):
-                drawn = devices.drawn(setting_of(loop.trace, session), np.random.default_rng(seed))
+                setting, rng = setting_of(loop.trace, session), np.random.default_rng(seed)
+                drawn = devices.drawn(loop.trace, setting, rng)
                 values, slips = devices.predictor.values(drawn), bool(self.model.slip_forces)
                 own = self.model.gap(values) if goal.quantity == GAP else None
                 if goal.quantity == "slip" and slips:
@@ -556,7 +503,7 @@ class _Study:
                 continue
             scattered = goal.kind == "new_test"
             force = devices.damper(loop, session, scattered=scattered, seed=seed)
-            backward, forward = (half.max(axis=1) for half in loop.halves(force))
+            forward, backward = loop.peaks(force)
             columns = {
                 "band": list(force[:, loop.first :: EVERY].T),
                 "energy": [loop.energy(force)],
@@ -573,8 +520,7 @@ class _Study:
         loop = Loop.of(candidate, self.gap)
         seed = (self.seed, TESTS, number, copy)
         force = self.devices.measured(loop, self.session, candidate.device, candidate.cycles, seed)
-        summaries = np.stack(list(loop.summaries(force, self.gap).values()), axis=1)
-        return np.abs(force).max(axis=1), directions_of(summaries)
+        return np.abs(force).max(axis=1), directions_of(force[:, loop.first :])
 
     def gain(self, *copies: Array, curved: bool = True) -> Gain:
         """Gain of tests whose summaries have these directions: the mean of several copies."""

@@ -14,17 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.calibration.result import Extras, needed
-from mfd_bayes.errors import FitError
+from mfd_bayes.errors import MOST_DRAWS, FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Design, Setting, setting_of
 from mfd_bayes.population.joint_fit import slip_force_of
-from mfd_bayes.population.population import Ending, Particles, Parts, Population
-from mfd_bayes.records.inputs import MOST_DRAWS, real_number, whole_number
+from mfd_bayes.population.population import Ending, Numbers, Population
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its own parameters
 # what each kind of band is about, in the words of design: the law with its level's effect; plus
@@ -240,7 +240,10 @@ def holds_whole(draws: Array, observed: Array, probability: float = 0.95) -> boo
 class Drawn:
     """Ingredients of the n draws of a prediction."""
 
-    parts: Parts  # of the quantities that tests share
+    # (n, d) each, in prior units: parts of the coordinates of what tests share, as in
+    # `Population.parts`
+    mean: Array
+    scatter: Array
     unshared: Mapping[str, Array]  # (n,), what tests do not share, such as the start in the gap
     scales: Mapping[str, Array]  # (n, T), factors of what has a law along a history of actuation
     knots: Array  # (n, K), kip: discrepancy
@@ -282,8 +285,10 @@ class Predictor:
         """
         population, setting = self.population, forecast.setting(trace)
         grid, n = population.grid_of(trace), forecast.draws
-        p = population.draw_tests(n, setting.actuation, grid, rng)
-        drawn = self.drawn(trace, setting, p, grid, scatter=forecast.kind != "device", x=x)
+        index = population.draw_index(n, setting.actuation, rng)
+        numbers = population.draw_numbers(n, grid.size, rng)
+        scatter = forecast.kind != "device"
+        drawn = self.drawn(trace, setting, index, numbers, grid, scatter=scatter, x=x)
         drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
         if forecast.before is None or not self.model.has_gap:
             return drawn
@@ -297,7 +302,8 @@ class Predictor:
         self,
         trace: Trace,
         setting: Setting,
-        p: Particles,
+        index: Index,
+        numbers: Numbers,
         grid: Array,
         *,
         scatter: bool = True,
@@ -309,21 +315,19 @@ class Predictor:
         `x` (n, d) are their coordinates where these are given, and `motion` is the whole motion
         where `trace` is a part of it.
         """
-        population, level, (index, numbers) = self.population, setting.actuation, p
+        population, level = self.population, setting.actuation
         effects = population.level_effects(index, setting.session, grid, numbers.level)
-        at = int(np.argmin(np.abs(grid - level)))
-        here = {name: value[:, at] for name, value in effects.items()}
-        parts = population.parts(setting, index, numbers, here, scatter=scatter)
+        parts = population.parts(setting, index, numbers, effects, scatter=scatter)
         if x is not None:
-            parts = Parts(x, np.zeros_like(x))
-        x, motion = parts.mean + parts.scatter, motion or trace
-        unshared = population.unshared(self.model, x, numbers.start, setting, motion)
+            parts = x, np.zeros_like(x)
+        start, motion = numbers.start, motion or trace
+        unshared = population.unshared(self.model, parts[0] + parts[1], start, setting, motion)
         scales = {}
         if trace.varying:
             history = np.asarray(trace.actuation)
-            scales = population.scales(self.model, history, index, level, (grid, effects))
+            scales = population.scales(self.model, history, index, level, effects)
         mean = population.residual.mean
-        return Drawn(parts, unshared, scales, np.broadcast_to(mean, (len(index), mean.size)))
+        return Drawn(*parts, unshared, scales, np.broadcast_to(mean, (len(index), mean.size)))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def finish(
@@ -333,8 +337,9 @@ class Predictor:
         drawn: Drawn,
         rng: np.random.Generator,
         source: str,
+        part: slice = slice(None),
     ) -> Band:
-        """Band of drawn tests, with noise if it is asked for."""
+        """Band of drawn tests in a part of a motion, with noise if it is asked for."""
         values = self.values(drawn)
         if forecast.kind == "observation":
             noise = self.population.residual.draw_noise(rng, trace, values["noise_sd"])
@@ -343,19 +348,16 @@ class Predictor:
         check_magnitude("the predicted force", force)
         if forecast.before is not None:
             source = f"{source}, {forecast.before.words}"
-        band = Band.of(trace.time, force, forecast, source, self.shown(values))
-        explain = partial(self._shares, trace, drawn)
-        return replace(band, explained=explain() if forecast.explained else {}, explain=explain)
-
-    def shown(self, values: Mapping[str, Array]) -> dict[str, Array]:
-        """Those of some quantities that a band tells: of the model and the noise, and the start."""
         own = {quantity.name for quantity in (*self.model.quantities, *self.noise.quantities)}
         own |= {"start", *self.population.design.names, *self.model.parameters}
-        return {name: value for name, value in values.items() if name in own}
+        shown = {name: value for name, value in values.items() if name in own}
+        band = Band.of(trace.time[part], force[:, part], forecast, source, shown)
+        explain = partial(self._shares, trace, drawn, part)
+        return replace(band, explained=explain() if forecast.explained else {}, explain=explain)
 
     def values(self, drawn: Drawn) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""
-        return {**self.population.values(drawn.parts.mean + drawn.parts.scatter), **drawn.unshared}
+        return {**self.population.values(drawn.mean + drawn.scatter), **drawn.unshared}
 
     def model_force(
         self, trace: Trace, values: Mapping[str, Array], scales: Mapping[str, Array]
@@ -381,45 +383,42 @@ class Predictor:
         return np.asarray(force + self.values(drawn)["offset"][:, None] + drawn.noise)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _shares(self, trace: Trace, drawn: Drawn) -> dict[str, float]:
+    def _shares(self, trace: Trace, drawn: Drawn, part: slice) -> dict[str, float]:
         """Share of each source in the mean variance: one varies, the others are at their means."""
-        few, parts, design = slice(SHARE_DRAWS), drawn.parts, self.population.design
+        few, design = slice(SHARE_DRAWS), self.population.design
 
         def mean(values: Array) -> Array:
             return np.broadcast_to(values.mean(axis=0), values[few].shape)
 
+        start, noise = drawn.unshared["start"][few], drawn.noise
         fixed = Drawn(
-            Parts(mean(parts.mean), np.zeros_like(parts.scatter[few])),
+            mean(drawn.mean),
+            np.zeros_like(drawn.scatter[few]),
             {name: np.full(v[few].shape, np.median(v)) for name, v in drawn.unshared.items()},
             {name: mean(v) for name, v in drawn.scales.items()},
             mean(drawn.knots),
-            None if drawn.noise is None else np.zeros_like(drawn.noise[few]),
+            None if noise is None else np.zeros_like(noise[few]),
         )
-        sources = [_source_of_scatter(design, name) for name in design.names]
-        follows = np.array([name in design.laws for name in design.names])
-        offset = np.array([name == "offset" for name in design.names])
-        variances = {}
-        for name in ADVICE:
-            if drawn.noise is None and name in OF_MEASUREMENTS:
-                continue
-            varied = fixed
-            if name == NOISE and drawn.noise is not None:
-                varied = replace(fixed, noise=drawn.noise[few])
-            elif name == DISCREPANCY:
-                varied = replace(fixed, knots=drawn.knots[few])
-            elif name == START:
-                start = {"start": drawn.unshared["start"][few]}
-                varied = replace(fixed, unshared={**fixed.unshared, **start})
-            elif name in (LAWS, PARAMETERS):
-                columns = follows if name == LAWS else ~(follows | offset)
-                moved = np.where(columns, parts.mean[few], fixed.parts.mean)
-                scales = {k: v[few] for k, v in drawn.scales.items()}
-                varied = replace(fixed, parts=replace(fixed.parts, mean=moved), scales=scales)
-            else:
-                columns = np.array([source == name for source in sources])
-                scatter = np.where(columns, parts.scatter[few], 0.0)
-                varied = replace(fixed, parts=replace(fixed.parts, scatter=scatter))
-            variances[name] = float(np.mean(np.var(self.total(trace, varied), axis=0)))
+        sources = np.array([_source_of_scatter(design, name) for name in design.names])
+        varied = {}
+        for source in ADVICE:
+            scattered = np.where(sources == source, drawn.scatter[few], 0.0)
+            varied[source] = replace(fixed, scatter=scattered)
+        follows = np.isin(design.names, [*design.laws])
+        for source, own in ((LAWS, follows), (PARAMETERS, ~follows & (sources != OFFSET))):
+            moved = np.where(own, drawn.mean[few], fixed.mean)
+            scales = {name: v[few] for name, v in drawn.scales.items()}
+            varied[source] = replace(fixed, mean=moved, scales=scales)
+        varied[START] = replace(fixed, unshared={**fixed.unshared, "start": start})
+        varied[DISCREPANCY] = replace(fixed, knots=drawn.knots[few])
+        if noise is None:
+            del varied[NOISE], varied[OFFSET]
+        else:
+            varied[NOISE] = replace(fixed, noise=noise[few])
+        variances = {
+            source: float(np.mean(np.var(self.total(trace, one)[:, part], axis=0)))
+            for source, one in varied.items()
+        }
         whole = sum(variances.values())
         return {k: v / whole for k, v in variances.items() if v > 1e-20} if whole > 1e-20 else {}
 
@@ -428,7 +427,6 @@ class Predictor:
 SCATTER, OTHERS = "test-to-test scatter of", "other quantities"
 OFFSET, LAWS, PARAMETERS = f"{SCATTER} the offset", "law, level and session effects", "parameters"
 START, DISCREPANCY, NOISE = "start in the gap", "discrepancy of the model", "noise"
-OF_MEASUREMENTS = (OFFSET, NOISE)  # which the force of the damper does not have
 
 _GROUPS = {
     "forward slip force": ("Fc_fwd", "static_excess_fwd", "Fy_fwd"),

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities
-from mfd_bayes.errors import FitError, PriorError
+from mfd_bayes.errors import FitError, PriorError, real_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.laws import (
     COMPARE,
@@ -34,7 +34,6 @@ from mfd_bayes.population.laws import (
     shape_prior,
     shapes_of,
 )
-from mfd_bayes.records.inputs import real_number
 from mfd_bayes.records.trace import Trace, check_trace
 
 Array = NDArray[np.float64]

@@ -4,8 +4,7 @@ Draws of the population are weighted by the likelihood of the known force. Where
 few draws would take over, the likelihood is taken in by growing powers of it, and after each the
 draws are resampled and moved (sequential Monte Carlo with adaptive tempering: Del Moral, Doucet and
 Jasra, 2006 and 2012). Islands of draws that are resampled apart show whether the moves mix. A test
-that runs, as in hybrid simulation, is stepped along with the model's own steps, so that an update
-costs the same however long the test has run.
+that runs, as in hybrid simulation, is a given part that grows.
 
 Such a test should stop when the next cycle tells little. Cycles of one motion are repeated
 measurements, so that their information adds up: where a quantity of the test had the variance v0
@@ -23,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,14 +30,12 @@ from scipy import linalg, special
 
 from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.priors import units
-from mfd_bayes.errors import FitError, RecordError
+from mfd_bayes.errors import FitError, RecordError, real_numbers
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import ZERO, Setting
 from mfd_bayes.population.joint_fit import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.law_scores import LARGEST_K
-from mfd_bayes.population.population import Particles
-from mfd_bayes.records.inputs import real_numbers
 from mfd_bayes.records.record import checked_window
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, check_trace
 
@@ -56,7 +53,6 @@ LOWEST = -1e15  # log likelihood of what cannot be
 QUIET = 0.25  # share of the slip force below which a device is taken to be in its gap
 SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
 ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
-AHEAD = 2  # samples at rest before the first of a test that is followed: a record has three
 EITHER_WAY = (0.25, 4.0)  # actuations over the planned one, for deviations from the laws
 NARROWING = 0.02  # share by which one more cycle must narrow a property's interval
 FEWEST_CYCLES = 2  # the first cycle may begin from rest or in the gap
@@ -97,38 +93,32 @@ class Conditioned:
         )
 
 
-class Sums(NamedTuple):
-    """Sums of standardised residuals over the S strokes: all that the likelihood needs.
+def stroke_likelihood(
+    residuals: Array, count: Array, strokes: Index, sd: Array, share: float
+) -> Array:
+    """Log likelihood of residuals (n, T), (n,).
 
-    `samples` (S,) are numbers of independent samples; `first` and `second` (n, S) are the sums of
-    the residuals and of their squares, each times the count of its sample.
+    The noise has standard deviations (n,) and a `share` that the samples of a stroke (T,) have in
+    common: a random intercept. Each sample counts for `count` (T,) independent ones.
     """
+    home = (strokes[:, None] == np.arange(strokes[-1] + 1)) * count[:, None]
+    samples, rest, level = home.sum(axis=0), 1.0 - share**2, share**2
+    first, second = residuals @ home / sd[:, None], residuals**2 @ home / sd[:, None] ** 2
+    factor = 1.0 + level * samples / rest
+    squares = second / rest - level / rest**2 * first**2 / factor
+    log = np.log(factor) + samples * np.log(rest)
+    return np.asarray(-0.5 * (squares + log).sum(axis=1) - samples.sum() * np.log(sd))
 
-    samples: Array
-    first: Array
-    second: Array
 
-    @classmethod
-    def of(cls, residuals: Array, count: Array, strokes: Index, size: int) -> Sums:
-        """Of residuals (n, T) with counts (T,) in strokes (T,) of `size` strokes."""
-        home = (strokes[:, None] == np.arange(size)) * count[:, None]
-        return cls(home.sum(axis=0), residuals @ home, residuals**2 @ home)
+class Particles(NamedTuple):
+    """New tests: which draws of the population (n,), and their standard normal numbers (n, m)."""
 
-    def plus(self, other: Sums) -> Sums:
-        """Of the samples of both; the other may have more strokes."""
-        more = other.samples.size - self.samples.size
-        mine = [np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)]) for a in self]
-        return Sums(*(a + b for a, b in zip(mine, other, strict=True)))
+    draw: Index
+    numbers: Array
 
-    def log_likelihood(self, sd: Array, share: float) -> Array:
-        """Log likelihood for noise of sd (n,) with a random intercept of each stroke, (n,)."""
-        rest, level = 1.0 - share**2, share**2
-        factor = 1.0 + level * self.samples / rest
-        first, second = self.first / sd[:, None], self.second / sd[:, None] ** 2
-        squares = second / rest - level / rest**2 * first**2 / factor
-        log = np.log(factor) + self.samples * np.log(rest)
-        total = -0.5 * (squares + log).sum(axis=1) - self.samples.sum() * np.log(sd)
-        return np.asarray(total)
+    def of(self, chosen: Index) -> Particles:
+        """Some of them."""
+        return Particles(self.draw[chosen], self.numbers[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,47 +135,42 @@ class PartialTest:
 
     def draw(self, n: int, rng: np.random.Generator) -> Particles:
         """Particles of which nothing is known."""
-        level = self.setting.actuation
-        return self.predictor.population.draw_tests(n, level, self.grid, rng)
+        population = self.predictor.population
+        index = population.draw_index(n, self.setting.actuation, rng)
+        size = n, population.count_numbers(self.grid.size)
+        return Particles(index, rng.standard_normal(size))
 
     def drawn(self, p: Particles, part: Trace, *, scatter: bool = True) -> Drawn:
         """Tests of the particles under a part of the motion."""
+        numbers, motion = self.predictor.population.numbers(p.numbers, self.grid.size), self.motion
         return self.predictor.drawn(
-            part, self.setting, p, self.grid, scatter=scatter, motion=self.motion
+            part, self.setting, p.draw, numbers, self.grid, scatter=scatter, motion=motion
         )
-
-    def sums(
-        self, trace: Trace, force: Array, values: dict[str, Array], counted: Mask, rows: Index
-    ) -> Sums:
-        """What the measured force says at samples `rows` (m,).
-
-        `force` (n, m) is the model's there, kip, of particles with these quantities (n,). Of all
-        counted samples (T,) the first one counts as an independent sample.
-        """
-        residual, strokes = self.predictor.population.residual, strokes_of(trace)
-        slip, functions = slip_force_of(self.predictor.model, values), residual.basis(trace)
-        # before a full stroke a device far below slip is as quiet as in its gap
-        shape = np.exp(functions @ residual.log_shape)
-        quiet = np.abs(np.asarray(trace.force)) < QUIET * np.median(slip)
-        unknown = ~np.any(functions, axis=1) & quiet
-        shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
-        discrepancy = np.outer(slip / residual.slip_force, functions[rows] @ residual.mean)
-        residuals = np.asarray(trace.force)[rows] - force - discrepancy - values["offset"][:, None]
-        residuals = residuals / shape[rows]
-        residuals = np.where(np.isfinite(residuals), residuals, 1e6)
-        count = np.where(counted, residual.counts(trace), 0.0)
-        count[np.argmax(counted)] = 1.0
-        return Sums.of(residuals, count[rows], strokes[rows], int(strokes[-1]) + 1)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
-        """Log likelihood of the counted samples, (n,)."""
-        drawn, rows = self.drawn(p, part), np.flatnonzero(counted)
-        values = self.predictor.values(drawn)
-        share = self.predictor.population.residual.stroke_share
+        """Log likelihood of the counted samples, (n,).
+
+        Of all counted samples (T,) the first one counts as an independent sample.
+        """
+        residual, model = self.predictor.population.residual, self.predictor.model
+        drawn, rows, strokes = self.drawn(p, part), np.flatnonzero(counted), strokes_of(part)
+        values, functions = self.predictor.values(drawn), residual.basis(part)
+        slip, measured = slip_force_of(model, values), np.asarray(part.force)
         force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
-        sums = self.sums(part, force, values, counted, rows)
-        log = sums.log_likelihood(values["noise_sd"], share)
+        # before a full stroke a device far below slip is as quiet as in its gap
+        shape = np.exp(functions @ residual.log_shape)
+        quiet = np.abs(measured) < QUIET * np.median(slip)
+        unknown = ~np.any(functions, axis=1) & quiet
+        shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
+        discrepancy = np.outer(slip / residual.slip_force, functions[rows] @ residual.mean)
+        residuals = measured[rows] - force - discrepancy - values["offset"][:, None]
+        residuals = residuals / shape[rows]
+        residuals = np.where(np.isfinite(residuals), residuals, 1e6)
+        count = np.where(counted, residual.counts(part), 0.0)
+        count[rows[0]] = 1.0
+        noise = values["noise_sd"], residual.stroke_share
+        log = stroke_likelihood(residuals, count[rows], strokes[rows], *noise)
         return np.maximum(np.nan_to_num(log, nan=LOWEST), LOWEST)
 
     def condition(
@@ -224,7 +209,7 @@ class PartialTest:
     def _gaussian(self, p: Particles, log_weights: Array) -> tuple[Index, Array, Array]:
         """Columns of the numbers that matter, their weighted mean and root of covariance."""
         active = self.predictor.population.active(self.setting, self.grid)
-        weights, own = np.exp(log_weights - log_weights.max()), p.numbers.flat[:, active]
+        weights, own = np.exp(log_weights - log_weights.max()), p.numbers[:, active]
         spread = np.atleast_2d(np.cov(own.T, aweights=weights)) + 1e-9 * np.eye(active.size)
         root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
         return active, np.average(own, axis=0, weights=weights), root
@@ -246,12 +231,12 @@ class PartialTest:
         particles take another draw of the population.
         """
         active, mean, root = gaussian
-        n, old, flat = len(log), p.numbers.flat, p.numbers.flat.copy()
+        n, old, flat = len(log), p.numbers, p.numbers.copy()
         walk = rng.standard_normal((n, active.size)) @ root.T
         flat[:, active] = mean + np.sqrt(1.0 - beta**2) * (old[:, active] - mean) + beta * walk
         other = self.predictor.population.draw_index(n, self.setting.actuation, rng)
         index = np.where(rng.random(n) < 0.5, other, p.draw)
-        proposed = Particles(index, replace(p.numbers, flat=flat))
+        proposed = Particles(index, flat)
         new = self.log_likelihood(proposed, part, counted)
 
         def over_gaussian(numbers: Array) -> Array:
@@ -261,7 +246,7 @@ class PartialTest:
 
         ratio = power * (new - log) + over_gaussian(flat) - over_gaussian(old)
         accepted = np.log(rng.random(n)) < ratio
-        numbers = replace(p.numbers, flat=np.where(accepted[:, None], flat, old))
+        numbers = np.where(accepted[:, None], flat, old)
         beta = float(np.clip(beta * np.exp(accepted.mean() - ACCEPT), 0.05, 1.0))
         kept = Particles(np.where(accepted, index, p.draw), numbers)
         return kept, np.where(accepted, new, log), beta
@@ -337,9 +322,9 @@ def usual_step(residual: Residual, setting: Setting) -> float:
     return float(np.clip(usual, 0.25 * own, 4.0 * own))
 
 
-def block_size(own: float, step: float) -> int:
-    """Samples `own` s apart that are averaged, so that means are at most about `step` s apart."""
-    return max(1, int(step / own + 0.25))
+def block_size(time: Array, step: float) -> int:
+    """Samples that are averaged, so that their means are at most about `step` s apart."""
+    return max(1, int(step / float(np.median(np.diff(time))) + 0.25))
 
 
 # --- a window -------------------------------------------------------------------------------------
@@ -354,13 +339,26 @@ def predict_given(
     part, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)
-    p, log_weights, conditioned = test.condition(part, counted, max(PARTICLES, n), rng)
-    conditioned = replace(conditioned, window=checked_window(window, "given", FitError))
-    drawn = test.drawn(p.of(systematic(log_weights, n, rng)), trace)
-    drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
-    source = f"population laws with scatter, and {conditioned.sentence}"
-    band = predictor.finish(trace, forecast, drawn, rng, source)
-    return replace(band, given=conditioned, remarks=(*band.remarks, *conditioned.remarks))
+    p, log_weights, given = test.condition(part, counted, max(PARTICLES, n), rng)
+    given = replace(given, window=checked_window(window, "given", FitError))
+    return given_band(test, p.of(systematic(log_weights, n, rng)), trace, forecast, given, rng)
+
+
+def given_band(
+    test: PartialTest,
+    p: Particles,
+    trace: Trace,
+    forecast: Forecast,
+    given: Conditioned,
+    rng: np.random.Generator,
+    samples: int = 0,
+) -> Band:
+    """Band of particles that took a part in: of all samples of a motion, or of so many last."""
+    knots = test.predictor.population.residual.draw_knots(rng, len(p.draw))
+    drawn = replace(test.drawn(p, trace), knots=knots)
+    source = f"population laws with scatter, and {given.sentence}"
+    band = test.predictor.finish(trace, forecast, drawn, rng, source, slice(-samples, None))
+    return replace(band, given=given, remarks=(*band.remarks, *given.remarks))
 
 
 def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[Trace, Mask]:
@@ -379,7 +377,7 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
             f"{last:g} s"
         )
     inside = np.flatnonzero((trace.time >= begin) & (trace.time <= end))
-    size = block_size(float(np.median(np.diff(trace.time))), step)
+    size = block_size(trace.time, step)
     if inside.size < SAMPLES * size:
         raise FitError(
             f"the given part {words} holds {inside.size} samples, too few: at least "
@@ -431,25 +429,24 @@ class Forecaster:
     ) -> None:
         check_kind(forecast)
         check_flag("refresh", refresh)
-        model, population = predictor.model, predictor.population
-        if not (hasattr(model, "step") and hasattr(model, "start")):
-            raise FitError(f"the model {model.name} has no steps, which following a test needs")
+        population, self._level = predictor.population, setting.actuation
         self.complete = lambda band, motion: band
         self._predictor, self._forecast, self._may_refresh = predictor, forecast, refresh
-        self._model: Any = model
-        self._residual, self._level = population.residual, setting.actuation
+        self._residual, self._model = population.residual, predictor.model
         tested = [one.actuation for one in population.design.settings]
         self._zero = ZERO * max(tested)
         reached = [self._level * way for way in EITHER_WAY] + [p for p in tested if p > 0.0]
         self._test = PartialTest(predictor, setting, population.grid(self._level, reached))
         self._rng = np.random.default_rng(forecast.seed)
         self._step = usual_step(self._residual, setting)
-        self._play = HYSTERESIS * setting.covariates["amplitude"]
-        self._waiting, self._rows = np.empty((4, 0)), np.empty((4, 0))
-        self._first, self._last, self._resting, self._size = np.nan, np.nan, 0, 0
+        self._hysteresis = HYSTERESIS * setting.covariates["amplitude"]
+        # time, displacement, actuation and force: measured, and means of complete blocks
+        self._waiting, self._rows, self._size = np.empty((4, 0)), np.empty((4, 0)), 0
+        self._first, self._last = np.nan, np.nan
         psis(0.01 * np.arange(100.0))  # loads its library now, not while the test runs
-        self._new_tests = self._test.draw(forecast.draws, self._rng)
-        self._begin(self._new_tests)
+        self._new_tests = self._particles = self._test.draw(forecast.draws, self._rng)
+        self._log_prior = np.zeros(forecast.draws)
+        self._weighted: tuple[Array, float] | None = None  # of the samples so far
         self._conditioned: Conditioned | None = None
 
     @property
@@ -505,40 +502,13 @@ class Forecaster:
         self._last = float(rows[0, -1])
         self._waiting = np.concatenate([self._waiting, rows], axis=1)
         if not self._size and self._waiting.shape[1] > 1:
-            self._size = block_size(float(np.median(np.diff(self._waiting[0]))), self._step)
+            self._size = block_size(self._waiting[0], self._step)
         blocks = self._waiting.shape[1] // self._size if self._size else 0
         if blocks:
             used = blocks * self._size
             means = self._waiting[:, :used].reshape(4, blocks, self._size).mean(axis=2)
             self._waiting = self._waiting[:, used:]
-            self._add(means)
-
-    def _add(self, means: Array) -> None:
-        """Take in means (4, m); those at rest are one, with their mean force."""
-        if not self._rows.size:
-            self._rows = np.repeat(means[:, :1], AHEAD, axis=1)
-            self._rows[0] += self._step * np.arange(-AHEAD, 0)
-        means[1] = self._without_play(means[1])
-        moving = self._state is not None
-        rest = 0 if moving else int(np.argmax([*(means[1] != self._rows[1, -1]), True]))
-        if rest:
-            before = self._rows[3, AHEAD] if self._resting else 0.0
-            mean = means[:, rest - 1].copy()
-            mean[3] = (self._resting * before + means[3, :rest].sum()) / (self._resting + rest)
-            self._resting += rest
-            self._rows = np.concatenate([self._rows[:, :AHEAD], mean[:, None]], axis=1)
-        begin = self._rows.shape[1]
-        self._rows = np.concatenate([self._rows, means[:, rest:]], axis=1)
-        if self._rows.shape[1] > begin:
-            self._advance(begin if moving else AHEAD)
-
-    def _without_play(self, displacement: Array) -> Array:
-        """Displacement that follows the measured one as through a small play, (m,), in."""
-        here, found = float(self._rows[1, -1]), np.empty(displacement.size)
-        for i, x in enumerate(displacement.tolist()):
-            here = min(max(here, x - self._play), x + self._play)
-            found[i] = here
-        return found
+            self._rows, self._weighted = np.concatenate([self._rows, means], axis=1), None
 
     def _check_actuation(self, actuation: ArrayLike) -> None:
         """Refuse an actuation where the laws say nothing of it."""
@@ -549,78 +519,44 @@ class Forecaster:
                 "actuation of the test"
             )
 
-    def _begin(self, p: Particles) -> None:
-        """Particles before the first sample, of even weights."""
-        self._particles, self._log_prior = p, np.zeros(len(p.draw))
-        self._values = self._values_of(p)
-        self._state: Any = None
-        none = np.empty((len(p.draw), 0))
-        self._sums = Sums(none[0], none, none)
+    def _trace(self, rows: Array) -> Trace:
+        """Trace of time, displacement, actuation and force, (4, T)."""
+        time, displacement, actuation, force = rows
+        level = actuation if self._level > 0 and np.any(actuation != self._level) else self._level
+        return Trace.from_arrays(time, displacement, level, force, hysteresis=self._hysteresis)
 
     def _values_of(self, p: Particles, *, scatter: bool = True) -> dict[str, Array]:
         """Quantities of particles by name, (n,) each."""
         still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
         return self._predictor.values(self._test.drawn(p, still, scatter=scatter))
 
-    def _advance(self, begin: int) -> None:
-        """Step the particles along the means from `begin` on, and add up what their force says."""
-        trace = _trace(self._rows)
-        rows, counted = np.arange(begin, trace.samples), np.arange(trace.samples) >= AHEAD
-        force, self._state = self._stepped(trace, rows, self._state)
-        self._sums = self._sums.plus(self._test.sums(trace, force, self._values, counted, rows))
-
-    def _stepped(self, trace: Trace, rows: Index, state: Any) -> tuple[Array, Any]:
-        """Forces at samples of a trace (n, m), kip, and the state after them."""
-        model, index = self._model, self._particles.draw
-        if state is None:
-            state = model.start(
-                model.theta(self._values),
-                self._values["start"],
-                direction=trace.path.direction,
-                reference_actuation=self._level or None,
-            )
-        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)[rows]
-        scales = {}
-        if np.any(np.abs(actuation - self._level) > 1e-9 * self._level) and self._level > 0:
-            population, grid = self._predictor.population, self._test.grid
-            session, numbers = self._test.setting.session, self._particles.numbers
-            effects = population.level_effects(index, session, grid, numbers.level)
-            scales = population.scales(model, actuation, index, self._level, (grid, effects))
-        before = np.diff(trace.time, prepend=trace.time[0])
-        force = np.empty((len(index), rows.size))
-        for i, at in enumerate(rows.tolist()):
-            sample = (float(a[at]) for a in (trace.displacement, trace.velocity, before))
-            given = {name: factors[:, i] for name, factors in scales.items()} or None
-            force[:, i], state = model.step(state, *sample, scales=given)
-        return force, state
-
-    def _weights(self) -> tuple[Array, float]:
-        """Smoothed log weights of the particles, (n,), and Pareto k."""
-        return smoothed(self._log_prior + self._log_likelihood())
-
-    def _trusted_weights(self) -> tuple[Array, float]:
-        """The same, after `refresh` where they cannot be trusted and it is allowed."""
-        log_weights, k = self._weights()
-        if k > LARGEST_K and self._may_refresh:
-            self.refresh()
-            log_weights, k = self._weights()
-        return log_weights, k
-
     def _log_likelihood(self) -> Array:
-        """Log likelihood of the force so far, (n,)."""
-        return self._sums.log_likelihood(self._values["noise_sd"], self._residual.stroke_share)
+        """Log likelihood of the force so far, (n,); 0 before there is a trace of it."""
+        if self._rows.shape[1] < SAMPLES:
+            return np.zeros(len(self._particles.draw))
+        every = np.ones(self._rows.shape[1], dtype=bool)
+        return self._test.log_likelihood(self._particles, self._trace(self._rows), every)
+
+    def _weights(self, *, trusted: bool = False) -> tuple[Array, float]:
+        """Smoothed log weights of the particles, (n,), and Pareto k.
+
+        Where they are to be trusted, but cannot be, and it is allowed, `refresh` comes first.
+        """
+        if self._weighted is None:
+            self._weighted = smoothed(self._log_prior + self._log_likelihood())
+        if trusted and self._may_refresh and self._weighted[1] > LARGEST_K:
+            self.refresh()
+            return self._weights()
+        return self._weighted
 
     def refresh(self) -> None:
-        """Take in all samples so far anew, in some seconds; nothing before the first motion."""
-        if self._state is None:
+        """Take in all samples so far anew, in some seconds; before three means, do nothing."""
+        if self._rows.shape[1] < SAMPLES:
             return
-        trace, n = _trace(self._rows), self._forecast.draws
-        counted = np.arange(trace.samples) >= AHEAD
-        p, weights, self._conditioned = self._test.condition(
-            trace, counted, max(n, 1000), self._rng
-        )
-        self._begin(p.of(systematic(weights, n, self._rng)))
-        self._advance(AHEAD)
+        trace, n = self._trace(self._rows), self._forecast.draws
+        every = np.ones(trace.samples, dtype=bool)
+        p, weights, self._conditioned = self._test.condition(trace, every, max(n, 1000), self._rng)
+        self._particles, self._weighted = p.of(systematic(weights, n, self._rng)), None
         self._log_prior = -self._log_likelihood()
 
     @property
@@ -630,11 +566,11 @@ class Forecaster:
         Then the force is not that of such a test of this device, and neither estimates nor bands
         are reliable. A priori the deviations are standard normal.
         """
-        weights = np.exp(self._weights()[0])
-        (noise,) = quantiles(self._values["noise_sd"], weights, (0.5,))
+        weights, values = np.exp(self._weights()[0]), self._values_of(self._particles)
+        (noise,) = quantiles(values["noise_sd"], weights, (0.5,))
         most = np.quantile(self._values_of(self._new_tests)["noise_sd"], 0.99)
         active = self._predictor.population.active(self._test.setting, self._test.grid)
-        squares = np.sum(self._particles.numbers.flat[:, active] ** 2, axis=1)
+        squares = np.sum(self._particles.numbers[:, active] ** 2, axis=1)
         (away,) = quantiles(squares, weights, (0.5,))
         return bool(noise > most or away > special.chdtri(active.size, 0.01))
 
@@ -659,27 +595,21 @@ class Forecaster:
         what one more cycle is expected to tell; `stopping.is_enough` says when to stop. Where the
         weights cannot be trusted, `refresh` comes first.
         """
-        log_weights, _ = self._trusted_weights()
-        weights = np.exp(log_weights - log_weights.max())
-        return self._stopping.estimates(self._properties(), weights, cycles)
-
-    def _properties(self) -> dict[str, Array]:
-        """Draws of the properties of this test, (n,) each.
-
-        The force tells the sum of slip force and discrepancy: what is not known of the discrepancy,
-        which all tests of the device share, is not known of the slip force, however long the test.
-        """
-        draws, residual = properties(self._model, self._values), self._residual
-        slip = slip_force_of(self._model, self._values)
-        trace = _trace(self._rows)
-        force, functions = np.asarray(trace.force), residual.basis(trace)
+        log_weights, _ = self._weights(trusted=True)
+        values, residual = self._values_of(self._particles), self._residual
+        draws, slip = properties(self._model, values), slip_force_of(self._model, values)
+        # the force tells the sum of slip force and discrepancy: what is not known of the
+        # discrepancy, which all tests of the device share, is not known of the slip force either
         knots = residual.draw_knots(self._rng, len(slip)) - residual.mean
-        for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
-            sliding = side * force > 0.5 * np.median(slip)
-            if sliding.any():
-                off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
-                draws[name] = draws[name] - side * off
-        return draws
+        if self._rows.shape[1] >= SAMPLES:
+            force, functions = self._rows[3], residual.basis(self._trace(self._rows))
+            for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
+                sliding = side * force > 0.5 * np.median(slip)
+                if sliding.any():
+                    off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
+                    draws[name] = draws[name] - side * off
+        weights = np.exp(log_weights - log_weights.max())
+        return self._stopping.estimates(draws, weights, cycles)
 
     def band(self, trace: Trace) -> Band:
         """Band of the force in the motion that follows, given all samples so far.
@@ -701,10 +631,10 @@ class Forecaster:
             When a test that was planned without actuation shall have one.
         """
         check_trace("trace", trace, FitError)
-        if not self._rows.size:
+        if self._rows.shape[1] < SAMPLES:
             raise FitError(
                 f"a band needs some samples: a forecaster averages them over {self._step:.3g} s, "
-                "and no such mean is complete"
+                f"and fewer than {SAMPLES} such means are complete"
             )
         if not trace.time[0] > self._last:
             raise FitError(
@@ -712,44 +642,19 @@ class Forecaster:
                 f"{trace.time[0]:g} s"
             )
         self._check_actuation(np.nan_to_num(np.asarray(trace.actuation)))
-        log_weights, k = self._trusted_weights()
-        forecast, residual, rng = self._forecast, self._residual, self._rng
-        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
-        planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
-        future = np.stack([trace.time, trace.displacement, planned, np.zeros(trace.samples)])
-        rows = np.concatenate([self._waiting, future], axis=1)
-        rows[1] = self._without_play(rows[1])
-        joined = _trace(np.concatenate([self._rows, rows], axis=1))
-        first = self._rows.shape[1] if self._state is not None else AHEAD
-        force, _ = self._stepped(joined, np.arange(first, joined.samples), self._state)
-        chosen = systematic(log_weights, forecast.draws, rng)
-        values = {name: value[chosen] for name, value in self._values.items()}
-        slip, last = slip_force_of(self._model, values), slice(-trace.samples, None)
-        knots = residual.draw_knots(rng, len(chosen))
-        force = force[chosen, last] + residual.discrepancy(joined, slip, knots)[:, last]
-        if forecast.kind == "observation":
-            noise = residual.draw_noise(rng, joined, values["noise_sd"])
-            force = force + values["offset"][:, None] + noise[:, last]
+        log_weights, k = self._weights(trusted=True)
+        window, samples = (self._first, self._last), self._rows.shape[1]
         effective = float(effective_draws(log_weights[:, None])[0])
-        window, samples = (self._first, self._last), self._rows.shape[1] - AHEAD
         given = Conditioned(window, samples, k, "weights", effective)
         if (past := self._conditioned) is not None:
             given = replace(given, method="sampling", stages=past.stages)
-        source = f"population laws with scatter, and {given.sentence}"
-        shown = self._predictor.shown(values)
-        band = Band.of(joined.time[last], force, forecast, source, shown)
-        return self.complete(replace(band, given=given, remarks=given.remarks), joined)
-
-
-def _trace(rows: Array) -> Trace:
-    """Trace of time, displacement, actuation and force, (4, T)."""
-    time, displacement, actuation, force = rows
-    level = actuation if np.ptp(actuation) > 0 else float(actuation[0])
-    # backward difference of second order: samples that are still to come do not change it
-    step = np.diff(time, prepend=time[0] - 1.0)
-    speed = np.diff(displacement, prepend=displacement[0]) / step
-    speed[1:] += np.diff(speed) * step[1:] / (step[1:] + step[:-1])
-    return Trace.from_arrays(time, displacement, level, force, speed, hysteresis=0.0)
+        actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
+        planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
+        future = np.stack([trace.time, trace.displacement, planned, np.zeros(trace.samples)])
+        joined = self._trace(np.concatenate([self._rows, self._waiting, future], axis=1))
+        p = self._particles.of(systematic(log_weights, self._forecast.draws, self._rng))
+        band = given_band(self._test, p, joined, self._forecast, given, self._rng, trace.samples)
+        return self.complete(band, joined)
 
 
 def _checked_rows(**columns: ArrayLike) -> Array:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -206,74 +206,27 @@ def place_left(
 # --- population -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Numbers:
-    """Standard normal numbers (n, m) of n tests: d quantities, M level effects, G actuations.
+class Numbers(NamedTuple):
+    """Standard normal numbers of n tests: of d quantities, M level effects, G actuations."""
 
-    `several` devices have numbers of a new one.
-    """
-
-    flat: Array
-    quantities: int
-    leveled: int
-    grid: int
-    several: bool = False
-
-    def _block(self, number: int) -> Array:
-        return self.flat[:, number * self.quantities : (number + 1) * self.quantities]
-
-    @property
-    def scatter(self) -> Array:
-        """From test to test, (n, d)."""
-        return self._block(0)
-
-    @property
-    def extrapolation(self) -> Array:
-        """Of a motion outside the tests, (n, d)."""
-        return self._block(1)
-
-    @property
-    def session(self) -> Array:
-        """Of a new session, (n, d)."""
-        return self._block(2)
-
-    @property
-    def device(self) -> Array:
-        """Of a new device, (n, d); only where several devices were tested."""
-        return self._block(3)
-
-    @property
-    def level(self) -> Array:
-        """Of level effects, (n, M, G)."""
-        level = self.flat[:, (3 + self.several) * self.quantities : -2]
-        return level.reshape(len(level), self.leveled, self.grid)
-
-    @property
-    def start(self) -> Array:
-        """Of the place in the gap, (n, 2)."""
-        return self.flat[:, -2:]
+    level: Array  # (n, M, G): of level effects
+    start: Array  # (n, 2): of the place in the gap
+    scatter: Array  # (n, d): from test to test
+    extrapolation: Array  # (n, d): of a motion outside the tests
+    session: Array  # (n, d): of a new session
+    device: Array | None = None  # (n, d): of a new device, where several devices were tested
 
 
-class Particles(NamedTuple):
-    """New tests: which draws of the population (n,), and their standard normal numbers."""
+class LevelEffects(NamedTuple):
+    """Deviations from the laws at actuations (G,): logarithms, (n, G) each, by quantity."""
 
-    draw: Index
-    numbers: Numbers
+    actuation: Array
+    log: Mapping[str, Array]
 
-    def of(self, chosen: Index) -> Particles:
-        """Some of them."""
-        return Particles(self.draw[chosen], replace(self.numbers, flat=self.numbers.flat[chosen]))
-
-
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """What coordinates of tests are made of, in prior units, (n, d) each.
-
-    `mean`: levels, laws, covariates and effects; `scatter`: from test to test.
-    """
-
-    mean: Array
-    scatter: Array
+    def at(self, level: float) -> dict[str, Array]:
+        """Those at one of the actuations, (n,) each."""
+        column = int(np.argmin(np.abs(self.actuation - level)))
+        return {name: values[:, column] for name, values in self.log.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -452,21 +405,26 @@ class Population:
             for k, own in zip(effect.members, design.columns(e), strict=True)
         ]
 
+    def count_numbers(self, grid: int) -> int:
+        """How many numbers a test has with a grid of so many actuations."""
+        quantities = (3 + self.several_devices) * len(self.design.names)
+        return quantities + len(self._leveled) * grid + 2
+
+    def numbers(self, flat: Array, grid: int) -> Numbers:
+        """What rows (n, m) of numbers stand for."""
+        blocks = 3 + self.several_devices
+        ends = blocks * len(self.design.names)
+        level = flat[:, ends:-2].reshape(len(flat), len(self._leveled), grid)
+        return Numbers(level, flat[:, -2:], *np.split(flat[:, :ends], blocks, axis=1))
+
     def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
         """Numbers of n tests with a grid of so many actuations."""
-        d, leveled, several = len(self.design.names), len(self._leveled), self.several_devices
-        size = (3 + several) * d + leveled * grid + 2
-        return Numbers(rng.standard_normal((n, size)), d, leveled, grid, several)
+        return self.numbers(rng.standard_normal((n, self.count_numbers(grid))), grid)
 
     @property
     def several_devices(self) -> bool:
         """Whether the tests tell how devices differ."""
         return len(self.design.devices) > 1
-
-    def draw_tests(self, n: int, level: float, grid: Array, rng: np.random.Generator) -> Particles:
-        """New tests at a level, with deviations on a grid of actuations (G,)."""
-        index = self.draw_index(n, level, rng)
-        return Particles(index, self.draw_numbers(n, grid.size, rng))
 
     def active(self, setting: Setting, grid: Array) -> Index:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
@@ -481,8 +439,8 @@ class Population:
 
     def level_effects(
         self, index: Index, session: str, actuations: ArrayLike, numbers: Array
-    ) -> dict[str, Array]:
-        """Deviations from the laws at actuations (G,): logarithms, (n, G) each, by quantity.
+    ) -> LevelEffects:
+        """Deviations from the laws at actuations (G,), by draws of the population (n,).
 
         Tested levels have those of the tests; others are drawn together, given these, by numbers
         (n, M, G).
@@ -495,27 +453,27 @@ class Population:
             omega = np.exp(self._all.h[index, e])
             drawn = omega[:, None] * (numbers[:, m] @ root.T)
             found[self.design.names[k]] = self._all.z[np.ix_(index, own)] @ weights.T + drawn
-        return found
+        return LevelEffects(np.atleast_1d(actuations), found)
 
     def parts(
         self,
         setting: Setting,
         index: Index,
         numbers: Numbers,
-        effects: Mapping[str, Array],
+        effects: LevelEffects,
         *,
         scatter: bool = True,
-    ) -> Parts:
-        """What tests under a setting are made of, by draws of the population (n,).
+    ) -> tuple[Array, Array]:
+        """Coordinates of tests under a setting by draws of the population, (n, d) in prior units.
 
-        `effects` are level effects (n,) at the setting's actuation. Without `scatter` from test to
-        test, and what is unknown of a new session or device, this is the mean property.
+        They are the sum of two parts: levels, laws, covariates and effects; and scatter from test
+        to test with what is unknown of a new session or device, 0 for the mean property.
         """
         design, draws, at = self.design, self._all, np.array([setting.actuation])
         row = design.row(setting, level_effects=False)[None]
         mean = design.offsets(draws.share[index], draws.exponent[index], at)[:, 0]
         mean += design.linear(draws.z[index], row)[:, 0]
-        for name, value in effects.items():
+        for name, value in effects.at(setting.actuation).items():
             k = design.names.index(name)
             mean[:, k] += value / design.spread[k]
         mean += self._extrapolation_sd(setting) * numbers.extrapolation
@@ -526,10 +484,10 @@ class Population:
             for e, effect in enumerate(design.effects, free.size):
                 if effect.name == "level" or design.home(effect.name, setting) in effect.homes:
                     continue
-                own = numbers.session if effect.name == "session" else numbers.device
+                own = getattr(numbers, effect.name)
                 for k in effect.members:
                     scattered[:, k] += sd[:, e] / design.spread[k] * own[:, k]
-        return Parts(mean, scattered)
+        return mean, scattered
 
     def _extrapolation_sd(self, setting: Setting) -> Array:
         """Sd of what a setting outside those of the tests may change, in prior units, (d,).
@@ -591,24 +549,22 @@ class Population:
         actuation: Array,
         index: Index,
         level: float,
-        deviations: tuple[Array, Mapping[str, Array]],
+        effects: LevelEffects,
     ) -> dict[str, Array]:
         """Factors along a history of actuation (T,) of what follows it, over a level, (n, T) each.
 
-        `deviations` are actuations (G,), increasing, the level among them, and level effects there.
+        The level is among the actuations of the effects, which increase.
         """
-        grid, effects = deviations
-        found = {}
+        found, grid, here = {}, effects.actuation, effects.at(level)
+        along_grid = np.log(np.maximum(grid, 1e-300))
+        place = np.clip(np.log(np.maximum(actuation, 1e-300)), along_grid[0], along_grid[-1])
+        lines = np.array([np.interp(place, along_grid, unit) for unit in np.eye(grid.size)])
         for name in self.design.laws:
             over = self.ratio(name, [level], index)
             along = self.ratio(name, actuation, index) / np.where(over > 0.0, over, 1.0)
             along = np.where(over > 0.0, along, 1.0)  # without any actuation it stays at its level
-            if name in effects and grid.size > 1:
-                log = np.log(np.maximum(grid, 1e-300))
-                here = np.clip(np.log(np.maximum(actuation, 1e-300)), log[0], log[-1])
-                at = int(np.argmin(np.abs(grid - level)))
-                lines = np.array([np.interp(here, log, unit) for unit in np.eye(grid.size)])
-                along = along * np.exp((effects[name] - effects[name][:, [at]]) @ lines)
+            if name in here and grid.size > 1:
+                along = along * np.exp((effects.log[name] - here[name][:, None]) @ lines)
             found[name] = along
         return found | {n: found[o] for n, o in model.tied_laws.items() if o in found}
 

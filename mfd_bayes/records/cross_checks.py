@@ -95,11 +95,6 @@ class Tested:
         """Slip force, kip; NaN where it cannot be read."""
         return self.features.plateau if self.features else float("nan")
 
-    @property
-    def speed(self) -> float:
-        """Speed that is exceeded in a tenth of the samples, in/s."""
-        return float(np.quantile(np.abs(self.trace.velocity), 0.9))
-
 
 def compare_tests(tests: Sequence[Tested]) -> list[tuple[str, Fault]]:
     """Faults by test: duplicates, then clocks, signs, units, actuations and other devices."""
@@ -365,10 +360,7 @@ def _cause(
 
 
 def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
-    """A wrong actuation, with the unit or the power of ten that would make it right.
-
-    `away` is the logarithm of how much it is too large.
-    """
+    """A wrong actuation, with the unit or the power of ten that would make it right."""
     number, _, unit = test.actuation.strip().partition(" ")
     for other in dict.fromkeys(t.actuation.strip().partition(" ")[2] for t in others):
         if other and unit and other != unit:

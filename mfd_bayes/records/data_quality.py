@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.loops import (
     FEWEST,
+    UNITS,
     Loops,
     channels_swapped,
     find_loops,
@@ -177,6 +178,11 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
             "of the displacement is swapped; write sign = -1 for one of them in [columns]",
             work=(float(np.median(energy)), "kip·in"),
         )
+
+
+def runs_backward(trace: Trace) -> bool:
+    """Whether the loops have negative work because the sign of one channel is swapped."""
+    return any(fault.name == "force sign" for fault in force_sign(without_spikes(trace)))
 
 
 def velocity(trace: Trace) -> Iterator[Fault]:
@@ -574,10 +580,6 @@ _LENGTH = re.compile(rf"{_ALONE}(in|inch|mm)(?![a-z])", re.IGNORECASE)
 _ACTUATION = re.compile(
     rf"{_ALONE}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
 )
-_HALF = re.compile(r"(?<![a-z])amp(?:l|litude)?(?![a-z])", re.IGNORECASE)
-_FULL = re.compile(
-    r"(?<![a-z])(?:stroke|pp|p2p|pk-?pk|peak[ _-]?to[ _-]?peak)(?![a-z])", re.IGNORECASE
-)
 _SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
 
 
@@ -587,9 +589,8 @@ def contradictions(
     """Gaps in time, and units in columns' names or figures in a file's that its record has not.
 
     Words are numbers with a unit, as ``36lb_0.25Hz_1.0in``. A length is the amplitude or the whole
-    stroke, whichever agrees, unless the name has a word for one of them (``amp``, ``stroke``,
-    ``pp``); a rate may also be that of the samples. Of several it is enough that one agrees. Only
-    roles whose unit is known, `roles`, are compared.
+    stroke, whichever agrees; a rate may also be that of the samples. Of several it is enough that
+    one agrees. Only roles whose unit is known, `roles`, are compared.
     """
     trace = record.trace() if trace is None else trace
     faults = [Fault.of("rows not used", "{rows}", rows=doubt) for doubt in record.doubts]
@@ -644,29 +645,18 @@ def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
 
 
 def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
-    """Amplitude, frequency and actuation that none of the figures in the file's name agrees with.
-
-    Of an actuation, only figures of the same kind, pressure or tension, are compared.
-    """
+    """Amplitude, frequency and actuation that no figure in the file's name agrees with."""
     name, loops = record.path.stem, find_loops(trace)
-
-    def compare(
-        figures: dict[str, float], measured: list[float], text: str, **values: str | Value
-    ) -> Iterator[Fault]:
-        if figures and not any(_near(size, f) for f in figures.values() for size in measured):
-            said = f"the name of {{file}} says {{words}}, but {text}"
-            words = " and ".join(figures)
-            yield Fault.of("file name", said, file=record.path.name, words=words, **values)
-
+    compared: list[tuple[dict[str, float], tuple[float, ...], str, dict[str, str | Value]]] = []
     if loops.period.size and "displacement" in roles:
         size = float(np.median(loops.amplitude[loops.strong]))
         text = "the record has an amplitude of {amplitude} (a stroke of {stroke})"
-        shown = {"amplitude": (size, "in"), "stroke": (2 * size, "in")}
-        yield from compare(_lengths(name), _sizes(name, size), text, **shown)
+        shown: dict[str, str | Value] = {"amplitude": (size, "in"), "stroke": (2 * size, "in")}
+        compared.append((_lengths(name), (size, 2 * size), text, shown))
     if loops.period.size and "time" in roles:
         rate = float(1.0 / np.median(loops.period[loops.strong]))
         rates = {m[0]: number_in(m[1]) for m in _FREQUENCY.finditer(name)}
-        yield from compare(rates, [rate, record.rate], f"the record's motion has {rate:.3g} Hz")
+        compared.append((rates, (rate, record.rate), f"the record's motion has {rate:.3g} Hz", {}))
     if record.actuation is not None:
         declared, level = {}, float(np.mean(record.actuation))
         for match in _ACTUATION.finditer(name):
@@ -680,36 +670,35 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
             unit = record.columns["actuation"][1]
             where, words = "its column", f"{level / actuation_factor(unit)[0]:.4g} {unit}"
         text = f"{where} has an actuation of {{level}}"
-        yield from compare(declared, [level], text, level=words)
+        compared.append((declared, (level,), text, {"level": words}))
+    for figures, measured, text, values in compared:
+        if figures and not any(_near(size, f) for f in figures.values() for size in measured):
+            said = f"the name of {{file}} says {{words}}, but {text}"
+            words = " and ".join(figures)
+            yield Fault.of("file name", said, file=record.path.name, words=words, **values)
 
 
 def _lengths(name: str) -> dict[str, float]:
-    """Lengths in a file's name, in, by their words."""
+    """Lengths in a file's name, in, by their words: amplitudes or whole strokes."""
     return {m[0]: number_in(m[1]) * factor(m[2], "displacement") for m in _LENGTH.finditer(name)}
-
-
-def _sizes(name: str, amplitude: float) -> list[float]:
-    """Sizes that a file's name may give: the amplitude, the whole stroke, or either."""
-    half, full = bool(_HALF.search(name)), bool(_FULL.search(name))
-    return [amplitude] * (half or not full) + [2.0 * amplitude] * (full or not half)
 
 
 def length_in_name(record: Record) -> tuple[str, str] | None:
     """The one unit with which a displacement, read as inches, is as long as its name says; why."""
-    loops, name = find_loops(record.trace()), record.path.stem
+    loops = find_loops(record.trace())
     if not loops.period.size:
         return None
     amplitude = float(np.median(loops.amplitude[loops.strong]))
-    found = {
+    sizes = {u: amplitude * factor(u, "displacement") for u in ("mm", "cm", "m", "in")}
+    agree = {
         unit: words
-        for unit in ("mm", "cm", "m", "in")
-        for words, length in _lengths(name).items()
-        for size in _sizes(name, amplitude * factor(unit, "displacement"))
-        if _near(size, length)
+        for unit, size in sizes.items()
+        for words, length in _lengths(record.path.stem).items()
+        if _near(size, length) or _near(2.0 * size, length)
     }
-    if len(found) != 1:
+    if len(agree) != 1:
         return None
-    unit, words = found.popitem()
+    unit, words = agree.popitem()
     why = f"the file's name says {words}, and the numbers have an amplitude of {amplitude:.3g}"
     return unit, why
 
@@ -773,16 +762,11 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
     facts["turning points"] = Message(f"{turns} ({turns / 2:g} cycles)")
     if strong.size:
         some = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
-        text, values = f"{strong.size}{some}", dict[str, Quantity]()
-        named = {"amplitude": (loops.amplitude, "in"), "frequency": (1.0 / loops.period, "Hz")}
-        for which, (own, unit) in list(named.items())[: 1 + trace.timed]:
-            low, middle, high = (float(v) for v in np.quantile(own[strong], [0.0, 0.5, 1.0]))
-            text += f"{', ' if values else ': '}{which} {{{which}}}"
-            values[which] = Quantity.of(middle, unit=unit)
-            if high - low > 0.01 * middle:
-                text += f" ({{{which}_ends}})"
-                values[f"{which}_ends"] = Quantity.of(low, high, unit=unit)
-        facts["full loops"] = Message(text, values)
+        text, values = f"{strong.size}{some}: amplitude {{}}", [(loops.amplitude[strong], "in")]
+        if trace.timed:
+            text += ", frequency {}"
+            values.append((1.0 / loops.period[strong], "Hz"))
+        facts["full loops"] = _message(text, *values, digits=3)
     if record.actuation is not None and record.given_actuation != NO_ACTUATION:
         history = " (mean of a history)" if trace.varying else ""
         level = (float(np.mean(record.actuation)), str(record.actuation_unit))
@@ -790,21 +774,31 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
     return facts
 
 
-def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Message]:
-    """Range of the force, measured values of the cycles, and drifts.
+_SHOWN = (
+    ("peak force", "{} forward, {} backward", "peak_fwd peak_bwd"),
+    ("slip force", "{} forward, {} backward, at mid-stroke", "slip_fwd slip_bwd"),
+    ("effective stiffness", "{}", "effective_stiffness"),
+    ("effective damping", "{}", "effective_damping"),
+    ("equivalent damping", "{}", "c_eq"),
+    ("gap", "{}", "gap"),
+    ("build-up slope", "{}", "build_up_slope"),
+)
+"""Measured values of the cycles: title, text and names."""
 
-    Values that not every model's quantities have are left out where the record's have not.
-    """
+
+def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Message]:
+    """Range of the force, measured values of the cycles, and drifts."""
     force, has = np.asarray(trace.force), record.axes.has
     at_peak = max(np.count_nonzero(force == end) for end in (force.min(), force.max()))
     facts = {"force": _message(f"{{}}, samples at a peak: {at_peak}", (force, "kip"))}
-    cycles = measured_cycles(record)
+    cycles = measured_cycles(trace)
     if cycles is None or not cycles.energy.size:
         return facts
     own, since = cycles.of_test(), "from the first loops to the last"
-    sides = "{} forward, {} backward"
-    peaks, slips = ([(own[f"{n}_{s}"], "kip") for s in ("fwd", "bwd")] for n in ("peak", "slip"))
-    facts["peak force"] = _message(sides, *peaks)
+    for title, text, words in _SHOWN:
+        names = words.split()
+        if has(names[0]) and np.isfinite([own[name] for name in names]).all():
+            facts[title] = _message(text, *((own[name], UNITS[name]) for name in names))
     for title, kept, which in (
         ("energy per cycle", cycles.full_stroke, "at full stroke"),
         ("energy of ramps", ~cycles.full_stroke, "smaller"),
@@ -819,18 +813,6 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Mes
     facts["force offset"] = _message("{}, mean along a loop", offset, digits=3)
     if loops.offset_drift is not None:
         facts["force drift"] = _message(f"{{}} {since}", (loops.offset_drift, "kip"), digits=3)
-    if has("slip") and np.isfinite([value for value, _ in slips]).all():
-        facts["slip force"] = _message(f"{sides}, at mid-stroke", *slips)
-    for title, name, unit in (
-        ("effective stiffness", "effective_stiffness", "kip/in"),
-        ("effective damping", "effective_damping", ""),
-        ("equivalent damping", "c_eq", "kip*s/in"),
-        ("gap", "gap", "in"),
-        ("build-up slope", "build_up_slope", "kip/in"),
-    ):
-        if np.isfinite(own[name]) and (has(name) or name == "effective_stiffness"):
-            shown = _message("{}", (own[name], unit)) if unit else Message(f"{own[name]:.4g}")
-            facts[title] = shown
     return facts
 
 

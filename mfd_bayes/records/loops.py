@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Array, Trace, turning_points, without_spikes
 
 STRONG = 0.95  # a loop is strong from this share of the largest amplitude; others ramp in or out
@@ -78,17 +77,16 @@ def find_loops(trace: Trace) -> Loops:
         empty = np.empty(0)
         force = None if trace.force is None else empty
         return Loops(np.empty(0, dtype=np.intp), empty, empty, empty, force, force)
-    begins = bounds[:-1] - bounds[0]
-    kept = slice(bounds[0], bounds[-1] + 1)
+    begins, kept = bounds[:-1] - bounds[0], slice(bounds[0], bounds[-1] + 1)
     x = trace.displacement[kept]
     high, low = np.maximum.reduceat(x, begins), np.minimum.reduceat(x, begins)
     energy = offset = None
     if trace.force is not None:
-        steps, force = np.diff(x), trace.force[kept]
-        mean = 0.5 * (force[1:] + force[:-1])
-        energy = np.add.reduceat(mean * steps, begins)
-        halves = trace.cycle_turns[: 2 * begins.size + 1] - bounds[0]
-        along = np.add.reduceat(mean * steps, halves[:-1]) / np.diff(x[halves])
+        force = trace.force[kept]
+        work = 0.5 * (force[1:] + force[:-1]) * np.diff(x)
+        energy = np.add.reduceat(work, begins)
+        halves = trace.cycle_turns[: bounds.size * 2 - 1] - bounds[0]
+        along = np.add.reduceat(work, halves[:-1]) / np.diff(x[halves])
         offset = 0.5 * (along[::2] + along[1::2])
     period, amplitude, middle = np.diff(trace.time[bounds]), 0.5 * (high - low), 0.5 * (high + low)
     return Loops(bounds, period, amplitude, middle, energy, offset)
@@ -227,10 +225,7 @@ def asymmetry(trace: Trace) -> Array:
 
 
 def _rise(force: Array, travel: Array, slip: Array) -> tuple[Array, Array]:
-    """Slope of the build-up, kip/in, and travel at which it meets the slip force, in, (n,) each.
-
-    Of forces (n, m) in the direction of the motion, over the travel (m,) of one stroke.
-    """
+    """Slope of the build-up, kip/in, and travel at which it meets the slip force, in, (n,) each."""
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(slip[:, None] > 0.0, force / slip[:, None], np.nan)
         top = np.argmax(share >= RISE[1], axis=1)
@@ -256,9 +251,7 @@ def _crossing(share: Array, travel: Array, at: NDArray[np.intp], level: float) -
 
 def _median(values: Array) -> Array:
     """Median over the last axis of values (n, S) that are known, (n,); NaN where none is."""
-    if not values.shape[-1]:
-        return np.full(len(values), np.nan)
-    known = np.ma.masked_invalid(values)
+    known = np.ma.masked_invalid(np.insert(values, 0, np.nan, axis=-1))
     return np.asarray(np.ma.median(known, axis=-1).filled(np.nan))  # type: ignore[no-untyped-call]
 
 
@@ -313,17 +306,16 @@ def _positive(value: float, other: float) -> float:
 def _unloading(trace: Trace, force: Array, slip: float) -> float:
     """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
     strokes, x = stroke_estimates(trace, np.empty((0, trace.samples))), trace.displacement
-    slopes = []
+    slopes = [np.nan]
     for (first, last), sign in zip(
         strokes.ends[strokes.full], strokes.sign[strokes.full], strict=True
     ):
         share = -sign * force[first : last + 1] / slip  # falls from 1 after the turn
-        below = [int(np.argmax(share <= level)) for level in UNLOADING]
-        travel = abs(x[first + below[1]] - x[first + below[0]])
-        drop = share[below[0]] - share[below[1]]
+        above, below = (int(np.argmax(share <= level)) for level in UNLOADING)
+        travel, drop = abs(x[first + below] - x[first + above]), share[above] - share[below]
         if share[0] > UNLOADING[0] and travel > 0.0 < drop:
             slopes.append(drop * slip / travel)
-    return float(np.median(slopes)) if slopes else float("nan")
+    return float(np.median(slopes[1:] or slopes))
 
 
 UNITS: Mapping[str, str] = {
@@ -361,7 +353,7 @@ FORMULAS: Mapping[str, str] = {
 class MeasuredCycles:
     """Measured values of the L full cycles of a record, (L,) each, in internal units (`UNITS`).
 
-    They are of the record's own samples: no model, no filter, and no offset is taken off. Forces
+    They are of the trace's own samples: no model, no filter, and no offset is taken off. Forces
     are positive in the direction of the motion.
     """
 
@@ -391,30 +383,29 @@ class MeasuredCycles:
 
     def to_content(self) -> dict[str, tuple[float, ...]]:
         """The values as plain numbers by name, for JSON."""
-        values = ((field.name, getattr(self, field.name)) for field in fields(self))
-        return {name: tuple(np.atleast_1d(value).astype(float).tolist()) for name, value in values}
+        return {n: tuple(np.atleast_1d(v).astype(float).tolist()) for n, v in vars(self).items()}
 
     @classmethod
     def from_content(cls, content: Mapping[str, Sequence[float]]) -> MeasuredCycles:
         """The values from `to_content`; ValueError where some are missing."""
-        if missing := [f.name for f in fields(cls) if f.name not in content]:
+        names = [field.name for field in fields(cls)]
+        if missing := [name for name in names if name not in content]:
             raise ValueError(f"{missing[0]} is missing")
-        values: dict[str, Any] = {f.name: np.array(content[f.name]) for f in fields(cls)}
+        values: dict[str, Any] = {name: np.array(content[name]) for name in names}
         values["full_stroke"] = values["full_stroke"] > 0.0
-        for f in fields(cls):
-            if values[f.name].size != (1 if f.type == "float" else values["time"].size):
-                raise ValueError(f"{f.name} has {values[f.name].size} values")
-            if f.type == "float":
-                values[f.name] = float(values[f.name][0])
-        return cls(**values)
+        single = ("largest_fwd", "largest_bwd", "total_energy")
+        for name in names:
+            if values[name].size != (1 if name in single else values["time"].size):
+                raise ValueError(f"{name} has {values[name].size} values")
+        return cls(**values | {name: float(values[name].item()) for name in single})
 
 
-def measured_cycles(record: Record | Trace) -> MeasuredCycles | None:
-    """Measured values of every full cycle of a record in its fit window; None without a force.
+def measured_cycles(trace: Trace) -> MeasuredCycles | None:
+    """Measured values of every full cycle of a record's trace; None without a force.
 
-    Spikes, which `inspect` names, count for nothing. Of a trace, its own samples are taken.
+    Spikes, which `inspect` names, count for nothing.
     """
-    trace = without_spikes(record.trace() if isinstance(record, Record) else record)
+    trace = without_spikes(trace)
     if trace.force is None:
         return None
     force, loops = trace.force[None], find_loops(trace)
@@ -470,8 +461,8 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
 def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
     """Mean of values (…, L) that are known, of some cycles or of all, (…); NaN where none is."""
     known = np.isfinite(values) if kept is None else np.isfinite(values) & kept
-    count, total = known.sum(axis=-1), np.where(known, values, 0.0).sum(axis=-1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    means = np.ma.array(values, mask=~known).mean(axis=-1)
+    return np.asarray(np.ma.filled(means, np.nan))
 
 
 def _at(x: Array, force: Array, level: float) -> Array:

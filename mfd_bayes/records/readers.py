@@ -33,8 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import RecordError
-from mfd_bayes.records.inputs import why_invalid, why_no_file
+from mfd_bayes.errors import RecordError, why_invalid, why_no_file
 from mfd_bayes.records.table import (
     COLUMNS,
     SEARCHED,
@@ -103,8 +102,6 @@ def read_text(path: Path) -> Table:
         decimals=(".",) if separator == "," else (".", ","),
         head=tuple(lines[:top]),
     )
-    if table.headed:
-        _check_order(path, lines, table.names, top)
     used = set(table.rows)
     for number, row in zip(numbers, rows, strict=False) if columns is None else ():
         # Between blanks no cell can be empty.
@@ -119,10 +116,7 @@ def read_text(path: Path) -> Table:
 
 
 def _decode(path: Path) -> str:
-    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan.
-
-    Numbers and units are the same in all of these; names may look odd.
-    """
+    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan."""
     size = path.stat().st_size / 2**20
     if size > SIZE:
         raise RecordError(
@@ -224,18 +218,6 @@ def _words(comment: str, separator: str, width: int) -> list[str]:
     return []
 
 
-def _check_order(path: Path, lines: Sequence[str], names: Sequence[str], top: int) -> None:
-    """Refuse a comment below the names that has them in another order."""
-    for at, line in enumerate(lines[top + 1 :], start=top + 2):
-        if line.lstrip().startswith("#"):
-            words = _words(line, ",", len(names))
-            if words and words != list(names) and sorted(words) == sorted(names):
-                raise RecordError(
-                    f"line {at} of {path} names the columns in another order than line {top + 1}: "
-                    "keep one table in a file"
-                )
-
-
 def read_json(path: Path) -> Table:
     """Table of a .json file: an object of lists, a list of objects or of rows, or of pandas.
 
@@ -273,8 +255,6 @@ def read_json(path: Path) -> Table:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
     named = next((key for key in ("units", "unit") if key in whole), "")
     given = whole.get(named)
-    if isinstance(given, list):
-        given = dict(zip([name for name in columns if name != named], given, strict=False))
     if isinstance(given, dict) and all(isinstance(unit, str) for unit in given.values()):
         columns = {name: column for name, column in columns.items() if name != named}
     else:
@@ -598,20 +578,14 @@ def _v73(path: Path) -> Arrays:
 
 
 class _Clock(NamedTuple):
-    """Sampling times of a waveform: its step and first time, s."""
+    """Sampling times of a waveform: step and first time, s."""
 
     step: float
     begin: float
-    samples: int
-    dated: bool  # whether the file says when it began
 
-    @property
-    def end(self) -> float:
-        return self.begin + self.step * self.samples
-
-    def even(self, other: _Clock) -> bool:
-        """Whether the steps are the same."""
-        return math.isclose(self.step, other.step, rel_tol=EVEN)
+    def differs(self, other: _Clock) -> bool:
+        even = math.isclose(self.step, other.step, rel_tol=EVEN)
+        return not even or abs(self.begin - other.begin) > SHARE * self.step
 
 
 def read_tdms(path: Path) -> Table:
@@ -629,7 +603,6 @@ def read_tdms(path: Path) -> Table:
     if not channels:
         raise RecordError(f"{path} holds no channel with data")
     columns: dict[str, Column] = {name: arrays[str(k)] for k, name in enumerate(channels)}
-    starts = [c["began"] for c in channels.values() if c["began"] is not None]
     units = {name: c["unit"] for name, c in channels.items() if c["unit"]}
     numeric = {name: c for name, c in channels.items() if c["numeric"]}
     timed = {  # channels that are a time by their kind, their name or their unit
@@ -637,32 +610,38 @@ def read_tdms(path: Path) -> Table:
         for name, c in numeric.items()
         if "time" in c["name"].lower() or measure(c["unit"]) == "time"
     }
-    clocks: dict[str, _Clock] = {}
-    for name, c in numeric.items():
-        if c["step"] is not None:
-            began = 0.0 if c["began"] is None else c["began"] - min(starts)
-            dated = c["began"] is not None
-            clocks[name] = _Clock(c["step"], began + c["offset"], len(columns[name]), dated)
-    times: dict[str, _Clock] = {}  # for each group whose channels share a step: first to last
+    waves = {name: c["clock"] for name, c in numeric.items() if c["clock"] and name not in timed}
+    zero = min((began for _, began, _ in waves.values() if began is not None), default=0.0)
+    clocks = {
+        name: _Clock(step, offset + (0.0 if began is None else began - zero))
+        for name, (step, began, offset) in waves.items()
+    }
+    times: dict[str, tuple[_Clock, int]] = {}  # for each group whose channels share a clock
+    notes = []
     for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
-        inside = [clock for name, clock in clocks.items() if channels[name]["group"] == group]
-        first = min(inside, key=lambda clock: clock.begin)
-        if all(clock.even(first) for clock in inside):
-            ends = [round((c.begin - first.begin) / c.step) + c.samples for c in inside]
-            times[f"{group}/time"] = first._replace(samples=max(ends))
+        inside = [name for name in clocks if channels[name]["group"] == group]
+        sizes = [len(columns[name]) for name in inside]
+        if not any(clocks[name].differs(clocks[inside[0]]) for name in inside):
+            times[f"{group}/time"] = clocks[inside[0]], max(sizes)
+        if min(sizes) < max(sizes):
+            notes.append(
+                f"channels of {group!r} have {min(sizes)} to {max(sizes)} samples: only those that "
+                "the used ones share are read"
+            )
     if len(set(times.values())) == 1:  # one for all
         times = {"time": next(iter(times.values()))}
-    times = {name: clock for name, clock in times.items() if name not in columns}
+    times = {name: time for name, time in times.items() if name not in columns}
     values: dict[str, Column] = {
-        name: clock.begin + clock.step * np.arange(clock.samples) for name, clock in times.items()
+        name: begin + step * np.arange(size) for name, ((step, begin), size) in times.items()
     }
+    clocks |= {name: clock for name, (clock, _) in times.items()}
     texts = channels.keys() - numeric.keys()
     return Table(
         path,
         values | columns,
         units=units | dict.fromkeys(times, "s"),
-        align=lambda used: _align(path, used, times | clocks, texts, timed),
-        notes=_differences(clocks),
+        align=lambda used: _align(path, used, clocks, texts),
+        notes=tuple(notes),
         head=tuple(facts["settings"]),
     )
 
@@ -696,12 +675,6 @@ def _channels(path: Path) -> Content:
                 values, unit = (stamps - stamps[0]) / np.timedelta64(1, "s"), "s"
             elif kind in "fiub":
                 values = np.asarray(channel[:], dtype=np.float64)
-            step, offset = (own.get(f"wf_{name}", 0.0) for name in ("increment", "start_offset"))
-            step_unit = bare_unit(str(own.get("wf_xunit_string", ""))) or "s"
-            numbers = all(isinstance(v, int | float | np.number) for v in (step, offset))
-            if not (numbers and measure(step_unit) == "time" and 0.0 < step < math.inf):
-                step = offset = math.nan
-            scale = factor(step_unit, "time") if math.isfinite(step * offset) else math.nan
             arrays[str(len(channels))] = values
             channels.append(
                 {
@@ -709,9 +682,7 @@ def _channels(path: Path) -> Content:
                     "name": channel.name,
                     "numeric": kind in "fiubM",
                     "unit": unit,
-                    "step": float(step) * scale if math.isfinite(scale) else None,
-                    "offset": float(offset) * scale if math.isfinite(scale) else 0.0,
-                    "began": _moment(own.get("wf_start_time")),
+                    "clock": _clock(own),
                 }
             )
         settings = [
@@ -722,28 +693,18 @@ def _channels(path: Path) -> Content:
     return {"channels": channels, "settings": settings}, arrays
 
 
-def _moment(value: Any) -> float | None:
-    """Seconds since 2020 of a start time, None where there is none; 1904 is a writer's zero."""
-    if not isinstance(value, np.datetime64) or np.isnat(value) or value < np.datetime64("1914"):
+def _clock(properties: Mapping[str, Any]) -> tuple[float, float | None, float] | None:
+    """Step of a waveform, its start since 2020 and what is added to it, s; None without a step."""
+    step, offset = (properties.get(f"wf_{name}", 0.0) for name in ("increment", "start_offset"))
+    unit = bare_unit(str(properties.get("wf_xunit_string", ""))) or "s"
+    numbers = all(isinstance(v, int | float | np.number) for v in (step, offset))
+    if not numbers or measure(unit) != "time" or not 0.0 < step < math.inf > abs(offset):
         return None
-    return float((value - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
-
-
-def _differences(clocks: Mapping[str, _Clock]) -> tuple[str, ...]:
-    """Sentence on a channel that does not begin, end or step as the first of them does."""
-    first = min(clocks, key=lambda name: clocks[name].begin, default="")
-    for name, clock in clocks.items():
-        earliest = clocks[first]
-        if clock.begin >= earliest.end or (clock[1:3] == earliest[1:3] and clock.even(earliest)):
-            continue  # of another test, or no difference
-        if not clock.even(earliest):
-            steps = f"{first} has a step of {earliest.step:g}, {name} of {clock.step:g}"
-            return (f"{steps}: they cannot be used together",)
-        what = f"{name} has {clock.samples} samples, {first} {earliest.samples}"
-        if clock.begin > earliest.begin:
-            what = f"{name} begins {clock.begin - earliest.begin:.6g} s after {first}"
-        return (f"{what}: only what channels share is used",)
-    return ()
+    start, scale = properties.get("wf_start_time"), factor(unit, "time")
+    began = None
+    if isinstance(start, np.datetime64) and start > np.datetime64("1914"):
+        began = float((start - np.datetime64("2020", "us")) / np.timedelta64(1, "s"))
+    return float(step) * scale, began, float(offset) * scale
 
 
 def _align(
@@ -751,45 +712,21 @@ def _align(
     columns: Mapping[str, Column],
     every: Mapping[str, _Clock],
     texts: Collection[str],
-    timed: Collection[str],
 ) -> Mapping[str, Column]:
-    """Columns while all of them were measured, at the samples of the one that began last.
-
-    Refused where they have no numbers or other steps, are never measured together, or differ though
-    the file has channels that are its time, `timed`.
-    """
+    """Columns as far as all waveforms among them go."""
     if wrong := next((name for name in columns if name in texts), None):
         raise RecordError(f"channel {wrong!r} of {path} holds no real numbers; expected numbers")
-    clocks = {n: every[n] for n in columns if n in every and n not in timed}
-    if len(set(clocks.values())) < 2:
-        return columns
-    first, reference = next(iter(clocks.items()))
-    for name, clock in clocks.items():
-        late, problem = clock.begin - reference.begin, ""
-        if not clock.even(reference):
-            problem = f"has a step of {clock.step:g} s, {first} one of {reference.step:g} s"
-        elif timed and abs(late) > SHARE * reference.step:
-            way = "after" if late > 0 else "before"
-            problem = f"begins {abs(late):.6g} s {way} {first}, and the file has one time"
-        elif clock.dated != reference.dated and late:
-            problem = f"has another start than {first}, and wf_start_time is not given for both"
-        if problem:
-            raise RecordError(f"{path}: {name} {problem}: they cannot be aligned")
-    if timed:
-        return columns
-    start = max(clock.begin for clock in clocks.values())
-    end = min(clock.end for clock in clocks.values())
-    size = math.floor((end - start) / reference.step + SHARE)
-    if size < 1:
-        raise RecordError(f"{path}: {' and '.join(clocks)} are never measured at the same time")
-    aligned = dict(columns)
-    for name, clock in clocks.items():
-        begin = (start - clock.begin) / reference.step
-        begin = round(begin) if abs(begin - round(begin)) < SHARE else begin
-        values = np.asarray(columns[name], dtype=np.float64)
-        at = begin + np.arange(min(size, math.floor(values.size - begin)))
-        aligned[name] = np.interp(at, np.arange(values.size), values)
-    return aligned
+    clocks = {name: every[name] for name in columns if name in every}
+    for name, (step, begin) in clocks.items():
+        first, clock = next(iter(clocks.items()))
+        if clocks[name].differs(clock):
+            problem = f"has a step of {step:g} s, {first} one of {clock.step:g} s"
+            if math.isclose(step, clock.step, rel_tol=EVEN):
+                way = "after" if begin > clock.begin else "before"
+                problem = f"begins {abs(begin - clock.begin):.6g} s {way} {first}"
+            raise RecordError(f"{path}: {name} {problem}: they cannot be used together")
+    size = min((len(columns[name]) for name in clocks), default=None)
+    return {name: c[:size] if name in clocks else c for name, c in columns.items()}
 
 
 FORMATS: Mapping[str, Callable[[Path], Table]] = MappingProxyType(

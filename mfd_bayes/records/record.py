@@ -22,8 +22,7 @@ from unicodedata import normalize
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.inputs import hash_file, path_of, real_number
+from mfd_bayes.errors import MfdError, RecordError, UnitError, hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.table import Table, bare_unit, own_name
 from mfd_bayes.records.trace import (
@@ -68,12 +67,8 @@ class Clock:
 
     def words(self) -> str:
         """Rate, and how even it is, in words."""
-        rate = f"{self.rate:.6g} Hz"
-        if self.jitter <= JITTER:
-            return f"{rate}, jitter {self.jitter:.2%} of a step"
-        away = f"{self.jitter:.3g} steps" if self.jitter >= 1.0 else f"{self.jitter:.2%} of a step"
-        text = f"{rate}, jitter: time stamps are up to {away} off an even clock"
-        if self.pauses:
+        text = f"{self.rate:.6g} Hz, jitter {self.jitter:.2%} of a step"
+        if self.jitter > JITTER and self.pauses:
             times = "once" if self.pauses == 1 else f"{self.pauses} times"
             text += f"; the logger pauses {times}, for up to {self.longest:.3g} s"
         return text
@@ -516,10 +511,9 @@ def sources_of(
     A column for the actuation is looked for only where `actuation`, a constant, is not given; one
     for the time only where there is no rate.
     """
-    examples = {"columns": {"force": "load"}, "units": {"force": "kN"}}
     for name, mapping in (("columns", columns), ("units", units)):
         if mapping is not None and not isinstance(mapping, Mapping):
-            raise RecordError(f"{name} must be a mapping such as {examples[name]}, got {mapping!r}")
+            raise RecordError(f"{name} must be a mapping from roles, got {mapping!r}")
     given = {
         axes.role(r): c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()
     }
@@ -534,16 +528,15 @@ def sources_of(
     roles = {r: table.name_of(s.column) for r, s in given.items() if s.column is not None}
     chosen = bool({"time", "displacement"} & roles.keys())  # then what is not named is not used
     rated = "time" in given and bool(given["time"].rate)
-    for role in ("time", "displacement") if chosen else ROLES:
-        skipped = {"time": rated, "actuation": actuation is not None}.get(role, False)
-        if role not in roles and not skipped:
+    needed = ["displacement"] if rated else ["time", "displacement"]
+    optional = [] if chosen else ["force", "velocity", *["actuation"] * (actuation is None)]
+    for role in needed + optional:
+        if role not in roles:
             for name in _columns_called(table, axes.name(role)):
                 roles[role] = name
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
-    if missing := [
-        r for r in ("time", "displacement") if r not in roles and not (r == "time" and rated)
-    ]:
+    if missing := [role for role in needed if role not in roles]:
         raise _no_column_for(missing[0], table, axes)
     sources = {"time": given["time"]} if rated else {}
     for role in (role for role in ROLES if role in roles):
@@ -624,10 +617,7 @@ def signals_of(
 
 
 def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
-    """Times, s: of a rate, or of a column; dates, counted since 1904 or 1970, from the first row.
-
-    NaN where a cell holds none.
-    """
+    """Times, s, of a rate or of a column; dates are counted from the first row."""
     if source.rate:
         rows = next(iter(raw.values())).size
         return step_of(source.rate, f"the rate of {table.path}") * np.arange(rows, dtype=np.float64)

@@ -81,46 +81,23 @@ def parse(column: Column, decimal: str = ".") -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of a file; a column that is not used may hold anything.
-
-    Attributes
-    ----------
-    cells : mapping of str to column
-        By name, in the file's order.
-    rows, where : sequence of int, (str, str)
-        Number of each row, and what stands before and after it: ("row ", " of sheet 'A'").
-        Without them, a row is a "sample".
-    units : mapping of str to str
-        By column, where the file gives one.
-    numbers : sequence of int
-        Of the columns, from 1; by default in their order.
-    headed : bool
-        Whether the file has names; without them, they are "column 1", …
-    blocks : mapping of int to str
-        Row to the place of a repeated heading above it.
-    align : callable
-        Gives columns that are used together the same rows, or refuses them.
-    notes, doubts : tuple of str
-        On numbers of the file that are not in the table, and on those that may belong to it.
-    decimals : tuple of str
-        Signs of decimals that its numbers may have.
-    head : tuple of str
-        Texts above the table, and settings with it: "Sample rate: 100 Hz".
-    """
+    """Columns of a file; a column that is not used may hold anything."""
 
     path: Path
-    cells: Mapping[str, Column]
-    rows: Sequence[int] = ()
-    where: tuple[str, str] = ("sample ", "")
-    units: Mapping[str, str] = field(default_factory=dict)
-    numbers: Sequence[int] = ()
-    headed: bool = True
+    cells: Mapping[str, Column]  # by name, in the file's order
+    rows: Sequence[int] = ()  # number of each row; without them, a row is a "sample"
+    where: tuple[str, str] = ("sample ", "")  # what stands before and after that number
+    units: Mapping[str, str] = field(default_factory=dict)  # by column, where the file gives one
+    numbers: Sequence[int] = ()  # of the columns, from 1; by default in their order
+    headed: bool = True  # whether the file has names; without them, they are "column 1", …
     blocks: Mapping[int, str] = field(default_factory=dict)
+    """Row to the place of a repeated heading above it."""
     align: Callable[[Mapping[str, Column]], Mapping[str, Column]] = dict
-    notes: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
-    decimals: tuple[str, ...] = (".",)
-    head: tuple[str, ...] = ()
+    """Gives columns that are used together the same rows, or refuses them."""
+    notes: tuple[str, ...] = ()  # on numbers of the file that are not in the table,
+    doubts: tuple[str, ...] = ()  # and on those that may belong to it
+    decimals: tuple[str, ...] = (".",)  # signs of decimals that its numbers may have
+    head: tuple[str, ...] = ()  # texts above it, and settings with it: "Sample rate: 100 Hz"
 
     def __post_init__(self) -> None:
         check_names(self.path, self.names)
@@ -232,7 +209,7 @@ class Table:
         if column not in numbers:
             raise RecordError(
                 f"column {column} of {self.path}: it has columns {min(numbers)} to {max(numbers)}, "
-                f"{_listed(self.names)}"
+                f"{listed(self.names, 20, str)}"
             )
         return self.names[numbers.index(column)]
 
@@ -246,7 +223,7 @@ class Table:
             )
         how = "" if self.headed else "; it has no names: give { column = 1 } or another number"
         return RecordError(
-            f"missing column {name!r} in {self.path}; it has {_listed(self.names)}{how}"
+            f"missing column {name!r} in {self.path}; it has {listed(self.names, 20, str)}{how}"
         )
 
 
@@ -273,9 +250,10 @@ def _filled(column: Column) -> int:
     return size
 
 
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:20])
-    return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"
+def listed(names: Sequence[str], most: int = 4, written: Callable[[str], str] = repr) -> str:
+    """The first names, and how many more there are."""
+    shown = ", ".join(map(written, names[:most]))
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 _NAMES = "jan feb mar apr may jun jul aug sep oct nov dec"
@@ -597,10 +575,7 @@ class Grid:
         return kept, {n: below[at] for n, at in enumerate(kept) if at in below}, notes
 
     def _above(self, data: int, names: Row, *, headed: bool) -> list[str]:
-        """Sentences on rows of numbers above a table, which are not used.
-
-        Refused where they are so many, or so like the table's, that they may be a table too.
-        """
+        """Sentences on rows of numbers above a table, which are not used."""
         notes = []
         kind = [kinds(row) for row in self.rows[:data]]
         for has_numbers, group in groupby(range(data), lambda at: kind[at].count("n") >= 2):

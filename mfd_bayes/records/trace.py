@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.inputs import real_number, real_numbers
+from mfd_bayes.errors import MfdError, RecordError, UnitError, real_number, real_numbers
 from mfd_bayes.units import DAMPER, Axes, parse_quantity, split_quantity
 
 Array = NDArray[np.float64]
@@ -458,12 +457,11 @@ def _isolated(values: Array, width: int) -> Samples:
     inside = np.lib.stride_tricks.sliding_window_view(values[1:-1], width)
     if not inside.size:
         return np.empty(0, dtype=np.intp)
-    left, right = values[: -width - 1], values[width + 1 :]
-    before, behind = inside - left[:, None], inside - right[:, None]
-    up = np.minimum(before.min(axis=1), behind.min(axis=1))
-    down = np.minimum(-before.max(axis=1), -behind.max(axis=1))
-    height = np.maximum(np.maximum(up, down), 0.0)
-    agree = np.abs(right - left) < 0.25 * height
+    ends = np.stack([values[: -width - 1], values[width + 1 :]])
+    away = inside - ends[:, :, None]
+    height = np.maximum(away.min(axis=(0, 2)), -away.max(axis=(0, 2)))
+    height = np.maximum(height, 0.0)
+    agree = np.abs(ends[1] - ends[0]) < 0.25 * height
     reach = float(np.subtract(*np.quantile(values, [0.995, 0.005])))
     usual = float(np.quantile(height, 0.99))
     share = SPIKE if width == 1 else 1.0  # a peak of the signal itself is wider

@@ -14,12 +14,12 @@ from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_loops
 from mfd_bayes.reporting.page import environment, policy_of
 from mfd_bayes.reporting.symbols import plain, unit_text
-from mfd_bayes.reporting.tables import convert_fan, convert_trace, to_units
+from mfd_bayes.reporting.tables import to_units
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import in_digits
 
 LOOPS = 2  # most loops on the page of a device
-_MARKS = {"accepted": "#2e7d32", "rejected": "#c62828", "cannot tell": "#b8860b"}
+_COLOURS = {"within the limit": "#2e7d32", "beyond the limit": "#c62828", "differs": "#c62828"}
 
 
 def acceptance_table(devices: Sequence[Acceptance], system: System) -> pd.DataFrame:
@@ -46,9 +46,8 @@ def acceptance_page(
 
     pictures = []
     for comparison in device.comparisons[:LOOPS]:
-        fan = convert_fan(comparison.expected.fan, system.factor("kip"))
-        trace = convert_trace(comparison.trace, system)
-        png = to_png(draw_loops(comparison.record.path.name, trace, [fan], system))
+        shown = comparison.trace, [comparison.expected.fan]
+        png = to_png(draw_loops(comparison.record.path.name, *shown, system))
         pictures.append(f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}")
     return (
         environment()
@@ -58,7 +57,9 @@ def acceptance_page(
             verdict=device.verdict,
             sentence=device.sentence,
             about=list(about.items()),
-            rows=[_shown(row) for _, row in to_units(device.rows, system).iterrows()],
+            rows=to_units(device.rows, system).to_dict("records"),
+            number=_number,
+            unit_text=unit_text,
             pictures=pictures,
             remarks=device.remarks,
             batch=batch,
@@ -68,62 +69,31 @@ def acceptance_page(
     )
 
 
-def _shown(row: pd.Series) -> dict[str, str]:
-    """A row of the page's table, as text."""
-
-    def number(name: str, digits: int = 3, form: str = "") -> str:
-        value = float(row[name])
-        if not np.isfinite(value):
-            return ""
-        return f"{value:{form}}" if form else in_digits(value, digits)
-
-    low, high = number("effect_lower", form="+.1f"), number("effect_upper", form="+.1f")
-    verdict = str(row["verdict"])
-    mark = {"beyond the limit": "bad", "differs": "bad", "cannot tell": "open"}.get(verdict, "")
-    return {
-        "quantity": str(row["quantity"]),
-        "direction": str(row["direction"]),
-        "unit": unit_text(str(row["unit"])),
-        "measured": number("measured"),
-        "nominal": number("nominal"),
-        "bounds": f"{number('lower')} to {number('upper')}",
-        "percentile": number("percentile", form=".1f"),
-        "effect": number("effect", form="+.1f"),
-        "interval": f"{low} to {high}" if low else "",
-        "limit": f"±{number('limit', form='.3g')}" if number("limit") else "",
-        "p_value": number("p_value", form=".3f"),
-        "verdict": verdict,
-        "mark": mark,
-    }
+def _number(value: float, form: str = "") -> str:
+    """A number of the page's table, with three digits or in a format of Python's; "" for none."""
+    if not np.isfinite(value):
+        return ""
+    return f"{value:{form}}" if form else in_digits(value, 3)
 
 
 @look.style()
 def draw_batch(devices: Sequence[Acceptance]) -> Figure:
     """Effect of every quantity of every device, with its interval and the limits."""
-    names = list(dict.fromkeys(name for d in devices for name in d.rows.index if name != "loop"))
+    table = pd.concat([d.rows for d in devices], keys=range(len(devices)))
+    names = [name for name in table.index.unique(1) if name != "loop"]
     width = min(2.0 + 1.15 * len(names), 14.0)
     figure = look.new_figure(width, 1.6 + 0.24 * len(devices), "Devices against the others")
     grid = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(grid, names, strict=True):
-        for place, device in enumerate(devices):
-            if name not in device.rows.index:
-                continue
-            row = device.rows.loc[name]
-            colour = _MARKS[
-                "rejected"
-                if row["verdict"] in ("beyond the limit", "differs")
-                else "accepted"
-                if row["verdict"] == "within the limit"
-                else "cannot tell"
-            ]
-            axes.plot([row["effect_lower"], row["effect_upper"]], [place, place], color=colour)
-            axes.plot(row["effect"], place, "o", markersize=4, color=colour)
-        limits = [d.rows.loc[name, "limit"] for d in devices if name in d.rows.index]
-        for limit in (limits[0], -limits[0]) if np.isfinite(limits[0]) else ():
+        own = table.xs(name, level=1)
+        colours = [_COLOURS.get(verdict, "#b8860b") for verdict in own["verdict"]]
+        axes.hlines(own.index, own["effect_lower"], own["effect_upper"], colors=colours)
+        axes.scatter(own["effect"], own.index, s=16, c=colours)
+        first = own.iloc[0]
+        for limit in (first["limit"], -first["limit"]) if np.isfinite(first["limit"]) else ():
             axes.axvline(limit, color="#666666", linestyle="--", linewidth=0.8)
         axes.axvline(0.0, color="#666666", linewidth=0.6)
-        row = next(d.rows.loc[name] for d in devices if name in d.rows.index)
-        axes.set_title(f"{row['quantity']}\n{row['direction']}", fontsize=7)
+        axes.set_title(f"{first['quantity']}\n{first['direction']}", fontsize=7)
         axes.set_xlabel("%", fontsize=7)
         axes.tick_params(labelsize=7)
     grid[0].set_yticks(range(len(devices)))

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import ReportError
-from mfd_bayes.records.inputs import real_numbers
+from mfd_bayes.errors import ReportError, real_numbers
 from mfd_bayes.runs import run as runs
 from mfd_bayes.runs.run import Run
 
@@ -42,29 +41,22 @@ class Notebook:
         """Axes with a band over time, or over a displacement, in."""
         from mfd_bayes.evaluation.views import Fan, Interval
         from mfd_bayes.reporting.figures import loops
-        from mfd_bayes.reporting.tables import convert_fan
 
         interval = Interval(band.probability, band.lower, band.upper)
-        fan = convert_fan(Fan(band.kind, band.median, (interval,)), self.system.factor("kip"))
-        along = None
-        if displacement is not None:
-            along = _along(band, displacement) * self.system.factor("in")
+        fan = Fan(band.kind, band.median, (interval,))
+        along = None if displacement is None else _along(band, displacement)
         return loops.draw_band(axes, fan, band.time, along, self.system)
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
         from mfd_bayes.evaluation.scores import fan_of
         from mfd_bayes.reporting.figures import loops
-        from mfd_bayes.reporting.tables import convert_fan, convert_trace
         from mfd_bayes.store.netcdf import load_groups
 
         force = load_groups(test.path)["posterior_predictive"]["force"].to_numpy()
         fan = fan_of("observation", force.reshape(-1, force.shape[-1]).astype(np.float64))
-        shown = convert_fan(fan, self.system.factor("kip"))
-        trace = convert_trace(test.trace, self.system)
-        return loops.draw_band(
-            axes, shown, trace.time, trace.displacement, self.system, trace.force
-        )
+        trace = test.trace
+        return loops.draw_band(axes, fan, trace.time, trace.displacement, self.system, trace.force)
 
     def inference_data(self, result: TestResult | Band) -> Any:
         """Groups of a test, or of a band, as ArviZ's functions take them."""

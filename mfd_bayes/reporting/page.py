@@ -25,7 +25,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
+from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.evaluation.scores import width_sentence
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.messages import Message, Quantity
@@ -51,27 +51,12 @@ FEWEST, MOST, ALL = 300, 1500, 250_000
 """Fewest and most samples of a test in the plot, and of all together, some 8 MB."""
 
 
-@dataclass(frozen=True)
-class Explorer:
-    """The parts of the interactive plot.
+def explore(view: CampaignView) -> dict[str, str]:
+    """Interactive loop and history of the tests of a report, one test at a time.
 
-    Attributes
-    ----------
-    library : str
-        BokehJS.
-    item : str
-        JSON of the plot, without data.
-    data : str
-        JSON of the tests: little-endian float32 arrays in base64, in internal units.
+    The parts are `library`, BokehJS; `item`, JSON of the plot without data; and `data`, JSON of the
+    tests with little-endian float32 arrays in base64, in internal units.
     """
-
-    library: str
-    item: str
-    data: str
-
-
-def explore(view: CampaignView) -> Explorer:
-    """Interactive loop and history of the tests of a report, one test at a time."""
     from bokeh.embed import json_item
     from bokeh.resources import Resources
 
@@ -102,7 +87,7 @@ def explore(view: CampaignView) -> Explorer:
         script_json(json_item(_layout())),
     )
     safe = library.replace("</", "<\\/").replace("<!--", "<\\!--")
-    return Explorer(safe, item, script_json(data))
+    return {"library": safe, "item": item, "data": script_json(data)}
 
 
 def script_json(value: object) -> str:
@@ -185,9 +170,6 @@ def _plot(along: str, height: int, source: Any) -> Any:
 Pair = tuple[System, System]
 """Customary and metric system of units."""
 
-NEXT = 10
-"""Candidates for the next test that the page shows."""
-
 ELSEWHERE = frozenset(
     {
         *("gamma1", "gamma2", "start", "offset", "static_excess_fwd", "static_excess_bwd"),
@@ -209,32 +191,20 @@ CONDITIONS = 12
 """Most columns of the data sheet side by side on its page."""
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A PNG as a page shows it; width and height in pixels.
+def picture(key: str, png: bytes, *, embedded: bool = True) -> dict[str, Any]:
+    """A PNG as a page shows it, part of a page in the run folder or beside its page.
 
-    `uri` is the embedded PNG, or its path. `png` and `csv` are the paths from the page to the
-    picture and to the table behind it.
+    `uri` is the embedded PNG, or its path; `width` and `height` are in pixels; `png` and `csv` are
+    the paths from the page to the picture and to the table behind it.
     """
-
-    uri: str
-    width: int
-    height: int
-    png: str
-    csv: str
-
-    @classmethod
-    def of(cls, key: str, png: bytes, *, embedded: bool = True) -> Picture:
-        """Picture that is part of a page in the run folder, or that stands beside its page."""
-        path, table = key if "/" in key else f"figures/{key}", table_of(key)
-        if not embedded:
-            path, table = path.rpartition("/")[2], table.rpartition("/")[2]
-        path = quote(f"{path}.png")
-        encoded = base64.b64encode(png).decode("ascii") if embedded else ""
-        uri = f"data:image/png;base64,{encoded}" if embedded else path
-        # width and height are in the first chunk of a PNG
-        width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
-        return cls(uri, width, height, path, quote(table))
+    path, table = key if "/" in key else f"figures/{key}", table_of(key)
+    if not embedded:
+        path, table = path.rpartition("/")[2], table.rpartition("/")[2]
+    path = quote(f"{path}.png")
+    uri = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}" if embedded else path
+    # width and height are in the first chunk of a PNG
+    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+    return {"uri": uri, "width": width, "height": height, "png": path, "csv": quote(table)}
 
 
 def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
@@ -361,7 +331,7 @@ def render(
             view=view,
             test=test,
             judged=judged.get(test.id),
-            pictures={key: Picture.of(key, png, embedded=False) for key, png in own.items()},
+            pictures={key: picture(key, png, embedded=False) for key, png in own.items()},
         )
     return pages
 
@@ -385,21 +355,19 @@ def _summary(
         )
     advice = None
     if view.next_test is not None:
-        how = view.next_test, view.system, view.actuation_unit
-        sentences = [advice_sentence(*how), *together_words(*how)]
-        advice = {"sentences": sentences, "rows": shown_rows(*how, NEXT)}
+        advice = AdviceInWords(view.next_test, view.system, view.actuation_unit)
     terms = (term for subject in read_glossary().values() for term in subject.items())
     return render_page(
         "report.html.j2",
         units,
-        *([explorer.library] if explorer else []),
+        *([explorer["library"]] if explorer else []),
         view=view,
         calibrated=[test for test in view.tests if test.role != "validate"],
         held_out=held_out,
         missed=[judged for judged in view.judgements if judged.use != Use.USABLE],
         links={test.id: f"tests/{quote(test.id)}/page.html" for test in view.tests},
         pictures={
-            key: Picture.of(key, png) for key, png in images.items() if not key.startswith("tests/")
+            key: picture(key, png) for key, png in images.items() if not key.startswith("tests/")
         },
         explorer=explorer,
         parameters=replace(

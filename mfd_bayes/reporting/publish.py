@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
@@ -18,7 +18,7 @@ from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.jobs.local import in_turn, meanwhile, several_processes
+from mfd_bayes.jobs.local import in_turn, several_processes
 from mfd_bayes.reporting.page import render
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import (
@@ -161,50 +161,31 @@ def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[s
     """
     from mfd_bayes.reporting import figures
 
-    drawn = forms.drawn([test.id for test in view.tests])
-    tests = [test for test in view.tests if test.id in drawn]
-    for test in view.tests:
-        for path in _pictures(test, out).values() if test.id not in drawn else ():
-            path.unlink(missing_ok=True)
-    draw = partial(draw_test, out, view.system, view.actuation_unit, view.model)
-    functions = [draw] * len(tests)
-    with several_processes(functions, processes) as in_processes, meanwhile(2) as background:
-        drawings = (in_processes or in_turn(functions))(enumerate(tests))
-        of_tests: Callable[[], list[Mapping[str, bytes]]] = partial(list, drawings)
-        if in_processes:  # they draw while this one does
-            of_tests = background(of_tests)
-        images = dict(figures.draw_shared(view))
-        for key, png in images.items():
-            write_bytes(out / "figures" / f"{key}.png", png)
-        return images | {key: png for some in of_tests() for key, png in some.items()}
-
-
-def _pictures(test: TestView, out: Path) -> dict[str, Path]:
-    """Files of a test's report: its figures by their keys, and its table by "record"."""
-    from mfd_bayes.reporting.figures import OF_TEST
-
-    folder = out / "tests" / test.id
-    paths = {f"tests/{test.id}/{name}": folder / f"{name}.png" for name in OF_TEST}
-    return paths | {"record": folder / "record.csv"}
+    chosen = forms.drawn([test.id for test in view.tests])
+    tests = [test for test in view.tests if test.id in chosen]
+    for test in view.tests:  # what an earlier report has drawn may have nothing to show now
+        for name in (*(f"{name}.png" for name in figures.OF_TEST), "record.csv"):
+            (out / "tests" / test.id / name).unlink(missing_ok=True)
+    functions = [partial(draw_test, out, view.system, view.actuation_unit, view.model)] * len(tests)
+    with several_processes(functions, processes) as in_processes:
+        of_tests = list((in_processes or in_turn(functions))(enumerate(tests)))
+    images = {key: figures.to_png(figure) for key, figure in figures.draw_shared(view)}
+    for key, png in images.items():
+        write_bytes(out / "figures" / f"{key}.png", png)
+    return images | {key: png for drawn in of_tests for key, png in drawn.items()}
 
 
 def draw_test(
     out: Path, system: System, actuation_unit: str, model: Model | None, test: TestView
-) -> Mapping[str, bytes]:
-    """Write figures and table of a test; the first bytes of each figure, by its key.
-
-    A picture that an earlier report has made, and that now has nothing to show, is removed.
-    """
+) -> dict[str, bytes]:
+    """Write figures and table of a test; the first bytes of each figure, by its key."""
     from mfd_bayes.reporting import figures
 
-    drawn = dict(figures.draw_test(test, system, actuation_unit, model))
-    for key, path in _pictures(test, out).items():
-        if key == "record":
-            write_text(path, record_table(test, system))
-        elif key in drawn:
-            write_bytes(path, drawn[key])
-        else:
-            path.unlink(missing_ok=True)
+    drawn = {}
+    for key, figure in figures.draw_test(test, system, actuation_unit, model):
+        drawn[key] = figures.to_png(figure)
+        write_bytes(out / f"{key}.png", drawn[key])
+    write_text(out / "tests" / test.id / "record.csv", record_table(test, system))
     return {key: png[:24] for key, png in drawn.items()}
 
 

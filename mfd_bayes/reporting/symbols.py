@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from html import unescape
 from types import MappingProxyType
+from typing import Any
 
 from markupsafe import Markup, escape
 
@@ -15,7 +16,6 @@ from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model, html_of
 from mfd_bayes.population.bands import KIND_NAMES
-from mfd_bayes.runs.unit_system import System
 
 _SYMBOLS = {
     "gap_width": (r"D_\mathrm{slip}", "travel from slip to slip"),
@@ -85,41 +85,36 @@ class Symbols:
         self.pooled = {name: words for name, words in _POOLED.items() if name in standard}
         self.written = {n: (maths, html_of(maths), what) for n, (maths, what) in _SYMBOLS.items()}
         for name, quantity in known_quantities(model).items():
-            html = quantity.html or html_of(quantity.maths)
+            html = quantity.html
             self.written[name] = quantity.maths, html, quantity.meaning
 
-    def maths(self, name: str) -> str:
-        """Symbol in the maths that LaTeX and matplotlib share, "" if there is none."""
-        return self.written.get(name, ("", "", ""))[0]
+    def written_as(
+        self, name: str, symbol: Callable[[str, str], Any], text: Callable[[str], Any]
+    ) -> Any:
+        """A quantity, or one of a population, by its symbol (mathtext and HTML) or in words."""
+        if name in self.written:
+            maths, html, _ = self.written[name]
+            return symbol(maths, html)
+        prefix, of, more = _split(name)
+        if prefix == "scatter" and of in self.pooled:
+            of = self.pooled[of][0]
+        if not prefix:
+            return text(name.replace("_", " "))
+        return text(_PREFIXES[prefix][0]) + " " + self.written_as(of, symbol, text) + more
 
     def in_figure(self, name: str) -> str:
         """Symbol as matplotlib writes it; an unknown name as plain text."""
-        if symbol := self.maths(name):
-            return f"${symbol}$"
-        word, of, more = split_population(name, self.pooled)
-        return f"{word} {self.in_figure(of)}{more}" if word else plain(name.replace("_", " "))
+        return str(self.written_as(name, lambda maths, _: f"${maths}$", plain))
 
     def label(self, name: str, unit: str) -> str:
         """Axis label of a quantity with its unit."""
         shown = plain(unit_text(unit))
         return f"{self.in_figure(name)}, {shown}" if shown else self.in_figure(name)
 
-    def motion(self, system: System) -> str:
-        """Axis label of the motion with its unit."""
-        return system.label("displacement", "in")
-
-    def response(self, system: System, of: str = "force") -> str:
-        """Axis label of the force, or of what is left of it, with its unit."""
-        return system.label(of, "kip")
-
     def in_html(self, name: str) -> Markup:
         """Symbol as HTML; an unknown name escaped."""
-        if name in self.written:
-            return Markup(self.written[name][1])
-        shown = printable(name)
-        word, of, more = split_population(shown, self.pooled)
-        text = shown.replace("_", " ")
-        return escape(word + " ") + self.in_html(of) + more if word else escape(text)
+        words = self.written_as(name, lambda _, html: Markup(html), lambda t: escape(printable(t)))
+        return Markup(words)
 
     def sentence(self, text: str) -> Markup:
         """A sentence as HTML, with symbols for the code names of quantities in it."""
@@ -169,14 +164,6 @@ def check_symbols(model: Model) -> None:
                 f"{model.where}, parameter {quantity.name!r}: the symbol {quantity.maths!r} is no "
                 r"mathematics in LaTeX, such as r'\alpha' or r'k_\mathrm{up}'"
             ) from None
-
-
-def split_population(name: str, pooled: Mapping[str, tuple[str, str]]) -> tuple[str, str, str]:
-    """Prefix in words, quantity and covariate of a population's quantity; else empty."""
-    prefix, of, more = _split(name)
-    if prefix == "scatter" and of in pooled:
-        of = pooled[of][0]
-    return (_PREFIXES[prefix][0], of, more) if prefix else ("", "", "")
 
 
 def _split(name: str) -> tuple[str, str, str]:

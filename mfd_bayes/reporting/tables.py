@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.next_test import advice_rows
-from mfd_bayes.evaluation.views import CampaignView, Fan, LawView, LeftOutView, Row, Rows, TestView
-from mfd_bayes.planning.study import Advice
+from mfd_bayes.evaluation.next_test import AdviceInWords
+from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.symbols import Symbols, number, printable, split_population, unit_text
+from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
 from mfd_bayes.runs.manifest import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import Axes, percent
@@ -42,8 +41,6 @@ _OF_UNIT = frozenset(
 )
 """Keys of a row, and columns of a table, that are in the unit that the row names."""
 
-_OF_FORCE = ("width_95", "interval_score", "crps", "fitted_width", "fitted_crps")
-
 _ENDINGS = {"_kip": "kip", "_in": "in", "_in_per_s": "in/s"}
 """Internal units at the ends of columns' names."""
 
@@ -57,9 +54,9 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     if system == US:
         return frame
     shown, axes = frame.copy(), system.axes
-    for name in ("quantity", "feature", "condition", "note"):
-        if name in frame and not axes.of_damper:
-            shown[name] = [_renamed(v, axes) for v in frame[name]]
+    if not axes.of_damper:
+        for name in {"quantity", "feature", "condition", "note"}.intersection(frame.columns):
+            shown[name] = [_renamed(words, axes) for words in frame[name]]
     if "unit" in frame:
         by = frame["unit"].map(system.factor)
         for name in _OF_UNIT.intersection(frame.columns):
@@ -67,16 +64,15 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
         shown["unit"] = frame["unit"].map(system.unit)
     names = {}
     for name in frame.columns:
-        ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
-        if ending:
-            names[name] = system.column(str(name).removesuffix(ending), _ENDINGS[ending])
-            shown[name] = frame[name] * system.factor(_ENDINGS[ending])
-    shown = shown.rename(columns=names)
-    if axes.timed:
-        return shown
-    lost = [n for n in shown if n == "frequency_Hz" or "in_per_s" in str(n)]
-    lost += [n for n in names.values() if n == system.column("velocity", "in/s")]
-    return shown.drop(columns=lost).rename(columns={"time_s": "sample"})
+        for ending, internal in _ENDINGS.items():
+            if name.endswith(ending):
+                names[name] = system.column(name.removesuffix(ending), internal)
+                shown[name] = frame[name] * system.factor(internal)
+    if not axes.timed:
+        names["time_s"] = "sample"
+        rates = [n for n in map(str, frame) if n == "frequency_Hz" or n.endswith("_in_per_s")]
+        shown = shown.drop(columns=rates)
+    return shown.rename(columns=names)
 
 
 def _renamed(words: Any, axes: Axes) -> Any:
@@ -97,66 +93,6 @@ def convert_rows(rows: Rows, system: System) -> Rows:
         | {"unit": system.unit(row["unit"])}
         for row in rows
     )
-
-
-def convert_trace(trace: Trace, system: System) -> Trace:
-    """A trace in the units of a system; its actuation stays."""
-    length, force = system.factor("in"), system.factor("kip")
-    return replace(
-        trace,
-        displacement=trace.displacement * length,
-        velocity=trace.velocity * length,
-        force=None if trace.force is None else trace.force * force,
-        hysteresis=trace.hysteresis * length,
-    )
-
-
-def convert_fan(fan: Fan, by: float) -> Fan:
-    """A fan times a factor."""
-    intervals = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in fan.intervals)
-    return Fan(fan.kind, fan.median * by, tuple(intervals))
-
-
-def convert_law(law: LawView, system: System, actuation_unit: str) -> LawView:
-    """A law in the units of a system; `actuation_unit` is the internal one."""
-    by, along = system.factor(law.unit), system.factor(actuation_unit)
-    return replace(
-        law,
-        unit=system.unit(law.unit),
-        actuation=law.actuation * along,
-        device=convert_fan(law.device, by),
-        new_test=convert_fan(law.new_test, by),
-        tested=tuple((n, at * along, a * by, b * by, c * by) for n, at, a, b, c in law.tested),
-    )
-
-
-def convert_test(test: TestView, system: System, actuation_unit: str) -> TestView:
-    """What the figures of a test show, in the units of a system."""
-    if system == US:
-        return test
-    force = system.factor("kip")
-    marginals = ((m, system.factor(m.unit)) for m in test.marginals)
-    return replace(
-        test,
-        actuation=system.actuation(test.trace, actuation_unit),
-        trace=convert_trace(test.trace, system),
-        travel=None if test.travel is None else test.travel * system.factor("in"),
-        device=None if test.device is None else convert_fan(test.device, force),
-        observation=convert_fan(test.observation, force),
-        marginals=tuple(
-            replace(m, unit=system.unit(m.unit), prior=m.prior * by, posterior=m.posterior * by)
-            for m, by in marginals
-        ),
-    )
-
-
-def convert_scores(scores: LeftOutView, by: float) -> LeftOutView:
-    """Scores of what was left out times a factor: those that are forces."""
-
-    def converted(row: Row) -> Row:
-        return row | {name: by * row[name] for name in _OF_FORCE}
-
-    return replace(scores, rows=tuple(map(converted, scores.rows)), mean=converted(scores.mean))
 
 
 CROSSVALIDATION = "crossvalidation.csv"
@@ -245,14 +181,7 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
         rows["drift"] = view.drifts
     if view.left_out is not None:
         rows["crossvalidation"] = (*view.left_out.rows, view.left_out.mean)
-    frames = {name: frame_of(name, lines, view.system) for name, lines in rows.items()}
-    decided = {(r["test"], r["name"]) for test in tests for r in test.noises if r["decides"]}
-    frame = frames["parameters"]
-    for at, (test, name, note) in enumerate(frame[["test", "parameter", "note"]].to_numpy()):
-        if (test, name) in decided:
-            more = "the noise model decides: see noises.csv"
-            frame.loc[at, "note"] = f"{note}; {more}" if note else more
-    return frames
+    return {name: frame_of(name, lines, view.system) for name, lines in rows.items()}
 
 
 def to_csv(frame: pd.DataFrame, about: Iterable[str] = ()) -> str:
@@ -543,12 +472,7 @@ def escape_tex(text: str) -> str:
 
 def symbol_tex(name: str, symbols: Symbols) -> str:
     """Symbol of a quantity as maths; an unknown name as text."""
-    if symbol := symbols.maths(name):
-        return f"${symbol}$"
-    word, of, more = split_population(name, symbols.pooled)
-    if word:
-        return f"{escape_tex(word)} {symbol_tex(of, symbols)}{escape_tex(more)}"
-    return escape_tex(name.replace("_", " "))
+    return str(symbols.written_as(name, lambda maths, _: f"${maths}$", escape_tex))
 
 
 def _texts(cell: Cell, by: float) -> list[str]:
@@ -563,8 +487,6 @@ def _notes(sheet: Sheet) -> dict[str, int]:
 
 def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: System = US) -> str:
     """A file of longtables in the manner of booktabs, in the units of a system."""
-    import pandas as pd
-
     texts = [
         f"% {printable(sheet.title)}.\n% \\usepackage{{booktabs,longtable,array}} in the preamble, "
         f"then \\input{{{name}.tex}} here.\n"
@@ -580,18 +502,16 @@ def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: System = US) -> 
                 first, *more = map(escape_tex, _texts(cell, by))
                 first += f"$^{{{notes[cell.note]}}}$" if cell.note else ""
                 lines[-1].append(small.join([first, *more]))
-        heads = ["Quantity", "Unit", *map(escape_tex, part.heads)]
         column = r">{{\raggedright\arraybackslash}}p{{{:.2f}\linewidth}}"
         widths = (0.25, 0.1, *[0.55 / len(part.heads)] * len(part.heads))
-        style = pd.DataFrame(lines, columns=range(len(heads))).style.hide(axis="index")
-        # pandas takes a head for a format
-        labels = [head.replace("{", "{{").replace("}", "}}") for head in heads]
-        table = style.relabel_index(labels, axis="columns").to_latex(
-            environment="longtable",
-            hrules=True,
-            column_format="".join(map(column.format, widths)),
-            caption=f"{escape_tex(part.title)}.",
-            label=f"tab:{name}-{at}",
+        heads = ["Quantity", "Unit", *map(escape_tex, part.heads)]
+        head, *body = (" & ".join(cells) + " \\\\\n" for cells in [heads, *lines])
+        table = (
+            f"\\begin{{longtable}}{{{''.join(map(column.format, widths))}}}\n"
+            f"\\caption{{{escape_tex(part.title)}.}} \\label{{tab:{name}-{at}}} \\\\\n"
+            f"\\toprule\n{head}\\midrule\n\\endfirsthead\n"
+            f"\\toprule\n{head}\\midrule\n\\endhead\n\\bottomrule\n\\endfoot\n"
+            f"{''.join(body)}\\end{{longtable}}\n"
         )
         below = "".join(rf"$^{{{i}}}$ {escape_tex(note)}.\par" "\n" for note, i in notes.items())
         texts.append(f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}{below}}}\n")
@@ -655,11 +575,11 @@ def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
     return to_csv(frame_of("comparison", rows))
 
 
-def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
+def next_csv(advice: AdviceInWords) -> str:
     """Candidates for the next test, the best first, and what each is expected to tell."""
     import pandas as pd
 
-    return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
+    return to_csv(pd.DataFrame(advice.rows()))
 
 
 def _by_column(table: str, rows: Rows) -> dict[str, list[Any]]:
@@ -751,7 +671,8 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     if view.truth:
         yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
     if view.next_test is not None:
-        yield table_of("next"), next_csv(view.next_test, system, view.actuation_unit)
+        advice = AdviceInWords(view.next_test, system, view.actuation_unit)
+        yield table_of("next"), next_csv(advice)
 
 
 def record_table(test: TestView, system: System = US) -> str:
@@ -795,20 +716,22 @@ def _laws(view: CampaignView, system: System) -> pd.DataFrame:
     """Every law's curve with its bands, and the tests beside it."""
     import pandas as pd
 
-    unit, frames = view.actuation_unit, []
-    at = f"actuation_{system.unit(unit)}"
-    columns = ["what", at, "lower", "median", "upper"]
+    along, frames = system.factor(view.actuation_unit), []
     for law in view.laws:
-        parts: list[tuple[Any, ...]] = []
-        for fan in (law.device, law.new_test):
-            what = f"{KIND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
-            curve = zip(law.actuation, fan.widest.lower, fan.median, fan.widest.upper, strict=True)
-            parts += [(what, *values) for values in curve]
-        parts += [(f"test {name}, 95 %", *values) for name, *values in law.tested]
-        frame = pd.DataFrame(parts, columns=columns)
-        frame[columns[2:]] *= system.factor(law.unit)
-        frame[at] *= system.factor(unit)
-        for head in (("law", law.law), ("unit", system.unit(law.unit)), ("quantity", law.name)):
-            frame.insert(0, *head)
-        frames.append(frame)
+        curves: list[tuple[Any, ...]] = [
+            (
+                f"{KIND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %",
+                *(law.actuation, fan.widest.lower, fan.median, fan.widest.upper),
+            )
+            for fan in (law.device, law.new_test)
+        ]
+        curves += [(f"test {name}, 95 %", *values) for name, *values in law.tested]
+        head = {"quantity": law.name, "unit": system.unit(law.unit), "law": law.law}
+        for what, actuation, *bounds in curves:
+            columns = {
+                f"actuation_{system.unit(view.actuation_unit)}": np.atleast_1d(actuation * along)
+            }
+            for name, bound in zip(("lower", "median", "upper"), bounds, strict=True):
+                columns[name] = np.atleast_1d(bound * system.factor(law.unit))
+            frames.append(pd.DataFrame({**head, "what": what, **columns}))
     return pd.concat(frames)

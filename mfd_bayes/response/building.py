@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -24,8 +23,16 @@ from pydantic import (
 )
 from scipy import linalg
 
-from mfd_bayes.errors import BuildingError, MfdError, UnitError
-from mfd_bayes.records.inputs import file_inside, path_of, real_number, real_numbers, why_no_file
+from mfd_bayes.errors import (
+    BuildingError,
+    MfdError,
+    UnitError,
+    file_inside,
+    path_of,
+    real_number,
+    real_numbers,
+    why_no_file,
+)
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import header_unit
 from mfd_bayes.response.ground import parse_acceleration
@@ -232,14 +239,7 @@ KEYS: dict[str, Collection[str]] = {
 
 
 def read_content(path: Path) -> Content:
-    """Content of a building file.
-
-    Raises
-    ------
-    BuildingError
-        When the file cannot be read or is not TOML, or a key is unknown, missing or has a value
-        that it may not have.
-    """
+    """Content of a building file; unknown, missing and wrong keys are named."""
     try:
         raw = read_toml(path)
         return Content.model_validate(raw)
@@ -264,32 +264,16 @@ LARGEST_FILE = 64 * 2**20  # largest text file of a matrix, bytes
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """One damper in a building.
+    """One damper in a building, between an upper and a lower floor: from 1; 0 is the ground."""
 
-    Attributes
-    ----------
-    name : str
-        Its place: "storey 1", "storey 1, no. 2".
-    upper, lower : int
-        Floors that it joins, from 1; 0 is the ground.
-    actuation : float, ksi or kip
-        NaN where it is a history.
-    unit : {"ksi", "kip"}
-    geometry : float
-        Travel of the damper over the drift between the two floors.
-    brace : float, kip/in
-        Stiffness in series; infinite for a rigid one.
-    history : (time, actuation), (T,) each, optional
-    """
-
-    name: str
+    name: str  # its place: "storey 1", "storey 1, no. 2"
     upper: int
     lower: int
-    actuation: float
-    unit: str
-    geometry: float = 1.0
-    brace: float = np.inf
-    history: tuple[Array, Array] | None = None
+    actuation: float  # ksi or kip; NaN where it is a history
+    unit: str  # "ksi" or "kip"
+    geometry: float = 1.0  # travel of the damper over the drift between the two floors
+    brace: float = np.inf  # stiffness in series, kip/in; infinite for a rigid one
+    history: tuple[Array, Array] | None = None  # time, s, and actuation, (T,) each
 
     @property
     def level(self) -> float:
@@ -299,17 +283,10 @@ class Device:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Modes of a structure, the longest period first.
+    """Modes of a structure, the longest period first."""
 
-    Attributes
-    ----------
-    frequencies : (N,), rad/s
-    shapes : (N, N)
-        Columns φ with φᵀMφ = 1.
-    """
-
-    frequencies: Array
-    shapes: Array
+    frequencies: Array  # (N,), rad/s
+    shapes: Array  # (N, N), columns φ with φᵀMφ = 1
 
     @property
     def periods(self) -> Array:
@@ -319,35 +296,17 @@ class Modes:
 
 @dataclass(frozen=True, eq=False)
 class Building:
-    """A building with dampers, in kip, in and s.
-
-    Attributes
-    ----------
-    title : str
-    mass, damping, stiffness : (N, N), kip s²/in, kip s/in, kip/in
-    influence : (N,)
-        Motion of each degree of freedom when the ground moves by 1.
-    drifts : (S, N)
-        Storey drifts of displacements.
-    heights : (S,), in
-        NaN where not known.
-    yields : (S,), kip
-        Yield force of each storey, infinite where it stays elastic.
-    storeys : (S,), kip/in
-        Stiffness of the storeys that yield.
-    devices : tuple of Device
-    limits : Limits
-    """
+    """A building of N degrees of freedom and S storeys with dampers, in kip, in and s."""
 
     title: str
-    mass: Array
-    damping: Array
-    stiffness: Array
-    influence: Array
-    drifts: Array
-    heights: Array
-    yields: Array
-    storeys: Array
+    mass: Array  # (N, N), kip s²/in
+    damping: Array  # (N, N), kip s/in
+    stiffness: Array  # (N, N), kip/in
+    influence: Array  # (N,), motion of each degree of freedom when the ground moves by 1
+    drifts: Array  # (S, N), storey drifts of displacements
+    heights: Array  # (S,), in; NaN where not known
+    yields: Array  # (S,), kip; infinite where a storey stays elastic
+    storeys: Array  # (S,), kip/in, stiffness of the storeys that yield
     devices: tuple[Device, ...]
     limits: Limits
 
@@ -403,13 +362,7 @@ class Building:
         return times, along
 
     def at_level(self, actuation: float) -> Building:
-        """The building with all dampers at one constant actuation, ksi or kip.
-
-        Raises
-        ------
-        BuildingError
-            When it is no number, 0 or more.
-        """
+        """The building with all dampers at one constant actuation, ksi or kip."""
         actuation = real_number("actuation", actuation, BuildingError, (0.0, np.inf))
         level = [replace(d, actuation=actuation, history=None) for d in self.devices]
         return replace(self, devices=tuple(level))
@@ -420,26 +373,13 @@ class Building:
 
 
 def read_building(path: str | PathLike[str]) -> Building:
-    """Building of a TOML file.
-
-    Raises
-    ------
-    BuildingError
-        When the file, or a file that it names, cannot be read, or a value cannot be used; the
-        key is named.
-    """
+    """Building of a TOML file."""
     path = path_of("building", path, BuildingError)
     return building_of(read_content(path), path)
 
 
 def building_of(content: Content, path: Path) -> Building:
-    """Building of a checked content; `path` is its file, beside which others are looked for.
-
-    Raises
-    ------
-    BuildingError
-        When a file that it names cannot be used, or the building cannot stand.
-    """
+    """Building of a checked content; `path` is its file, beside which others are looked for."""
     given = content.matrices
     if given is not None:
         mass, stiffness, dashpots = _matrices(given, path)
@@ -490,11 +430,6 @@ def damping_matrix(damping: Damping, building: Building, path: str) -> Array:
 
     Rayleigh: C = a M + b K with the ratio ζ at two modes, a = 2ζ ω1 ω2/(ω1 + ω2) and
     b = 2ζ/(ω1 + ω2). Modal: C = M Φ diag(2 ζ ω) Φᵀ M, with the ratio in all modes.
-
-    Raises
-    ------
-    BuildingError
-        When a mode is named that is not there.
     """
     dashpots, modes, given = building.damping, building.modes, damping.model_fields_set
     if damping.kind == "none" or (np.any(dashpots) and not given & {"ratio", "kind"}):
@@ -578,12 +513,14 @@ def _matrix(path: Path, key: str) -> Array:
         if reason := why_no_file(path):
             raise BuildingError(f"{key}: {path} {reason}")
         if path.suffix == ".npy":
-            matrix = _npy(path)
+            matrix = np.asarray(np.load(path, mmap_mode="r"))  # no shape larger than the file
+            if matrix.dtype.kind not in "biuf":
+                raise ValueError(f"it holds {matrix.dtype}, and no real numbers")
         elif path.stat().st_size > LARGEST_FILE:
             raise BuildingError(f"{key}: {path} is larger than {LARGEST_FILE >> 20} MB")
         else:
             matrix = np.loadtxt(path, delimiter=",", ndmin=2)
-    except (OSError, ValueError, TypeError, EOFError) as error:
+    except (OSError, ValueError, TypeError, EOFError, OverflowError) as error:
         raise BuildingError(f"{key}: cannot read {path} as numbers: {error}") from error
     square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] and 0 < len(matrix) <= LARGEST
     if not square or not np.all(np.isfinite(matrix)):
@@ -594,23 +531,6 @@ def _matrix(path: Path, key: str) -> Array:
     if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-9 * np.abs(matrix).max()):
         raise BuildingError(f"{key}: the matrix in {path} must be symmetric")
     return np.asarray(0.5 * (matrix + matrix.T))
-
-
-def _npy(path: Path) -> Array:
-    """Array of a .npy file whose header says real numbers of a size that can be used."""
-    with path.open("rb") as file:
-        version = np.lib.format.read_magic(file)
-        first = version == (1, 0)
-        header = (
-            np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
-        )
-        shape, _, kind = header(file)
-        if kind.kind not in "biuf":
-            raise ValueError(f"it holds {kind}, and no real numbers")
-        if math.prod(shape) > LARGEST**2:
-            raise ValueError(f"its shape is {shape}, and there are up to {LARGEST} rows")
-        file.seek(0)
-        return np.asarray(np.lib.format.read_array(file), dtype=np.float64)
 
 
 def _file_beside(folder: Path, name: str, key: str) -> Path:

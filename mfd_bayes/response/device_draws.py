@@ -9,12 +9,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError
 from mfd_bayes.friction.model import Columns, Model, State
 from mfd_bayes.population.design import Setting
 from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
 from mfd_bayes.population.population import Numbers, Population
-from mfd_bayes.records.inputs import MOST_DRAWS, whole_number
 from mfd_bayes.response.building import Building
 
 KINDS = ("new_test", "device")
@@ -54,12 +52,8 @@ class ElastoPlastic(State):
     def at_rest(cls, stiffness: Array, strength: Array, elastic: Array | None = None) -> Self:
         """Springs without force at displacement 0.
 
-        Parameters
-        ----------
-        stiffness, strength : (n,), kip/in, kip
-        elastic : (n,), kip/in, optional
-            Stiffness whose elastic force is subtracted: that of a storey which the linear structure
-            has already, so that the force here is 0 until it yields.
+        `elastic` is the stiffness whose elastic force is subtracted, (n,), kip/in: that of a storey
+        which the linear structure has already, so that the force here is 0 until it yields.
         """
         zero = np.zeros(stiffness.size)
         constants = {"stiffness": stiffness, "strength": strength}
@@ -71,59 +65,23 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class Choice:
-    """What is drawn.
-
-    Attributes
-    ----------
-    kind : {"new_test", "device"}
-    draws, seed : int
-    session : str
-    scatter : float
-        Factor of the scatter from test to test: 1, or another to see what it does.
-    """
-
-    kind: str = "new_test"
-    draws: int = 300
-    seed: int = 1
-    session: str = ""
-    scatter: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise BuildingError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-        whole_number("draws", self.draws, FEWEST, BuildingError, MOST_DRAWS)
-        whole_number("seed", self.seed, 0, BuildingError)
-
-
 @dataclass(frozen=True, eq=False)
 class Leftover:
     """The model's discrepancy as a force of q dampers; a state as `friction.model.State`.
 
     A turn would let the force jump from one side to the other. It goes there over the first
     `SETTLE` of the longest stroke instead, so that the force is continuous in time.
-
-    Attributes
-    ----------
-    basis : TravelBasis
-    knots : (q, 2, KNOTS + 2), kip
-        Values forward and backward, and zeros beyond the longest stroke.
-    place, turn : (q,), in
-        Displacement now and at the last turn.
-    direction : (q,), ±1
-    stroke : (q,), in
-        Length of the stroke before the last turn.
-    held, force : (q,), kip
-        Force at the last turn, and now.
     """
 
     basis: TravelBasis
+    # (q, 2, KNOTS + 2), kip, values forward and backward, and zeros beyond the longest stroke
     knots: Array
+    # (q,), in: displacement now and at the last turn
     place: Array
-    direction: Array
+    direction: Array  # (q,), ±1
     turn: Array
-    stroke: Array
+    stroke: Array  # (q,), in, length of the stroke before the last turn
+    # (q,), kip: force at the last turn, and now
     held: Array
     force: Array
 
@@ -131,12 +89,9 @@ class Leftover:
     def at_rest(cls, basis: TravelBasis, coefficients: Array, relative: Array) -> Leftover:
         """State before any motion, without force, for no stroke is known.
 
-        Parameters
-        ----------
-        coefficients : (n, K), kip
-            Common to the dampers of a building, as they are to the tests of a device.
-        relative : (n, m)
-            Slip force of each damper over the one at which the discrepancy stands as it is.
+        `coefficients`, (n, K), kip, are common to the dampers of a building, as to the tests of a
+        device; `relative` is the slip force of each damper over the one at which the discrepancy
+        stands as it is, (n, m).
         """
         knots = relative[..., None, None] * coefficients.reshape(len(relative), 1, 2, KNOTS)
         knots = np.pad(knots.reshape(-1, 2, KNOTS), ((0, 0), (0, 0), (0, 2)))
@@ -182,31 +137,20 @@ class Leftover:
 
 @dataclass(frozen=True, eq=False)
 class Dampers:
-    """Dampers of n buildings, m in each.
+    """Dampers of n buildings, m in each."""
 
-    Attributes
-    ----------
-    model : Model or None
-        None for dampers that are almost rigid until they slip; theta is the slip force then.
-    theta : (n, m, p)
-    start : (n, m)
-        Places in the gap at the start.
-    slip : (n, m), kip
-        Mean slip forces.
-    leftover : Leftover, optional
-    scales : mapping of (n, m, T)
-        Factors of what follows the actuation, at the times `times`; none for constant actuations.
-    about : mapping of (n, m)
-        Values by which the draws differ, by the name of the source, for shares of variance.
-    """
-
+    # none for dampers that are almost rigid until they slip; theta is the slip force then
     model: Model | None
-    theta: Array
-    start: Array
-    slip: Array
+    theta: Array  # (n, m, p)
+    start: Array  # (n, m), places in the gap at the start
+    slip: Array  # (n, m), kip, mean slip forces
     leftover: Leftover | None = None
+    # (n, m, T), factors of what follows the actuation, at the times `times`; none
+    # for constant actuations
     scales: Mapping[str, Array] = field(default_factory=dict)
     times: Array | None = None
+    # (n, m), values by which the draws differ, by the name of the source, for
+    # shares of variance
     about: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -255,40 +199,48 @@ def plain_friction(slip: Array) -> Dampers:
 
 
 def draw_dampers(
-    population: Population, model: Model, building: Building, choice: Choice
+    population: Population,
+    model: Model,
+    building: Building,
+    kind: str = "new_test",
+    draws: int = 300,
+    seed: int = 1,
+    *,
+    session: str = "",
+    scatter: float = 1.0,
 ) -> Dampers:
     """Dampers of n draws of a building, from the run's population.
 
     What tests share (laws, levels, effects of level and session, the discrepancy, whether they
     begin without load) is one draw for all dampers of a building; each has its own scatter from
     test to test and its own place in its gap. The noise of measurements is left out: it belongs to
-    load cells. The same seed gives the same random numbers at any actuation, tested or not.
+    load cells. The same seed gives the same random numbers at any actuation, tested or not. A
+    factor of the `scatter` other than 1 shows what it does.
     """
     levels = [device.level for device in building.devices]
     if not levels:
-        return no_dampers(choice.draws)
+        return no_dampers(draws)
     times, histories = building.actuations
     beyond = [level for level in levels if not population.within_levels(level)]
-    rng = np.random.default_rng([choice.seed, 0])
-    index = population.draw_index(choice.draws, (beyond or levels)[0], rng)
+    rng = np.random.default_rng([seed, 0])
+    index = population.draw_index(draws, (beyond or levels)[0], rng)
     varying = times is not None
     driven = np.concatenate([levels, *histories])
     grid = np.unique([*levels, *(population.grid(max(levels), driven) if varying else ())])
-    rng = np.random.default_rng([choice.seed, 1])
-    shared = population.draw_numbers(choice.draws, grid.size, rng)
-    effects = population.level_effects(index, choice.session, grid, shared.level)
+    rng = np.random.default_rng([seed, 1])
+    shared = population.draw_numbers(draws, grid.size, rng)
+    effects = population.level_effects(index, session, grid, shared.level)
     values, about, scales = [], [], []
     for damper, (level, history) in enumerate(zip(levels, histories, strict=True)):
-        at = int(np.argmin(np.abs(grid - level)))
-        here = {name: effect[:, at] for name, effect in effects.items()}
-        setting = Setting(level, choice.session, dict(population.design.covariates))
-        numbers = _own(shared, np.random.default_rng([choice.seed, 2, damper]))
-        scattered = choice.kind == "new_test"
-        parts = population.parts(setting, index, numbers, here, scatter=scattered)
-        x = parts.mean + choice.scatter * parts.scatter
+        setting = Setting(level, session, dict(population.design.covariates))
+        numbers = _own(shared, np.random.default_rng([seed, 2, damper]))
+        mean, scattered = population.parts(
+            setting, index, numbers, effects, scatter=kind == "new_test"
+        )
+        x = mean + scatter * scattered
         unshared = population.unshared(model, x, numbers.start)
         own = {**unshared, **population.values(x)}
-        typical = slip_force_of(model, {**unshared, **population.values(parts.mean)})
+        typical = slip_force_of(model, {**unshared, **population.values(mean)})
         sources = {
             "law and level": typical,
             "scatter of slip force": np.log(slip_force_of(model, own) / typical),
@@ -297,10 +249,10 @@ def draw_dampers(
         }
         values.append(own)
         about.append({name: source for name, source in sources.items() if source is not None})
-        scales.append(population.scales(model, history, index, level, (grid, effects)))
+        scales.append(population.scales(model, history, index, level, effects))
     slip = np.stack([slip_force_of(model, one) for one in values], axis=1)
     residual = population.residual
-    knots = residual.draw_knots(np.random.default_rng([choice.seed, 4]), choice.draws)
+    knots = residual.draw_knots(np.random.default_rng([seed, 4]), draws)
     return Dampers(
         model,
         np.stack([model.theta(one) for one in values], axis=1),
@@ -314,7 +266,7 @@ def draw_dampers(
 
 
 def bound_dampers(
-    population: Population, model: Model, building: Building, drawn: Dampers, choice: Choice
+    population: Population, model: Model, building: Building, drawn: Dampers, seed: int
 ) -> dict[str, Dampers]:
     """One building with all dampers at the "lower", and one at the "upper", design value.
 
@@ -328,7 +280,7 @@ def bound_dampers(
         devices=tuple(replace(d, actuation=d.level, history=None) for d in building.devices),
     )
     mean, scattered = (
-        draw_dampers(population, model, constant, replace(choice, kind=kind, draws=BOUND_DRAWS))
+        draw_dampers(population, model, constant, kind, BOUND_DRAWS, seed)
         for kind in ("device", "new_test")
     )
     levels, residual = np.array([device.level for device in building.devices]), population.residual
@@ -361,10 +313,8 @@ def bound_dampers(
 
 def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:
     """Numbers of one damper: its own scatter, its own place in the gap; a device of its own."""
-    flat = shared.flat.copy()
-    if shared.several:
-        own = slice(3 * shared.quantities, 4 * shared.quantities)
-        flat[:, own] = rng.standard_normal(shared.device.shape)
-    flat[:, : shared.quantities] = rng.standard_normal((len(flat), shared.quantities))
-    flat[:, -1] = rng.standard_normal(len(flat))
-    return replace(shared, flat=flat)
+    if shared.device is not None:
+        shared = shared._replace(device=rng.standard_normal(shared.device.shape))
+    scatter, start = rng.standard_normal(shared.scatter.shape), shared.start.copy()
+    start[:, 1] = rng.standard_normal(len(start))
+    return shared._replace(scatter=scatter, start=start)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from os import PathLike
@@ -14,8 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError, MfdError, UnitError
-from mfd_bayes.records.inputs import path_of, real_number, real_numbers, why_no_file
+from mfd_bayes.errors import (
+    BuildingError,
+    MfdError,
+    UnitError,
+    path_of,
+    real_number,
+    real_numbers,
+    why_no_file,
+)
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import header_unit
 from mfd_bayes.records.table import Table
@@ -47,10 +54,6 @@ def acceleration_factor(unit: str) -> float:
     """Factor from a unit of acceleration to in/s²: "g", "gal", "%g", "cm/s^2", "(CM/SEC/SEC)".
 
     Upper and lower case are the same, for headers are in capitals; g is that of gravity, no gram.
-
-    Raises
-    ------
-    UnitError
     """
     text = unit.strip().strip("\"'").lower()
     if bracketed := re.fullmatch(r"[(\[]([^()\[\]]*)[)\]]", text):
@@ -68,12 +71,7 @@ def acceleration_factor(unit: str) -> float:
 
 
 def parse_acceleration(text: str) -> float:
-    """Acceleration of ``"0.3 g"`` or ``"3 m/s^2"``, in/s².
-
-    Raises
-    ------
-    UnitError
-    """
+    """Acceleration of ``"0.3 g"`` or ``"3 m/s^2"``, in/s²."""
     value, unit = split_quantity(text, example="0.3 g")
     try:
         return value * acceleration_factor(unit)
@@ -107,24 +105,11 @@ def _seconds(value: float, unit: str) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A ground motion.
-
-    Attributes
-    ----------
-    name : str
-    step : float, s
-    acceleration : (T,), in/s²
-        The first sample is at time 0. A copy of what is given, which cannot be changed.
-
-    Raises
-    ------
-    BuildingError
-        When the name is no text, the step is not positive, or values are missing, not finite or
-        all zero.
-    """
+    """A ground motion."""
 
     name: str
-    step: float
+    step: float  # s
+    # (T,), in/s², from time 0; a copy of what is given, which cannot be changed
     acceleration: Array
 
     def __post_init__(self) -> None:
@@ -180,11 +165,6 @@ def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None
     """File, step and unit of ``"Rinaldi.AT2:0.01s"`` or ``"a.txt:0.01s:cm/s^2"``.
 
     Step and unit are taken off the end; the path before them may have colons.
-
-    Raises
-    ------
-    BuildingError
-        When what follows the last colon is no step, no unit and no path.
     """
     name, step, unit = text, None, ""
     while ":" in name and not os.path.lexists(name):
@@ -210,24 +190,10 @@ def read_ground(
 ) -> Ground:
     """Ground motion of a file.
 
-    Parameters
-    ----------
-    path : path
-        With the suffix .csv: a table with a column of the time and one of the acceleration, with
-        units in its header. Any other: PEER's .AT2, K-NET's files, or numbers alone.
-    step : float, s, optional
-        Where the file does not say it.
-    unit : str, optional
-        Of the acceleration, where the file does not say it; "g" by default, but for a CSV.
-    meant : bool
-        Whether to take any peak. Without it, and without a `unit`, one above 5 g or below
-        0.0001 g is refused.
-
-    Raises
-    ------
-    BuildingError
-        When the file cannot be read, its step is not known, a value is of another type, the
-        file says another step or unit than is given, or its peak cannot be that of the ground.
+    With the suffix .csv it is a table with a column of the time and one of the acceleration, with
+    units in its header; with any other PEER's .AT2, one of K-NET's files, or numbers alone. Step, s
+    and unit are given where the file does not say them; the unit is "g" by default, but for a CSV.
+    A peak above 5 g or below 0.0001 g is refused, unless a `unit` is given or it is `meant`.
     """
     path = path_of("ground", path, BuildingError)
     if step is not None:
@@ -294,13 +260,13 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
     """Accelerations, in/s², and step, s, of a table with a column of the time."""
     try:
         table = read_table(path)
-        moves = [n for n in table.names if n.lower().startswith(("acc", "a_", "ag", "ground"))]
+        moves = _columns(table, ("acc", "a_", "ag", "ground"), _factor)
         if len(moves) != 1:
             raise BuildingError(
                 f"{path} needs one column of the acceleration, such as 'acceleration_g'; it has "
                 f"{', '.join(table.names[:20])}"
             )
-        times = [n for n in table.names if n.lower().startswith(("time", "t_", "t["))][:1]
+        times = _columns(table, ("time", "t_", "t["), lambda unit: _seconds(1.0, unit))[:1]
         columns = table.columns([*moves, *times])
     except MfdError as error:
         raise BuildingError(str(error)) from error
@@ -315,6 +281,14 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
     by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
     return by * columns[moves[0]], step
+
+
+def _columns(
+    table: Table, beginnings: tuple[str, ...], measures: Callable[[str], float | None]
+) -> list[str]:
+    """Names of the columns that begin so; where none does, of those with a unit of that kind."""
+    named = [name for name in table.names if name.lower().startswith(beginnings)]
+    return named or [name for name in table.names if measures(_column_unit(table, name))]
 
 
 def _column_unit(table: Table, name: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -15,11 +15,14 @@ from mfd_bayes.errors import BuildingError, NotThereError, UnitError
 from mfd_bayes.response.building import Building, Limits
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.units import GRAVITY, parse_actuation
+from mfd_bayes.units import GRAVITY, parse_actuation, percent
 
 Array = NDArray[np.float64]
 
+Row = dict[str, Any]
+
 PROBABILITIES = (0.5, 0.9, 0.95)  # of the equal-tailed bands
+REFERENCES = ("bare", "plain", "lower", "upper")
 OPEN = 0.005  # share of the time in steps that should have been shorter, from which a draw is named
 PER_DRAW = (
     *("drift", "acceleration", "base_shear", "force", "travel", "energy", "residual"),
@@ -31,130 +34,36 @@ PER_GROUND = ("histories", "travels", "forces")
 """Tuples of arrays (n, T, …), one for each ground motion."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """A peak and its bands.
-
-    Attributes
-    ----------
-    quantity, ground, place : str
-    unit : str
-        Internal, or "1" of a ratio.
-    median, mean : float
-    bands : tuple of (lower, upper)
-        For `PROBABILITIES`.
-    bare, plain : float
-        The same without dampers, and with plain friction of the median slip force; NaN where it
-        has no meaning.
-    lower, upper : float
-        The same with all dampers at their lower, and at their upper, design value; NaN where the
-        bounds are not known.
-    """
-
-    quantity: str
-    ground: str
-    place: str
-    unit: str
-    median: float
-    mean: float
-    bands: tuple[tuple[float, float], ...]
-    bare: float = np.nan
-    plain: float = np.nan
-    lower: float = np.nan
-    upper: float = np.nan
-
-
-@dataclass(frozen=True)
-class Passing:
-    """Probability that a limit is passed somewhere in the building, and its standard error."""
-
-    quantity: str
-    ground: str
-    limit: float
-    unit: str
-    probability: float
-    error: float
-
-
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Response of n draws of a building to g ground motions.
-
-    Attributes
-    ----------
-    drift : (n, g, S), in
-        Largest storey drifts.
-    acceleration : (n, g, N), in/s²
-        Largest absolute accelerations of the floors.
-    base_shear : (n, g), kip
-        The largest of inertia.
-    force, travel, energy : (n, g, m), kip, in, kip in
-        Largest force and travel of each damper, and the energy that it took.
-    residual : (n, g, S), in
-        Mean drift over the last two fundamental periods.
-    unstable : (n, g) bool
-        Draws that ran away.
-    open : (n, g)
-        Share of the time in steps that should have been shorter still.
-    imbalance : (n, g)
-        Largest energy that is not accounted for, over the largest input.
-    change : (n, g)
-        Estimated error of the largest drift, relative.
-    steps : (n, g), s
-        Shortest step of each.
-    histories : tuple of (n, T, S), in
-        Drift at the samples of each ground motion.
-    travels, forces : tuple of (k, T, m), in, kip
-        Of the dampers of the first k draws.
-    references : mapping of str to Response
-        Of one draw each: "bare", without dampers; "plain", with plain friction of the median
-        slip forces; "lower" and "upper", with all dampers at those design values.
-    tolerance : float
-        Error up to which a draw counts as settled.
-    remarks : tuple of str
-    """
+    """Response of n draws of a building to g ground motions."""
 
     building: Building
     grounds: tuple[Ground, ...]
     dampers: Dampers
-    drift: Array
-    acceleration: Array
-    base_shear: Array
+    drift: Array  # (n, g, S), in, largest storey drifts
+    acceleration: Array  # (n, g, N), in/s², largest absolute accelerations of the floors
+    base_shear: Array  # (n, g), kip, the largest of inertia
+    # (n, g, m), kip, in, kip in: largest force and travel of each damper, and the energy that
+    # it took
     force: Array
     travel: Array
     energy: Array
-    residual: Array
-    unstable: NDArray[np.bool_]
-    open: Array
-    imbalance: Array
-    change: Array
-    steps: Array
-    histories: tuple[Array, ...]
+    residual: Array  # (n, g, S), in, mean drift over the last two fundamental periods
+    unstable: NDArray[np.bool_]  # (n, g), draws that ran away
+    open: Array  # (n, g), share of the time in steps that should have been shorter still
+    imbalance: Array  # (n, g), largest energy that is not accounted for, over the largest input
+    change: Array  # (n, g), estimated error of the largest drift, relative
+    steps: Array  # (n, g), s, shortest step of each
+    histories: tuple[Array, ...]  # (n, T, S), in, drift at the samples of each ground motion
+    # (k, T, m), in, kip, of the dampers of the first k draws
     travels: tuple[Array, ...]
     forces: tuple[Array, ...]
+    # of one draw each: "bare", without dampers; "plain", with plain friction of the median
+    # slip forces; "lower" and "upper", with all dampers at those design values
     references: Mapping[str, Response] = field(default_factory=dict)
-    tolerance: float = 0.01
+    tolerance: float = 0.01  # error up to which a draw counts as settled
     remarks: tuple[str, ...] = ()
-
-    @classmethod
-    def of_ground(
-        cls, building: Building, ground: Ground, dampers: Dampers, arrays: Mapping[str, Array]
-    ) -> Response:
-        """Response to one ground motion, from arrays (n, …) by name; see `arrays`."""
-        found: dict[str, Any] = {name: arrays[name][:, None] for name in PER_DRAW}
-        found |= {name: (arrays[name],) for name in PER_GROUND}
-        return cls(building, (ground,), dampers, **found)
-
-    def put(self, rows: NDArray[np.intp], part: Response) -> None:
-        """Put the response of some draws to its first ground motion in place."""
-        for name, new in part.arrays.items():
-            self.arrays[name][rows[: len(new)]] = new
-
-    @property
-    def arrays(self) -> dict[str, Array]:
-        """What was computed under the first ground motion, (n, …) by name."""
-        found = {name: getattr(self, name)[:, 0] for name in PER_DRAW}
-        return found | {name: getattr(self, name)[0] for name in PER_GROUND}
 
     @property
     def bare(self) -> Response:
@@ -226,36 +135,42 @@ class Response:
             del found["drift ratio"], found["residual drift ratio"]
         return found
 
-    def rows(self) -> Iterator[Row]:
-        """Peaks and residuals with their bands, for each record and place."""
-        references = {name: one.quantities() for name, one in self.references.items()}
+    def rows(self) -> list[Row]:
+        """Median, mean and bands of peaks and residuals, under each ground motion at each place.
+
+        With those of the references, NaN where they have no meaning. A unit of "1" is a ratio's.
+        """
+        references = {name: of.quantities() for name, of in self.references.items()}
+        tails = [(0.5 * (1.0 - p), 0.5 * (1.0 + p)) for p in PROBABILITIES]
+        names, rows = [percent(p) for p in PROBABILITIES], []
         for g, ground in enumerate(self.grounds):
             for quantity, (unit, places, values) in self.quantities().items():
                 used = values[self.usable(g), g]
                 if quantity == "residual drift ratio" or not len(used):
                     continue
+                skipped = ("bare", "plain") if quantity.startswith("damper") else ()
                 for i, place in enumerate(places):
                     own = used[:, i]
-                    tails = ((0.5 * (1 - p), 0.5 * (1 + p)) for p in PROBABILITIES)
-                    ends = (np.quantile(own, tail).tolist() for tail in tails)
-                    of_damper = quantity.startswith("damper")
-                    others = [
-                        np.nan
-                        if name not in references or (of_damper and name in ("bare", "plain"))
-                        else float(references[name][quantity][2][0, g, i])
-                        for name in ("bare", "plain", "lower", "upper")
-                    ]
-                    yield Row(
-                        *(quantity, ground.name, place, unit),
-                        float(np.median(own)),
-                        float(own.mean()),
-                        tuple((low, high) for low, high in ends),
-                        *others,
-                    )
+                    bands = [tuple(np.quantile(own, tail).tolist()) for tail in tails]
+                    row: Row = {
+                        "quantity": quantity,
+                        "ground": ground.name,
+                        "place": place,
+                        "unit": unit,
+                        "median": float(np.median(own)),
+                        "mean": float(own.mean()),
+                        "bands": dict(zip(names, bands, strict=True)),
+                        **dict.fromkeys(REFERENCES, np.nan),
+                    }
+                    for name, of in references.items():
+                        if name not in skipped:
+                            row[name] = float(of[quantity][2][0, g, i])
+                    rows.append(row)
+        return rows
 
-    def limits(self) -> Iterator[Passing]:
-        """Probability of passing each limit, under each ground motion, with its error."""
-        given, quantities = self.building.limits, self.quantities()
+    def limits(self) -> list[Row]:
+        """Probability of passing each limit in the building, under each motion, and its error."""
+        given, quantities, rows = self.building.limits, self.quantities(), []
         limits = {
             "drift ratio": given.drift,
             "acceleration": given.acceleration,
@@ -274,7 +189,9 @@ class Response:
                 # with the centre of Agresti and Coull, so that 0 of n has an error too
                 centre = (p * n + 2.0) / (n + 4.0)
                 error = float(np.sqrt(centre * (1.0 - centre) / (n + 4.0)))
-                yield Passing(quantity, ground.name, limit, unit, p, error)
+                row = {"quantity": quantity, "ground": ground.name, "limit": limit, "unit": unit}
+                rows.append(row | {"probability": p, "error": error})
+        return rows
 
     def measure(self, name: str) -> Array:
         """The largest of a quantity over the building, (n, g).
@@ -293,22 +210,20 @@ class Response:
 
 
 def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
-    """Response of all dampers to all ground motions, from parts.
-
-    For each ground motion there is one part after another of the draws, with the response to it.
-    """
-    found: dict[str, Any] = {
+    """Response of all dampers to all ground motions, of parts of the draws under each."""
+    by_ground = list(zip(*parts, strict=True))
+    arrays: dict[str, Any] = {
         name: np.concatenate(
-            [np.concatenate([getattr(part, name) for part in one]) for one in parts], axis=1
+            [np.concatenate([getattr(part, name) for part in some]) for some in by_ground], axis=1
         )
         for name in PER_DRAW
     }
     for name in PER_GROUND:
-        found[name] = tuple(
-            np.concatenate([getattr(part, name)[0] for part in one]) for one in parts
+        arrays[name] = tuple(
+            np.concatenate([getattr(part, name)[0] for part in some]) for some in by_ground
         )
-    grounds = tuple(one[0].grounds[0] for one in parts)
-    return replace(parts[0][0], grounds=grounds, dampers=dampers, **found)
+    grounds = tuple(part.grounds[0] for part in parts[0])
+    return replace(parts[0][0], grounds=grounds, dampers=dampers, **arrays)
 
 
 # --- which uncertainty matters
@@ -317,15 +232,6 @@ ORDERS = 24  # orders in which sources are added; the share of each is its mean 
 FEWEST = 30  # fewest draws, of those that did not run away, of which there are shares
 PLACES = 6  # dampers whose own values are columns of the regression, beside the mean over all
 REST = "interactions and the rest"
-
-
-@dataclass(frozen=True)
-class Shares:
-    """Shares of the sources in the variance of a peak, within one ground motion."""
-
-    quantity: str
-    ground: str
-    shares: Mapping[str, float]
 
 
 def variance_shares(
@@ -340,10 +246,6 @@ def variance_shares(
     and of each by itself), and the explained variance, adjusted for the number of columns, is
     divided by the mean gain over orders of adding the sources (Lindeman, Merenda and Gold, 1980).
     What no source explains stays as "interactions and the rest".
-
-    Parameters
-    ----------
-    quantity : {"drift", "acceleration", "base_shear", "travel"}
     """
     good = response.usable(ground)
     values = response.measure(quantity)[good, ground]
@@ -400,36 +302,22 @@ GOALS: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Peaks at several actuations, with the same random numbers.
+    """Peaks at several actuations, with the same random numbers."""
 
-    Attributes
-    ----------
-    levels : (L,), ksi or kip
-    unit : {"ksi", "kip"}
-    values : mapping of str to (L, n, g)
-        The largest over the building of "drift", in, and "acceleration", g, of the draws that ran
-        away at no other level; NaN at levels that are left out.
-    quantity, goal : str
-    scores : (L,)
-        What is made small, over all ground motions; infinite at levels that are left out.
-    best : float
-        The actuation at which it is smallest; NaN where it is so at several levels alike.
-    interval : (float, float)
-        Equal-tailed 90 % interval of the best actuation, over resampled draws; levels that are
-        best alike are all in it.
-    remarks : tuple of str
-        What it leaves out.
-    """
-
-    levels: Array
-    unit: str
+    levels: Array  # (L,), ksi or kip
+    unit: str  # "ksi" or "kip"
+    # the largest over the building of "drift", in, and "acceleration", g, of the draws that
+    # ran away at no other level; NaN at levels that are left out
     values: Mapping[str, Array]
     quantity: str
     goal: str
+    # (L,), what is made small, over all ground motions; infinite at levels that are left out
     scores: Array
-    best: float
+    best: float  # the actuation at which it is smallest; NaN where it is so at several levels alike
+    # equal-tailed 90 % interval of the best actuation, over resampled draws;
+    # levels that are best alike are all in it
     interval: tuple[float, float]
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # what it leaves out
 
     @property
     def lowest(self) -> Array:
@@ -438,13 +326,7 @@ class Sweep:
 
 
 def parse_sweep(text: str) -> tuple[Array, str]:
-    """Levels, (L,), and unit of ``actuation="500 psi to 1500 psi"``, perhaps ``in 5 steps``.
-
-    Raises
-    ------
-    BuildingError
-        When it is no such range.
-    """
+    """Levels, (L,), and unit of ``actuation="500 psi to 1500 psi"``, perhaps ``in 5 steps``."""
     form = r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*"
     match = re.fullmatch(form, re.sub("[\"']", "", text))
     if match is None:
@@ -467,13 +349,7 @@ def parse_sweep(text: str) -> tuple[Array, str]:
 
 
 def check_goal(quantity: str, goal: str, limits: Limits) -> float:
-    """The limit that a quantity may not pass; NaN where the goal needs none.
-
-    Raises
-    ------
-    BuildingError
-        When the quantity or the goal is unknown, or a limit is missing.
-    """
+    """The limit that a quantity may not pass; NaN where the goal needs none."""
     if quantity not in QUANTITIES:
         raise BuildingError(f"unknown quantity {quantity!r}: expected {' or '.join(QUANTITIES)}")
     if goal not in GOALS:
@@ -491,11 +367,6 @@ def sweep_of(
 
     `swept` is the levels and their unit, as `parse_sweep` has them. Draws are the same at every
     level, so that resampling them compares like with like.
-
-    Raises
-    ------
-    BuildingError
-        When the quantity or the goal is unknown, a limit is missing, or no level is left.
     """
     levels, unit = swept
     limit = check_goal(quantity, goal, responses[0].building.limits)

@@ -10,13 +10,11 @@ bend: where they do so too much, the step is halved, for each draw by itself.
 
 from __future__ import annotations
 
-import io
-import shutil
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,12 +23,10 @@ from scipy import linalg
 
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
-from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.response.building import Building
 from mfd_bayes.response.device_draws import Dampers, ElastoPlastic, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.result import Response, combined
-from mfd_bayes.store.files import write_bytes
+from mfd_bayes.response.result import PER_DRAW, PER_GROUND, Response, combined
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -47,48 +43,17 @@ JUMP = 30.0
 
 EASY = 1 / 8  # share of the largest bend below which the next step is twice as long
 RUNAWAY = 1e5  # travel, in, beyond which a draw diverged
+TOLERANCE = 0.01  # largest estimated error of a draw's drift, relative
+ROUNDS = 2  # most times that a draw is computed again with shorter steps
+KEPT = 8  # draws of each block whose dampers' histories are kept
 BEND = 2.0  # largest bend of the forces at first (see `integrate`), over the tolerance
 LARGEST_BEND = 0.1
 SHARPER = 0.25  # share of this for the draws that are computed again
 ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
 BOOLE = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # weights of Boole's rule
-CHUNK = 128  # steps of draws that are taken in together, at least
 
 
 # --- what is kept of histories: peaks, residuals, energies, samples
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """One step of some draws.
-
-    Attributes
-    ----------
-    inner : callable
-        States after ¼, ½ and ¾ of the step, (3, r, 2N), from those at its begin, the ground's
-        acceleration at its ends, (r, 2), and the forces.
-    size : float, s
-        Its length.
-    rows : (r,)
-        Which draws.
-    time : float, s
-        Its begin.
-    shaking : (2,), in/s²
-        Ground's acceleration at both ends.
-    begin, end : (r, 2N), in and in/s
-        Displacements and velocities.
-    forces : three of (r, m), kip
-        Of the devices, beyond those at rest: at the begin, in the middle and at the end.
-    """
-
-    inner: Callable[[Array, Array, Sequence[Array]], Array]
-    size: float
-    rows: NDArray[np.intp]
-    time: float
-    shaking: Array
-    begin: Array
-    end: Array
-    forces: Sequence[Array]
 
 
 class Recorder:
@@ -120,67 +85,37 @@ class Recorder:
         self.most_input, self.most_lost = np.zeros((2, n))
         self.histories = np.zeros((n, samples, storeys), dtype=np.float32)
         self.loops = np.zeros((2, min(kept, n), samples, m), dtype=np.float32)
-        self.pieces: list[Piece] = []
-        self.samples: list[tuple[Array, Array]] = []
-        self.sampled = 0
 
-    def include(self, pieces: Sequence[Piece], state: Array, force: Array, *, last: bool) -> None:
-        """Take in the steps to the next sample of the ground motion, and all draws there.
-
-        All that waits is worked up together when it is enough, and with the last sample.
-        """
-        self.pieces += pieces
-        self.samples.append((state.copy(), force))
-        if not last and sum(piece.rows.size for piece in self.pieces) < CHUNK:
-            return
+    def sample(self, k: int, state: Array, force: Array) -> None:
+        """Take in all draws at a sample of the ground motion."""
         n, m, building, kept = (
             self.building.freedoms,
             self.dampers,
             self.building,
-            self.loops.shape[1],
+            len(self.loops[0]),
         )
-        states, forces = (np.stack(column, axis=1) for column in zip(*self.samples, strict=True))
-        span = slice(self.sampled, self.sampled + states.shape[1])
-        self.histories[:, span] = states[..., :n] @ building.drifts.T
-        pulled = (forces - self.rest[:, None])[:kept, :, :m]
-        travels = states[:kept, :, :n] @ self.places[:m].T - pulled * self.brace[:m]
-        self.loops[:, :, span] = travels, forces[:kept, :, :m]
-        self.sampled = span.stop
-        for size in {piece.size for piece in self.pieces}:
-            self._take_in([piece for piece in self.pieces if piece.size == size])
-        self.pieces, self.samples = [], []
+        x, v, pulled = state[:, :n], state[:, n:], force - self.rest
+        self.histories[:, k] = x @ building.drifts.T
+        travels = x[:kept] @ self.places[:m].T - (pulled * self.brace)[:kept, :m]
+        self.loops[:, :, k] = travels, force[:kept, :m]
         # energy that is not accounted for, now
-        x, v = state[:, :n], state[:, n:]
         stored = 0.5 * ((v @ building.mass) * v + (x @ building.stiffness) * x).sum(axis=1)
         lost = self.work[:, 0] - self.work[:, 1:].sum(axis=1) - stored
         self.most_lost = np.maximum(self.most_lost, np.abs(lost))
         self.most_input = np.maximum(self.most_input, np.abs(self.work[:, 0]))
-        self.elastic = 0.5 * (self.brace * (force - self.rest) ** 2)[:, :m]
+        self.elastic = 0.5 * (self.brace * pulled**2)[:, :m]
 
-    def _take_in(self, pieces: Sequence[Piece]) -> None:
-        """Peaks, work and residual drift of steps of one length; those of a draw together."""
-        n, m, building, size = self.building.freedoms, self.dampers, self.building, pieces[0].size
-        rows = np.concatenate([piece.rows for piece in pieces])
-        order = np.argsort(rows, kind="stable")
-        rows, counts = rows[order], [piece.rows.size for piece in pieces]
-        starts = np.flatnonzero(np.diff(rows, prepend=-1))
-        draws = rows[starts]
-        begin, end = (
-            np.concatenate([getattr(piece, name) for piece in pieces])[order]
-            for name in ("begin", "end")
-        )
-        first, half, last = (
-            np.concatenate([piece.forces[i] for piece in pieces])[order] for i in range(3)
-        )
-        ground, time = (
-            np.repeat([getattr(piece, name) for piece in pieces], counts, axis=0)[order]
-            for name in ("shaking", "time")
-        )
-        # (5, P, ...): at the begin, after ¼, ½ and ¾, and at the end of every step
-        share = np.linspace(0.0, 1.0, 5)[:, None, None]
-        state = np.concatenate(
-            [begin[None], pieces[0].inner(begin, ground, (first, half, last)), end[None]]
-        )
+    def step(
+        self, rows: Rows, time: float, size: float, shaking: Array, state: Array, forces: Array
+    ) -> None:
+        """Take in a step of some draws, from `time`: peaks, work and residual drift.
+
+        `shaking` is the ground's acceleration at both ends, (2,), in/s²; `state` is (5, r, 2N), at
+        the begin, after ¼, ½ and ¾, and at the end; `forces` are those of the devices beyond those
+        at rest, (3, r, m), at the begin, in the middle and at the end.
+        """
+        n, m, building = self.building.freedoms, self.dampers, self.building
+        (first, half, last), share = forces, np.linspace(0.0, 1.0, 5)[:, None, None]
         pulled = (1.0 - share) * first + share * last
         pulled += 4.0 * share * (1.0 - share) * (half - 0.5 * (first + last))
         x, v = state[..., :n], state[..., n:]
@@ -191,22 +126,21 @@ class Recorder:
             "drift": drift,
             "acceleration": acceleration,
             "base_shear": (acceleration @ weights)[..., None],
-            "force": pulled[::2, :, :m] + self.rest[rows, :m],
+            "force": forces[..., :m] + self.rest[rows, :m],
             "travel": x @ self.places[:m].T - pulled[..., :m] * self.brace[:m],
         }
         for name, values in peaks.items():
-            most = np.maximum.reduceat(np.abs(values).max(axis=0), starts, axis=0)
-            self.peaks[name][draws] = np.maximum(self.peaks[name][draws], most)
-        shaking = (1.0 - share[..., 0]) * ground[:, 0] + share[..., 0] * ground[:, 1]
-        given = -shaking * (v @ weights)
+            self.peaks[name][rows] = np.maximum(self.peaks[name][rows], np.abs(values).max(axis=0))
+        along = (1.0 - share[..., 0]) * shaking[0] + share[..., 0] * shaking[1]
+        given = -along * (v @ weights)
         damped = ((v @ building.damping) * v).sum(axis=-1)
-        taken = pulled * (v @ self.places.T)
-        power = np.concatenate([given[..., None], damped[..., None], taken], axis=2)
-        work = size * np.tensordot(BOOLE, power, axes=1)
-        self.work[draws] += np.add.reduceat(work, starts, axis=0)
-        late = size * (time + size > self.late)[:, None]
-        self.residual[draws] += np.add.reduceat(late * drift[2], starts, axis=0)
-        self.late_time[draws] += np.add.reduceat(late, starts, axis=0)
+        power = np.concatenate(
+            [given[..., None], damped[..., None], pulled * (v @ self.places.T)], axis=2
+        )
+        self.work[rows] += size * np.tensordot(BOOLE, power, axes=1)
+        if time + size > self.late:
+            self.residual[rows] += size * drift[2]
+            self.late_time[rows] += size
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What was found of n draws, by the names of a response."""
@@ -227,20 +161,12 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class Devices:
-    """All devices of n buildings after a step: m dampers, then s storeys that yield.
+    """All devices of n buildings after a step: m dampers, then s storeys that yield."""
 
-    Attributes
-    ----------
-    states : tuple of (state, slice)
-        States of n devices for each column of the slice: of the dampers, of what their model leaves
-        over, and of storeys.
-    force : (n, m + s), kip
-    times, scales : (T,), mapping of (n, m, T)
-        See `Dampers`.
-    """
-
+    # states of n devices for each column of the slice: of the dampers, of what their model
+    # leaves over, and of storeys
     states: tuple[tuple[Any, slice], ...]
-    force: Array
+    force: Array  # (n, m + s), kip
     times: Array | None
     scales: Mapping[str, Array]
 
@@ -318,14 +244,10 @@ class Propagator:
     where forces are those beyond the ones at rest, f(s) = (1 − s) f₀ + s f₁ + 4 s (1 − s) bump, and
     travels are less what a brace takes. From the exponential of the matrix that is augmented by the
     loads' powers of time (Van Loan, 1978).
-
-    Attributes
-    ----------
-    size : float, s
-    free, shaken, forced : (2N + m, 8N + 4m), (2, 8N + 4m), (2m, 8N + 4m)
     """
 
-    size: float
+    size: float  # s
+    # (2N + m, 8N + 4m), (2, 8N + 4m), (2m, 8N + 4m)
     free: Array
     shaken: Array
     forced: Array
@@ -365,14 +287,11 @@ class Propagator:
         forced[m:, 8 * n :] -= np.concatenate([loss, none, none, -4.0 * rate], axis=1)
         return cls(size, free, shaken, forced)
 
-    def inner(self, state: Array, shaking: Array, forces: Sequence[Array]) -> Array:
+    def inner(self, state: Array, shaking: Array, forces: Array) -> Array:
         """States after ¼, ½ and ¾ of the step, (3, r, 2N).
 
-        Parameters
-        ----------
-        state, shaking : (r, 2N), (r, 2)
-        forces : three of (r, m), kip
-            At the begin, in the middle and at the end.
+        `state` is (r, 2N), `shaking` (2,), and `forces` are (3, r, m), kip: at the begin,
+        in the middle and at the end.
         """
         first, middle, last = forces
         width = 3 * state.shape[1]
@@ -394,25 +313,14 @@ def equilibrium(
 ) -> tuple[Devices, Array, Array, NDArray[np.bool_]]:
     """Devices that answer their motion with the forces that cause it, by Newton's method.
 
-    Parameters
-    ----------
-    motion : callable
-        Travel and velocity at the end of a step, (n, m) each, by the forces then.
-    when : (float, float), s
-        Length of the step, and the time at its end.
-    flexibility : (m, m), in/kip
-        Change of the travel of each device (row) by the force of each (column).
-    begin : (n, m), kip and kip/in
-        Forces to begin with, and changes of each device's force by its travel: a secant of the
-        last step at first, of the last two iterations then.
-    tolerance : (n, m), kip
-    most : int
-        Most iterations.
+    `motion` gives travel and velocity at the end of a step, (n, m) each, by the forces then; `when`
+    is the length of the step and the time at its end, s; `flexibility` is the change of the travel
+    of each device (row) by the force of each (column), (m, m), in/kip. It begins with forces and
+    changes of each device's force by its travel, (n, m): a secant of the last step at first, of the
+    last two iterations then; `tolerance` is (n, m), kip.
 
-    Returns
-    -------
-    devices, force, slope, closed : Devices, (n, m), (n, m), (n,) bool
-        The devices, their forces, those changes, and which of n buildings are in equilibrium.
+    Returned are the devices, their forces and those changes, (n, m) each, and which of the n
+    buildings are in equilibrium, (n,).
     """
     (force, slope), own, last = begin, np.abs(flexibility.diagonal()), begin
     low, high = np.full_like(force, -np.inf), np.full_like(force, np.inf)
@@ -461,9 +369,9 @@ class _Draws:
     """Draws of a building under one ground motion, each stepped as its forces bend."""
 
     def __init__(
-        self, building: Building, ground: Ground, dampers: Dampers, bend: float, halvings: int
+        self, building: Building, ground: Ground, dampers: Dampers, bend: float, kept: int
     ) -> None:
-        self.building, self.ground, self.bend, self.halvings = building, ground, bend, halvings
+        self.building, self.ground, self.bend = building, ground, bend
         strong = np.isfinite(building.yields)
         self.places = np.concatenate([building.travels, building.drifts[strong]])
         self.brace = np.zeros(len(self.places))
@@ -483,7 +391,7 @@ class _Draws:
         self.change, self.open = np.zeros((2, n))
         self.unstable = np.zeros(n, dtype=bool)
         self.steps: dict[int, Propagator] = {}
-        self.pieces: list[Piece] = []
+        self.recorder = Recorder(building, ground, self.places, self.brace, self.rest, kept)
 
     def advance(self, rows: Rows, begin: float, level: int) -> None:
         """Move draws by a step of a level, from `begin`, in samples; or by two of the next one."""
@@ -523,7 +431,7 @@ class _Draws:
         after, force, slope, closed = equilibrium(
             *(devices, motion, (size, time + size), forced[:m, full : full + m].T),
             *((devices.force + size * self.rate[rows], slope), CLOSE * scale),
-            ITERATIONS[level == self.halvings],
+            ITERATIONS[level == HALVINGS],
         )
         last = force - rest
         moved = free[:, half:full] + last @ forced[:m, half:full]
@@ -537,7 +445,7 @@ class _Draws:
         bent = np.max(np.abs(bump) / scale, axis=1, initial=0.0) * size / (LONGEST * self.bend)
         sound = (np.abs(end).max(axis=1) < RUNAWAY) & np.isfinite(last).all(axis=1)
         good = closed & (bent <= 1.0) & sound
-        if level == self.halvings:
+        if level == HALVINGS:
             self.open[rows[~good]] += size
             self.unstable[rows[~sound]] = True
             self.state[rows[~sound]] = 0.0
@@ -557,10 +465,10 @@ class _Draws:
             (self.change, np.maximum(self.change[rows], off)),
         ):
             column[taken] = new[good]
-        forces = [each[good] for each in (first, 0.5 * (first + last) + bump, last)]
-        self.pieces.append(
-            Piece(linear.inner, size, taken, time, shaking, state[good], end[good], forces)
-        )
+        forces = np.stack([first, 0.5 * (first + last) + bump, last])[:, good]
+        inner = linear.inner(state[good], shaking, forces)
+        states = np.concatenate([state[None, good], inner, end[None, good]])
+        self.recorder.step(taken, time, size, shaking, states, forces)
         if every and good.all():
             self.devices = after
         else:
@@ -574,33 +482,22 @@ def integrate(
     dampers: Dampers,
     bend: float,
     *,
-    halvings: int = HALVINGS,
     kept: int = 0,
     tick: Callable[[float], object] = lambda share: None,
 ) -> Response:
     """Response of every draw to one ground motion.
 
-    Parameters
-    ----------
-    dampers : Dampers
-        Of n draws.
-    bend : float
-        A step is halved where a device's force in its middle, off the mean of those at its ends,
-        gives a larger impulse than this share of the slip force in the longest step.
-    halvings : int
-        Most halvings of a step.
-    kept : int
-        Number of first draws whose dampers' histories are kept.
-    tick : callable, optional
-        Called with the share of the motion that is done.
+    A step is halved where a device's force in its middle, off the mean of those at its ends, gives
+    a larger impulse than the share `bend` of the slip force in the longest step. The histories of
+    the dampers are kept of the first draws, `kept` of them. `tick` is called with the share of the
+    motion that is done.
     """
-    draws = _Draws(building, ground, dampers, bend, halvings)
-    recorder = Recorder(building, ground, draws.places, draws.brace, draws.rest, kept)
+    draws = _Draws(building, ground, dampers, bend, kept)
+    recorder = draws.recorder
     samples = ground.acceleration.size
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(samples):
-            recorder.include(draws.pieces, draws.state, draws.devices.force, last=k == samples - 1)
-            draws.pieces = []
+            recorder.sample(k, draws.state, draws.devices.force)
             for part in range(draws.parts if k < samples - 1 else 0):
                 draws.advance(np.flatnonzero(~draws.unstable), k + part / draws.parts, 0)
             if not k % 100:
@@ -610,185 +507,116 @@ def integrate(
     found |= {"unstable": draws.unstable, "change": draws.change / drift}
     found |= {"open": draws.open / ground.time[-1]}
     found |= {"steps": ground.step / draws.parts / 2.0**draws.deepest}
-    return Response.of_ground(building, ground, dampers, found)
+    arrays: dict[str, Any] = {name: found[name][:, None] for name in PER_DRAW}
+    arrays |= {name: (found[name],) for name in PER_GROUND}
+    return Response(building, (ground,), dampers, **arrays)
 
 
 # --- blocks of draws, here or in processes
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """How exactly a response is computed.
-
-    Attributes
-    ----------
-    tolerance : float
-        Largest estimated error of a draw's drift, relative.
-    rounds : int
-        Most times that a draw is computed again with shorter steps.
-    halvings : int
-        Most halvings of a step.
-    kept : int
-        Draws of each block whose dampers' histories are kept.
-    """
-
-    tolerance: float = 0.01
-    rounds: int = 2
-    halvings: int = HALVINGS
-    kept: int = 8
 
 
 def settle(
     building: Building,
     ground: Ground,
     dampers: Dampers,
-    accuracy: Accuracy,
+    tolerance: float = TOLERANCE,
+    *,
+    rounds: int = ROUNDS,
     tick: Callable[[float], object] = lambda share: None,
 ) -> Response:
-    """Response of every draw to one ground motion, at steps that suit each."""
-    bend = min(BEND * accuracy.tolerance, LARGEST_BEND)
-    halvings, kept = accuracy.halvings, accuracy.kept
-    found = integrate(building, ground, dampers, bend, halvings=halvings, kept=kept, tick=tick)
-    for _ in range(accuracy.rounds):
-        far = (found.change > accuracy.tolerance) & ~found.unstable
-        rows = np.flatnonzero(far[:, 0])
+    """Response of every draw to one ground motion, at steps that suit each.
+
+    A draw whose drift has an estimated relative error above the tolerance is computed again with
+    shorter steps, at most so many `rounds`.
+    """
+    bend, kept = min(BEND * tolerance, LARGEST_BEND), KEPT
+    response = integrate(building, ground, dampers, bend, kept=kept, tick=tick)
+    for _ in range(rounds):
+        rows = np.flatnonzero((response.change > tolerance) & ~response.unstable)
         if not rows.size:
             break
         bend *= SHARPER
-        keep = int(np.searchsorted(rows, kept))
-        some = dampers.chosen(rows)
-        fine = integrate(building, ground, some, bend, halvings=halvings, kept=keep, tick=tick)
-        found.put(rows, fine)
-    return found
+        kept = int(np.searchsorted(rows, KEPT))
+        fine = integrate(building, ground, dampers.chosen(rows), bend, kept=kept, tick=tick)
+        for name in PER_DRAW:
+            getattr(response, name)[rows] = getattr(fine, name)
+        for name in PER_GROUND:
+            (old,), (new,) = getattr(response, name), getattr(fine, name)
+            old[rows[: len(new)]] = new
+    return response
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some draws of a building under one ground motion: work for one process.
-
-    The blocks do not depend on the number of processes, so that the draws do not either.
-    """
+    """Some draws of a building under one ground motion: work for one process."""
 
     id: str
     building: Building
     ground: Ground
     dampers: Dampers
-    accuracy: Accuracy
-    file: str = "block.npz"
-
-    @property
-    def makes(self) -> tuple[str, ...]:
-        """File that it stores."""
-        return (self.file,)
+    tolerance: float
+    makes: tuple[str, ...] = ()
 
     def needs(self, out: Path) -> tuple[str, ...]:
         """No files."""
         return ()
 
-    def solve(self, observe: Callable[[Step], Any]) -> Response:
-        """Response of its draws."""
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Compute the response of its draws, the value of the outcome."""
+        begun = time.perf_counter()
 
         def tick(share: float) -> None:
-            observe(Step(self.id, "in the earthquake", message=f"{share:.0%}"))
+            observe(Step(self.id, "in the earthquake", message=f"{share:.0%}" if share else ""))
 
-        return settle(self.building, self.ground, self.dampers, self.accuracy, tick)
-
-    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
-        """Compute the response and store its arrays.
-
-        Raises
-        ------
-        StoreError
-            When they cannot be written.
-        """
-        begun, stored = time.perf_counter(), io.BytesIO()
-        observe(Step(self.id, "in the earthquake"))
-        np.savez(stored, **self.solve(observe).arrays)  # type: ignore[arg-type]
-        write_bytes(out / self.file, stored.getbuffer())
-        return Outcome(self.id, State.DONE, time.perf_counter() - begun)
-
-    def stored(self, out: Path) -> Response:
-        """The response that it stored."""
-        with np.load(out / self.file) as arrays:
-            return Response.of_ground(self.building, self.ground, self.dampers, arrays)
+        tick(0.0)
+        response = settle(self.building, self.ground, self.dampers, self.tolerance, tick=tick)
+        return Outcome(self.id, State.DONE, time.perf_counter() - begun, value=response)
 
 
-@dataclass(frozen=True, eq=False)
-class Analysis:
-    """A building under ground motions.
+def response_of(
+    building: Building,
+    grounds: Sequence[Ground],
+    dampers: Dampers,
+    tolerance: float = TOLERANCE,
+    bounds: Mapping[str, Dampers] = MappingProxyType({}),
+    jobs: int = 1,
+    observe: Callable[[Step], None] = lambda step: None,
+) -> Response:
+    """Response of every draw to every ground motion, and its `references`.
 
-    Attributes
-    ----------
-    building : Building
-    grounds : sequence of Ground
-    dampers : Dampers
-        Of n draws of the building.
-    accuracy : Accuracy
-        Of the steps.
-    bounds : mapping of str to Dampers
-        Those of one more building each, such as "lower" and "upper".
+    `bounds` are the dampers of one more building each, such as "lower" and "upper". The result does
+    not depend on the number of processes, `jobs` (0 for one per processor), for blocks do not.
     """
-
-    building: Building
-    grounds: Sequence[Ground]
-    dampers: Dampers
-    accuracy: Accuracy = field(default_factory=Accuracy)
-    bounds: Mapping[str, Dampers] = field(default_factory=dict)
-
-    def respond(
-        self, jobs: int = 1, observe: Callable[[Step], None] = lambda step: None
-    ) -> Response:
-        """Response of every draw to every ground motion, and its `references`.
-
-        Parameters
-        ----------
-        jobs : int
-            Number of processes; 0 for one per processor. The result does not depend on it.
-        observe : callable, optional
-            Called with every step.
-        """
-        dampers, size = self.dampers, max(10, ROWS // max(self.dampers.count, 1))
-        rows = np.split(np.arange(dampers.draws), np.arange(size, dampers.draws, size))
-        plain = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
-        # the longest work first, so that no process waits for another at the end
-        kinds = [(f"part {k}", self.building, dampers.chosen(r)) for k, r in enumerate(rows, 1)]
-        references = {"bare": ("without dampers", self.building.bare(), no_dampers())}
-        references["plain"] = ("with plain friction", self.building, plain)
-        for name, bound in self.bounds.items():
-            references[name] = (f"all at the {name} bound", self.building, bound)
-        kinds += references.values()
-        blocks = [
-            Block(f"ground motion {g}, {ground.name}, {name}", built, ground, some, self.accuracy)
-            for name, built, some in kinds
-            for g, ground in enumerate(self.grounds, 1)
-        ]
-        found = iter(_solved_blocks(blocks, min(Workplace(jobs).processes, len(blocks)), observe))
-        each = [[next(found) for _ in self.grounds] for _ in kinds]
-        whole = combined(list(zip(*each[: len(rows)], strict=True)), dampers)
-        single = {
-            name: combined([[part] for part in row], row[0].dampers)
-            for name, row in zip(references, each[len(rows) :], strict=True)
-        }
-        return replace(whole, references=single, tolerance=self.accuracy.tolerance)
-
-
-def _solved_blocks(
-    blocks: Sequence[Block], jobs: int, observe: Callable[[Step], None]
-) -> list[Response]:
-    """Responses of the blocks in their order."""
-    if jobs == 1:
-        found = []
-        for block in blocks:
-            observe(Step(block.id, "in the earthquake"))
-            found.append(block.solve(observe))
-            observe(Step(block.id, State.DONE))
-        return found
-    with (
-        tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder,
-        before_end(lambda: shutil.rmtree(folder, ignore_errors=True)),
-    ):
-        out = Path(folder)
-        numbered = [replace(block, file=f"{n}.npz") for n, block in enumerate(blocks, start=1)]
-        for outcome in run_jobs(numbered, out, Workplace(jobs), observe):
-            observe(Step(outcome.id, outcome.status))
-        return [block.stored(out) for block in numbered]
+    size = max(10, ROWS // max(dampers.count, 1))
+    rows = np.split(np.arange(dampers.draws), np.arange(size, dampers.draws, size))
+    plain = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
+    references = {
+        "bare": ("without dampers", building.bare(), no_dampers()),
+        "plain": ("with plain friction", building, plain),
+    } | {name: (f"all at the {name} bound", building, bound) for name, bound in bounds.items()}
+    # the longest work first, so that no process waits for another at the end
+    kinds = [(f"part {k}", building, dampers.chosen(r)) for k, r in enumerate(rows, 1)]
+    kinds += references.values()
+    blocks = [
+        Block(f"ground motion {g}, {ground.name}, {name}", built, ground, some, tolerance)
+        for name, built, some in kinds
+        for g, ground in enumerate(grounds, 1)
+    ]
+    here, processes = Path(), min(Workplace(jobs).processes, len(blocks))
+    outcomes = (
+        (block.run(here, observe) for block in blocks)
+        if processes == 1
+        else run_jobs(blocks, here, Workplace(processes), observe)
+    )
+    responses = {}
+    for outcome in outcomes:
+        observe(Step(outcome.id, outcome.status))
+        responses[outcome.id] = outcome.value
+    ordered = iter(responses[block.id] for block in blocks)
+    each = [[next(ordered) for _ in grounds] for _ in kinds]
+    whole = combined(each[: len(rows)], dampers)
+    single = {
+        name: combined([row], row[0].dampers)
+        for name, row in zip(references, each[len(rows) :], strict=True)
+    }
+    return replace(whole, references=single, tolerance=tolerance)

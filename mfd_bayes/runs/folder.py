@@ -19,9 +19,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import StoreError, hash_file
 from mfd_bayes.jobs.signals import before_end
-from mfd_bayes.records.inputs import hash_file
 from mfd_bayes.store.files import (
     PART,
     cannot_remove,

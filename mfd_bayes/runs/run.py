@@ -16,7 +16,15 @@ from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
-from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError
+from mfd_bayes.errors import (
+    MOST_DRAWS,
+    CampaignError,
+    FitError,
+    NotThereError,
+    StoreError,
+    path_of,
+    whole_number,
+)
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
@@ -42,7 +50,6 @@ from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predic
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Ending, Population
-from mfd_bayes.records.inputs import MOST_DRAWS, path_of, whole_number
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -610,10 +617,9 @@ class Run:
             When the building or a ground motion cannot be used, or the actuation is of another
             kind than the run's.
         """
-        from mfd_bayes.response.device_draws import Choice
         from mfd_bayes.runs.response import respond
 
-        return respond(self, building, grounds, Choice(kind, draws, seed), tolerance, jobs, observe)
+        return respond(self, building, grounds, kind, draws, seed, tolerance, jobs, observe)
 
     def follow(
         self,

@@ -19,8 +19,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from mfd_bayes.errors import StoreError
-from mfd_bayes.records.inputs import why_invalid, why_no_file
+from mfd_bayes.errors import StoreError, why_invalid, why_no_file
 
 PART = ".part"
 

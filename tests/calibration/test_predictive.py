@@ -8,7 +8,6 @@ from mfd_bayes.calibration.posterior import (
     check_predictive,
     cycle_energies,
     derive_from_parameters,
-    full_strokes,
     replicate,
 )
 from mfd_bayes.errors import RecordError
@@ -47,33 +46,6 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
         np.testing.assert_allclose(
             cycle_values(motion, 0.7 * motion.velocity[None])["c_eq"], 0.7, rtol=1e-3
         )
-
-
-def test_the_motion_before_the_first_turn_and_after_the_last_full_cycle_is_left_out():
-    trace = harmonic()
-    period = round(2 * np.pi / OMEGA / 0.005)
-    begin = trace.turning_points[0]
-    force = np.sign(trace.velocity)
-    spoiled = force.copy()
-    spoiled[: begin - 1] = 50.0
-    spoiled[begin + 3 * period + 2 :] = 50.0
-    energies = cycle_energies(np.stack([force, spoiled]), trace)
-    np.testing.assert_array_equal(energies[0], energies[1])
-    kept = cycle_energies(spoiled[None, :], trace, first=int(begin) + 1)
-    np.testing.assert_allclose(kept, 4.0 * X, rtol=1e-3)
-    assert (energies.shape[1], kept.shape[1]) == (3, 2)
-
-
-def test_cycles_of_changing_amplitude_are_told_apart():
-    trace = decaying()
-    force = np.sign(trace.velocity)[None, :]
-    energies = cycle_energies(force, trace)[0]
-    x = trace.displacement[trace.turning_points]
-    way = np.abs(np.diff(x))
-    np.testing.assert_allclose(
-        energies, [way[0] + way[1], way[2] + way[3], way[4] + way[5]], rtol=1e-2
-    )
-    assert full_strokes(trace).tolist() == [True, False, False]
 
 
 def test_gap_and_self_energizing_factors_follow_from_the_parameters():

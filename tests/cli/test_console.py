@@ -27,16 +27,6 @@ def test_text_has_no_commands_to_the_terminal():
         assert clean(clean(text)) == clean(text)
 
 
-def test_a_table_shows_names_as_they_are(capsys):
-    check = Check("[red]p[/red]", ":smile:", "\x1b[31mk3", 1.0, 1.0, Verdict.PASS)
-    view = SimpleNamespace(checks=[check], warnings=(), judgements=(), systems=SYSTEMS, metric=0)
-    print_checks(view, every=True)
-    out = capsys.readouterr().out
-    assert "[red]p[/red]" in out
-    assert ":smile:" in out
-    assert "\x1b" not in out
-
-
 def view_of(count, bad=(), sentence="It is so."):
     judged = [
         Judgement(f"p{i}", Use.NOT_USABLE, (Message("the sign is swapped " * 9),), 9.0)
@@ -54,6 +44,17 @@ def view_of(count, bad=(), sentence="It is so."):
         systems=SYSTEMS,
         metric=1,
     )
+
+
+def test_a_table_shows_names_as_they_are(capsys):
+    check = Check("[red]p[/red]", ":smile:", "\x1b[31mk3", 1.0, 1.0, Verdict.PASS)
+    view = view_of(0)
+    view.checks = [check]
+    print_checks(view, every=True)
+    out = capsys.readouterr().out
+    assert "[red]p[/red]" in out
+    assert ":smile:" in out
+    assert "\x1b" not in out
 
 
 def test_a_run_ends_with_its_verdict_and_what_misses(capsys, tmp_path):

@@ -42,32 +42,21 @@ def help_of(*words):
     return [line.strip() for line in outcome.stdout.splitlines() if line.strip()]
 
 
-def examples_of(command):
-    """Lines of a command's help that show the command."""
-    lines = help_of(command)
-    lines = lines[lines.index("Example:") + 1 :]
-    others = (k for k, line in enumerate(lines) if not line.startswith("mfd-bayes "))
-    return lines[: next(others)]
-
-
 def test_a_help_says_what_is_written_with_examples_that_are_valid_and_what_is_next():
     for command in COMMANDS:
         lines = help_of(command)
         assert any(re.search(r"\b[Ww]rites?\b", line) for line in lines)
         frame = max(i for i, line in enumerate(lines) if line.startswith("╰"))
         assert lines[frame + 1].startswith("Next: ")
-        examples = examples_of(command)
-        assert examples
+        examples = [line for line in lines if line.startswith("mfd-bayes ")]
+        assert lines.index("Example:") + 1 == lines.index(examples[0])
         for example in examples:
             assert example.startswith(f"mfd-bayes {command} ")
             assert "mfd-bayes" not in example[1:]  # two are not joined
             _, name, *words = shlex.split(example.partition(" && ")[0])
             COMMANDS[name].make_context(name, words)
-        texts = [
-            COMMANDS[command].help,
-            *(getattr(p, "help", "") for p in COMMANDS[command].params),
-        ]
-        assert [text for text in texts if re.search(r"\[[a-z\[/]", text or "")] == []  # as markup
+        for part in (COMMANDS[command], *COMMANDS[command].params):
+            assert not re.search(r"\[[a-z\[/]", getattr(part, "help", None) or "")  # as markup
 
 
 def test_commands_are_listed_in_the_order_of_work():

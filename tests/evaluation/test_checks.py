@@ -1,27 +1,28 @@
-"""Checks of one test: what is observed, what is expected, and the verdict."""
+"""Checks of tests, and tests that stand apart from the others or contradict their order."""
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import (
-    Directions,
-    Effort,
-)
+from mfd_bayes.calibration.diagnostics import Directions, Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.result import quantiles_of
+from mfd_bayes.calibration.result import TestResult, quantiles_of
 from mfd_bayes.evaluation.checks import (
+    contradicted_order,
     convergence_checks,
     directions_check,
     length_check,
     notes,
     slip_checks,
+    standing_out,
 )
 from mfd_bayes.evaluation.summary import noise_rows
-from mfd_bayes.evaluation.views import (
-    DIRECTIONS,
-)
+from mfd_bayes.evaluation.views import DIRECTIONS
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import open_run
 
 
 def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
@@ -29,15 +30,12 @@ def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
     return row | dict.fromkeys(("ess_bulk", "ess_tail"), ess)
 
 
-def test_directions_that_are_not_informed_are_noted():
+def test_what_the_data_do_not_inform_and_modes_are_noted():
     axes = np.array([[0.8, 0.6], [0.6, -0.8]])
     check = directions_check("p500", Directions(("k2", "d2"), np.array([80.0, 0.2]), axes))
     assert check.check == DIRECTIONS
     assert check.feature == "of 2 (best: k2 and d2; least: d2 and k2)"
     assert (check.observed, check.limit, check.status) == (1, ">= 2", "note")
-
-
-def test_contraction_and_modes_are_noted():
     rows = [row("k2", contraction=0.2), row("k3"), row("gamma1", contraction=np.nan)]
     found = notes("p500", rows, {"modes": 1, "mode_shares": [[1.0]]})
     assert [(c.feature, c.status) for c in found] == [("k2", "note"), ("k3", "pass")]
@@ -62,9 +60,9 @@ def test_an_ensemble_that_is_stuck_fails_the_verdict():
     assert (check.feature, check.observed, check.status) == ("d2", 0.0, "fail")
 
 
-TIME = np.arange(0.0, 10.0, 1 / 128)
-MOTION = np.sin(np.pi * TIME)
-SLIP = Trace.from_arrays(TIME, MOTION, 0.03, 0.3 + 2.0 * np.tanh(8.0 * np.cos(np.pi * TIME)))
+SECONDS = np.arange(0.0, 10.0, 1 / 128)
+FORCE = 0.3 + 2.0 * np.tanh(8.0 * np.cos(np.pi * SECONDS))
+SLIP = Trace.from_arrays(SECONDS, np.sin(np.pi * SECONDS), 0.03, FORCE)
 POSTERIOR = Posterior(SLIP, "brfd", "ou")
 
 
@@ -86,3 +84,87 @@ def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
     decided = [row["name"] for row in rows if row["decides"]]
     assert decided == ["Fc_bwd", "k3", "sigma0"]
     assert noise_rows("80lb", POSTERIOR, drawn, {}) == ()
+
+
+# --- tests that stand apart from the others
+
+
+@pytest.mark.parametrize("count", [5, 8, 20])
+def test_a_gap_half_as_large_again_stands_apart_and_no_other_does(count):
+    rng = np.random.default_rng(1)
+    deviations = rng.normal(scale=[0.05, 0.05, 0.02], size=(count, 3))
+    deviations[2, 2] += np.log(1.5)
+    if count == 5:  # with four others, only what is far beyond all doubt
+        deviations[2, 2] += np.log(2.0)
+    ((test, quantity, away),) = standing_out(deviations)
+    assert (test, quantity) == (2, 2)
+    assert away > 8.0
+
+
+def test_tests_stand_apart_by_chance_as_rarely_as_stated():
+    rng = np.random.default_rng(2)
+    campaigns = rng.normal(size=(2000, 8, 4))
+    share = np.mean([any(True for _ in standing_out(one)) for one in campaigns])
+    assert share < 0.02
+
+
+# --- tests that do not begin where the one before ended, by posteriors that are made up
+
+
+@pytest.fixture(scope="module")
+def run(made_run):
+    run = open_run(made_run)
+    settings = run.manifest.settings.with_test("b", after="a")
+    return replace(run, manifest=run.manifest.changed(settings=settings))
+
+
+class Stub(TestResult):
+    """A test whose draws are made up."""
+
+    __test__ = False
+
+    @property
+    def stored(self):
+        return SimpleNamespace(values=lambda: self.extras)
+
+
+def with_start(run, start, first=1.0, sampled=True):
+    """The run whose test a ends in slip forward, and b begins at a place with some spread."""
+    test = run.tests["a"]
+    values = test.stored.values()
+    time = np.arange(201) / 50
+    spread = 0.02 * np.random.default_rng(0).normal(size=len(values["start"]))
+    ended = Trace.from_arrays(time, 5.0 - 5.0 * np.cos(0.25 * np.pi * time))  # to 10 in
+    begun = Trace.from_arrays(time, 10.0 + first * np.sin(np.pi * time))
+    names = test.posterior.names if sampled else ("Fc_fwd",)
+    stubs = {
+        name: Stub(
+            name,
+            SimpleNamespace(model=test.posterior.model, names=names, noise=None, trace=trace),
+            test.path,
+            extras={**values, "start": w0},
+        )
+        for name, trace, w0 in (
+            ("a", ended, values["start"]),
+            ("b", begun, np.clip(start + spread, 0.0, 1.0)),
+        )
+    }
+    return replace(run, tests=stubs)
+
+
+@pytest.mark.parametrize(("start", "first"), [(0.2, 1.0), (0.8, -1.0)])
+def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
+    (found,) = contradicted_order(with_start(run, start, first))
+    assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
+    assert str(found.message).startswith("the test begins at 0.20 [0.1")
+    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
+    assert not found.spoils
+
+
+def test_a_start_where_the_test_before_ended_or_that_was_not_sampled_is_none(run):
+    for start, first in ((1.0, 1.0), (0.0, -1.0), (0.88, 1.0)):
+        assert contradicted_order(with_start(run, start, first)) == []
+    assert contradicted_order(with_start(run, 0.2, sampled=False)) == []
+    settings = run.manifest.settings.with_test("b", after="")
+    free = run.manifest.changed(settings=settings)
+    assert contradicted_order(replace(with_start(run, 0.2), manifest=free)) == []

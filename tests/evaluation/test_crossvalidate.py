@@ -11,7 +11,6 @@ from mfd_bayes.evaluation.crossvalidate import FOLDER, Fold, folds_of, left_out_
 from mfd_bayes.population.design import Setting
 from mfd_bayes.runs.manifest import CampaignCrossValidation, Prediction, Score, with_keys
 from mfd_bayes.runs.run import open_run
-from tests.run_folders import write_run
 
 
 def test_scores_of_another_fold_are_computed_anew(tmp_path):
@@ -23,9 +22,8 @@ def test_scores_of_another_fold_are_computed_anew(tmp_path):
     assert not replace(fold, rests_on="other laws").stored(tmp_path)
 
 
-def test_folds_of_a_run_rest_on_its_laws_and_posteriors(tmp_path):
-    write_run(tmp_path / "out")
-    run = open_run(tmp_path / "out")
+def test_folds_of_a_run_rest_on_its_laws_and_posteriors(made_run):
+    run = open_run(made_run)
     first, second = folds_of(run, "test", "quick")
     assert first.rests_on == second.rests_on != ""
     laws = {**run.manifest.settings.laws, "sigma0": "constant"}
@@ -72,14 +70,11 @@ def test_predictions_stand_beside_fitted_tests_and_are_averaged():
         assert words in found.sentence
     assert "from the others" in left_out_view(replace(STORED, by="test")).sentence
     assert left_out_view(None) is None
-
-
-def test_whole_histories_that_were_held_are_counted_and_no_width_has_no_ratio():
-    first, second = STORED.predictions
-    flat = replace(first, whole=True, fitted=scored(0.0, 0.0))
-    found = left_out_view(replace(STORED, predictions=(flat, replace(second, whole=False))))
-    assert [row["whole_95"] for row in found.rows] == [1.0, 0.0]
-    assert found.mean["whole_95"] == 0.5
+    # whole histories that were held are counted, and no width has no ratio
+    one, two = STORED.predictions
+    flat = replace(one, whole=True, fitted=scored(0.0, 0.0))
+    found = left_out_view(replace(STORED, predictions=(flat, replace(two, whole=False))))
+    assert [row["whole_95"] for row in (*found.rows, found.mean)] == [1.0, 0.0, 0.5]
     assert "hold the whole force of 1 of 2 tests" in found.sentence
     assert math.isnan(found.rows[0]["width_ratio"])
     assert math.isnan(found.rows[0]["crps_ratio"])

@@ -64,25 +64,6 @@ def test_the_verdict_of_a_run_with_a_swapped_sign_names_the_test_and_the_sign():
     assert "peak force forward 16.4 kN where 12.9 kN is expected" in metric
 
 
-def test_negative_energy_alone_tells_of_a_swapped_sign():
-    (judged,) = judge(["a"], [energy("a", -5.31, 0.3)], [])
-    assert judged.use == Use.NOT_USABLE
-    assert "displacement is probably swapped" in str(judged.reasons[0])
-
-
-def test_the_worst_miss_stands_first_whatever_its_p_value():
-    checks = [
-        missed("a", "peak force forward", 3.0, 2.4, tolerance=0.15),
-        energy("a", 5.0, 5.9, 0.004),
-        missed("b", "peak force forward", 3.0, 2.5, tolerance=0.15),
-    ]
-    first, second = judge(["b", "a"], checks, [])
-    assert first.subject == "a"
-    assert "energy per cycle 5 kip·in where 5.9 kip·in" in str(first.reasons[0])
-    assert "1 more" in str(first.reasons[0])
-    assert first.misfit > second.misfit > 1.0
-
-
 def test_a_figure_is_judged_by_its_size_and_its_p_value():
     for expected, p_value, status in (
         (5.1, 0.0, Verdict.PASS),  # 2 % off: nobody minds, however many samples say so
@@ -107,26 +88,60 @@ def test_a_band_is_judged_by_too_few_inside():
         assert (judged.use == Use.USABLE) == (status in (Verdict.PASS, Verdict.NOTE))
 
 
-def test_tests_without_fault_are_reproduced():
-    checks = [energy("a", 5.0, 5.1), energy("b", 5.0, 5.01)]
-    judged = judge(["b", "a"], checks, [])
-    assert use_of(judged, checks) == Use.USABLE
-    assert sentence(checks, judged).startswith("Both tests are reproduced within tolerance.")
+def test_the_worst_miss_stands_first_whatever_its_p_value():
+    checks = [
+        missed("a", "peak force forward", 3.0, 2.4, tolerance=0.15),
+        energy("a", 5.0, 5.9, 0.004),
+        missed("b", "peak force forward", 3.0, 2.5, tolerance=0.15),
+    ]
+    first, second = judge(["b", "a"], checks, [])
+    assert first.subject == "a"
+    assert "energy per cycle 5 kip·in where 5.9 kip·in" in str(first.reasons[0])
+    assert "1 more" in str(first.reasons[0])
+    assert first.misfit > second.misfit > 1.0
+    good = [energy("a", 5.0, 5.1), energy("b", 5.0, 5.01)]
+    judged = judge(["b", "a"], good, [])
+    assert use_of(judged, good) == Use.USABLE
+    assert sentence(good, judged).startswith("Both tests are reproduced within tolerance.")
 
 
-def test_a_mild_fault_of_a_record_asks_for_care():
-    (judged,) = judge(["a"], [], [Finding("a", "lag", Message("the force is late"))])
-    assert (judged.use, str(judged.reasons[0])) == (Use.WITH_CARE, "the force is late")
+def check(name, feature, status, observed=1.2, expected=1.01, unit=""):
+    return Check("a", name, feature, observed, expected, status, unit)
 
 
-def test_sampling_that_fell_short_is_no_fault_of_the_record():
-    short = Check("a", "R-hat", "k3", 1.2, 1.01, Verdict.FAIL)
-    (judged,) = judge(["a"], [short], [])
-    assert (judged.use, judged.wrong) == (Use.NOT_USABLE, False)
-    assert sentence([short], [judged]).startswith("The sampling did not reach its targets")
+SLIP = check(LOOP_ESTIMATE, "Fc_fwd", Verdict.FAIL, 0.931, 0.083, "kip")
+TWO = (MODES, "posterior (60 %, 40 % of the draws)")
 
 
-def test_sampling_that_a_wrong_record_spoiled_asks_to_correct_the_record_first():
+@pytest.mark.parametrize(
+    ("checks", "findings", "use", "words"),
+    [
+        ([energy("a", -5.31, 0.3)], [], Use.NOT_USABLE, "displacement is probably swapped"),
+        ([], [Finding("a", "lag", Message("the force is late"))], Use.WITH_CARE, "is late"),
+        ([check("R-hat", "k3", Verdict.FAIL)], [], Use.NOT_USABLE, ""),
+        (
+            [check(*TWO, Verdict.WARNING, 2.0, 1.0)],
+            [],
+            Use.WITH_CARE,
+            "2 different sets of parameters",
+        ),
+        ([check(*TWO, Verdict.NOTE, 2.0, 1.0)], [], Use.USABLE, "explain it (60 %, 40 %"),
+        ([SLIP, *band("a", nearly=0.98)], [], Use.NOT_USABLE, "band is usable, its parameters"),
+        ([SLIP, *band("a", nearly=0.4)], [], Use.NOT_USABLE, "do not use its parameters"),
+        ([SLIP], [], Use.NOT_USABLE, "Fc_fwd 0.369 kN, measured 4.14 kN"),
+    ],
+)
+def test_what_a_test_may_be_used_for_has_its_reason(checks, findings, use, words):
+    (judged,) = judge(["a"], checks, findings)
+    assert judged.use == use
+    assert words in judged.to_text(SI)
+
+
+def test_sampling_that_fell_short_is_no_fault_of_the_record_and_a_wrong_record_comes_first():
+    short = check("R-hat", "k3", Verdict.FAIL)
+    judged = judge(["a"], [short], [])
+    assert not judged[0].wrong
+    assert sentence([short], judged).startswith("The sampling did not reach its targets")
     short = Check("population", "R-hat", "K_c_fwd", 1.2, 1.01, Verdict.FAIL)
     text = sentence([*CHECKS, short], judge(TESTS, CHECKS, [SWAPPED]))
     assert "but correct what is wrong first" in text
@@ -134,32 +149,9 @@ def test_sampling_that_a_wrong_record_spoiled_asks_to_correct_the_record_first()
     assert "but give a larger --effort" in sentence([short], judge(TESTS, [], []))
 
 
-@pytest.mark.parametrize(
-    ("status", "use"), [(Verdict.WARNING, Use.WITH_CARE), (Verdict.NOTE, Use.USABLE)]
-)
-def test_two_modes_ask_for_care_and_a_small_one_is_a_note(status, use):
-    check = Check("a", MODES, "posterior (60 %, 40 % of the draws)", 2.0, 1.0, status)
-    (judged,) = judge(["a"], [check], [])
-    assert judged.use == use
-    assert "2 different sets of parameters explain it (60 %, 40 %" in judged.to_text(SI)
-
-
-@pytest.mark.parametrize(
-    ("inside", "use"),
-    [(0.98, "its band is usable, its parameters are not"), (0.4, "do not use its parameters")],
-)
-def test_a_test_whose_slip_force_is_not_the_measured_one_has_no_usable_parameters(inside, use):
-    check = Check("a", LOOP_ESTIMATE, "Fc_fwd", 0.931, 0.083, Verdict.FAIL, "kip")
-    (judged,) = judge(["a"], [check, *band("a", nearly=inside)], [])
-    assert judged.use == Use.NOT_USABLE
-    assert f"{use}: a slip force is not the measured one" in judged.to_text(SI)
-    assert "Fc_fwd 0.369 kN, measured 4.14 kN" in judged.to_text(SI)
-
-
 def test_a_test_that_was_not_calibrated_has_not_converged_and_one_not_shown_says_why():
     lost = Check("b", "calibration", "finished", 0.0, 1.0, Verdict.FAIL)
-    text = sentence([lost], judge(["a", "b", "c"], [lost], []))
-    assert "All 2 calibrated tests" in text
+    assert "All 2 calibrated tests" in sentence([lost], judge(["a", "b", "c"], [lost], []))
     hidden = Check("b", "report", "shown", 0.0, 1.0, Verdict.FAIL)
     worst = judge(["a", "b"], [hidden], [])[0]
     assert (worst.subject, str(worst.reasons[0])) == ("b", "it could not be shown in the report")

@@ -102,14 +102,6 @@ def test_three_stages_at_a_turn_after_slip_begin_at_an_end_of_the_gap():
     assert STAGES.end(theta, inside) == pytest.approx(0.25)
 
 
-def test_a_motion_inside_the_gap_keeps_what_its_start_was():
-    for start in (0.2, 0.7):
-        up = motion_of(0.0, 0.05 * D, -0.05 * D, 0.0)
-        assert STAGES.end(theta_of(), up, start) == pytest.approx(start)
-        down = motion_of(0.0, -0.05 * D, 0.05 * D, 0.0)
-        assert STAGES.end(theta_of(), down, start) == pytest.approx(1.0 - start)
-
-
 def test_a_batch_ends_as_its_vectors_do_one_by_one():
     for model in [STAGES, backlash.MODEL]:
         theta = (

@@ -10,13 +10,20 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.local import context, run_in_processes, started_alike
+from mfd_bayes.jobs.local import (
+    context,
+    run_in_processes,
+    several_processes,
+    started_alike,
+)
 
 ERRORS = {
     "disk": OSError(28, "No space left on device", "/tmp/block.npz"),
@@ -68,7 +75,6 @@ def test_processes_of_the_caller_live_on_and_those_of_the_jobs_do_not(tmp_path):
         with closing(run_in_processes(jobs, tmp_path, 2, lambda _: None)) as outcomes:
             assert next(outcomes).status == "done"
         assert [child.pid for child in multiprocessing.active_children()] == [theirs]
-        assert pool.submit(os.getpid).result() == theirs
 
 
 def test_a_full_disk_or_memory_is_said_in_a_sentence(tmp_path, capfd):
@@ -134,3 +140,45 @@ def test_a_signal_ends_a_pool_with_one_sentence(tmp_path):
     process.send_signal(signal.SIGTERM)
     assert process.communicate(timeout=60)[1] == "mfd-bayes: interrupted by SIGTERM\n"
     assert process.returncode == 143
+
+
+# --- functions that several processes compute
+
+TESTS = 9
+
+
+RNG = np.random.default_rng(1)
+POINTS = [(j, RNG.standard_normal((5, 3))) for j in [*range(TESTS), 3, 3, 0]]
+
+
+@pytest.fixture
+def functions():
+    """Linear functions, which can be pickled without this file."""
+    return [partial(np.dot, b=np.array([1.0, j, -2.0])) for j in range(TESTS)]
+
+
+def not_here(x):
+    raise AssertionError("computed by the process that gathers")
+
+
+def test_values_are_those_of_one_process_in_the_same_order(functions):
+    expected = [functions[j](x) for j, x in POINTS]
+    with several_processes(functions, 2) as evaluate:
+        functions[:] = [not_here] * TESTS
+        for _ in range(2):
+            np.testing.assert_array_equal(list(evaluate(iter(POINTS))), expected)
+        assert len(multiprocessing.active_children()) == 2
+        with pytest.raises(ValueError, match="shapes"):
+            list(evaluate([(0, np.zeros((5, 2)))]))
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_where_a_process_is_killed_this_one_goes_on(functions):
+    expected = [functions[j](x) for j, x in POINTS]
+    with several_processes(functions, 2) as evaluate:
+        stream = evaluate(iter(POINTS))
+        first = next(stream)
+        os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
+        np.testing.assert_array_equal([first, *stream], expected)
+        np.testing.assert_array_equal(list(evaluate(POINTS)), expected)

@@ -1,8 +1,6 @@
 """`mfd-bayes accept` and `mfd_bayes.accept`: a device's records against a finished run."""
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +11,7 @@ import mfd_bayes as mb
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
 from mfd_bayes.evaluation.properties import properties_of
 from mfd_bayes.records.loops import measured_cycles
-
-COLUMNS = ("time_s", "displacement_in", "force_kip")
+from tests.command_line import here, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -22,35 +19,33 @@ def production(tmp_path_factory):
     """Function that writes records of tests at 1000 psi, with their forces times a factor."""
     folder = tmp_path_factory.mktemp("production")
 
-    def write(name: str, factor: float = 1.0, seed: int = 0, **changed: float):
+    def write(name: str, factor: float = 1.0, seed: int = 0):
         rng = np.random.default_rng(seed)
         values = draw_values(1.0, Matrix(pressures=(500.0,)).laws, rng)
-        values |= {key: values[key] * by for key, by in changed.items()}
         time, x, force = draw_record(values, 0.5, 3, rng)
-        frame = pd.DataFrame(np.transpose([time, x, factor * force]), columns=COLUMNS)
-        frame.to_csv(folder / name, index=False)
-        return folder / name
+        return write_csv(folder / name, time, x, factor * force)
 
     return write
 
 
-def accept(run, *words):
-    command = [sys.executable, "-m", "mfd_bayes", "accept", run, *words]
-    return subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+@pytest.fixture(scope="module")
+def record(production):
+    """A good record."""
+    return mb.read_record(production("good.csv"), actuation="1000 psi")
 
 
 @pytest.fixture(scope="module")
-def batch(finished_run, production, tmp_path_factory):
-    """A good device and one of twice the force, judged by the command."""
+def batch(out, production, tmp_path_factory):
+    """A good device and one of twice the force, judged by the command: its folder and table."""
     folder = tmp_path_factory.mktemp("batch") / "qc"
     records = production("good.csv"), production("strong.csv", 2.0, seed=1)
-    return folder, accept(finished_run.out, *records, "--actuation", "1000 psi", "-o", folder)
+    ended = here("accept", out, *records, "--actuation", "1000 psi", "-o", folder)
+    assert ended.exit_code == 1, ended.output
+    return folder, pd.read_csv(folder / "acceptance.csv", comment="#")
 
 
 def test_a_good_device_is_not_rejected_and_a_wrong_one_is(batch):
-    folder, ended = batch
-    assert ended.returncode == 1, ended.stderr
-    table = pd.read_csv(folder / "acceptance.csv", comment="#")
+    _, table = batch
     verdicts = table.groupby("device")["device_verdict"].unique().map(list)
     assert verdicts["strong"] == ["rejected"]
     assert verdicts["good"] != ["rejected"]
@@ -71,20 +66,17 @@ def test_each_device_has_a_page_to_file(batch):
     assert (folder / "acceptance.png").stat().st_size > 1000
 
 
-def test_the_table_is_about_the_record(batch, production):
-    """Measured values are those of the record itself, and nominal ones those of the run."""
-    folder, _ = batch
-    table = pd.read_csv(folder / "acceptance.csv", comment="#")
-    energy = table[table["name"] == "energy_per_cycle"].set_index("device")
-    record = mb.read_record(production("strong.csv", 2.0, seed=1), actuation="1000 psi")
-    x, force = record.displacement, record.force
-    total = np.trapezoid(force, x) / 3.0  # of three cycles
+def test_measured_values_are_those_of_the_record_and_nominal_ones_those_of_the_run(
+    batch, production
+):
+    energy = batch[1][batch[1]["name"] == "energy_per_cycle"].set_index("device")
+    strong = mb.read_record(production("strong.csv", 2.0, seed=1), actuation="1000 psi")
+    total = np.trapezoid(strong.force, strong.displacement) / 3.0  # of three cycles
     assert energy.loc["strong", "measured"] == pytest.approx(total, rel=0.05)
     assert energy["nominal"].nunique() == 1
 
 
-def test_several_records_of_a_device_tell_more(finished_run, production):
-    run = mb.open_run(finished_run.out)
+def test_several_records_of_a_device_tell_more(run, production):
     records = [
         mb.read_record(production(f"r{seed}.csv", seed=seed), actuation="1000 psi")
         for seed in range(3)
@@ -93,16 +85,12 @@ def test_several_records_of_a_device_tell_more(finished_run, production):
     (three,) = mb.accept(run, records, device="no. 17")
     wide, narrow = (d.rows["effect_upper"] - d.rows["effect_lower"] for d in (one, three))
     assert narrow["slip_fwd"] < 0.95 * wide["slip_fwd"]
-    assert three.device == "no. 17"
-    assert len(three.comparisons) == 3
-    apart = mb.accept(run, records)
-    assert [d.device for d in apart] == ["r0", "r1", "r2"]
+    assert (three.device, len(three.comparisons)) == ("no. 17", 3)
+    assert [d.device for d in mb.accept(run, records)] == ["r0", "r1", "r2"]
 
 
-def test_wide_limits_are_kept_and_narrow_ones_are_not_shown(finished_run, production):
+def test_wide_limits_are_kept_and_narrow_ones_are_not_shown(run, record):
     """Two one-sided tests: a limit that the record cannot resolve is neither kept nor passed."""
-    run = mb.open_run(finished_run.out)
-    record = mb.read_record(production("good.csv"), actuation="1000 psi")
     (wide,) = mb.accept(run, record, limits={"slip": 0.9, "energy": 0.9})
     (narrow,) = mb.accept(run, record, limits={"slip": 0.001})
     assert wide.verdict == "accepted"
@@ -110,29 +98,24 @@ def test_wide_limits_are_kept_and_narrow_ones_are_not_shown(finished_run, produc
     assert np.isnan(wide.rows.loc["gap", "limit"])  # only what was given is limited
 
 
-@pytest.mark.parametrize(
-    ("words", "offender"),
-    [
-        (["--limit", "slop=15 %"], "slop"),
-        (["--limit", "slip"], "slip"),
-        (["--limit", "slip=150 %"], "slip"),
-        (["--device", "a", "--device", "b"], "device"),
-        (["--actuation", "5 kip"], "--actuation"),
-    ],
-)
-def test_refusals(finished_run, production, tmp_path, words, offender):
-    told = [] if "--actuation" in words else ["--actuation", "1000 psi"]
-    ended = accept(finished_run.out, production("good.csv"), *told, "-o", tmp_path / "qc", *words)
-    assert ended.returncode == 2
-    assert offender in ended.stderr
-    assert not (tmp_path / "qc").exists()
-
-
-def test_a_swapped_sign_is_said(finished_run, production, tmp_path):
-    record = production("swapped.csv", -1.0)
-    ended = accept(finished_run.out, record, "--actuation", "1 ksi", "-o", tmp_path / "qc")
-    assert ended.returncode == 2
-    assert "sign" in ended.stderr
+def test_what_cannot_be_judged_is_refused(out, production, tmp_path):
+    good, swapped = production("good.csv"), production("swapped.csv", -1.0)
+    for path, words, offender in (
+        (good, ("--limit", "slop=15 %"), "slop"),
+        (good, ("--limit", "slip"), "slip"),
+        (good, ("--limit", "slip=150 %"), "slip"),
+        (good, ("--device", "a", "--device", "b"), "device"),
+        (good, ("--actuation", "5 kip"), "--actuation"),
+        (good, ("--date", "5.3.2024"), "--date"),
+        (good, ("--temperature", "warm"), "--temperature"),
+        (good, ("--cycles", "-1"), "--cycles"),
+        (swapped, (), "sign"),
+    ):
+        asked = ("--actuation", "1000 psi", "-o", tmp_path / "qc", *words)
+        outcome = here("accept", out, path, *asked)
+        assert outcome.exit_code == 2, words
+        assert offender in outcome.stderr
+        assert not (tmp_path / "qc").exists()
 
 
 def drifting(run, **changed):
@@ -155,16 +138,15 @@ def drifting(run, **changed):
     return run
 
 
-def test_a_quantity_that_follows_the_date_needs_the_date(finished_run, production):
+def test_a_quantity_that_follows_the_date_needs_the_date(run, record):
     """A run with drift judges no record whose date it does not know, and predicts with a remark."""
-    run = drifting(mb.open_run(finished_run.out))
-    record = mb.read_record(production("good.csv"), actuation="1000 psi")
+    stable, run = run, drifting(run)
     with pytest.raises(mb.MfdError, match="date"):
         mb.accept(run, record)
     trace, medians = replace(record.trace(32.0), force=None), {}
     for year in (None, 2020.0, 2024.0):
         conditions = {"date": year} if year else {}
-        for source in (run, drifting(mb.open_run(finished_run.out), conditions=conditions)):
+        for source in (run, drifting(stable, conditions=conditions)):
             how = {"conditions": conditions} if source is run else {}
             band = source.predict(trace, "device", **how)
             assert any("date" in remark for remark in band.remarks) == (year is None)
@@ -173,37 +155,20 @@ def test_a_quantity_that_follows_the_date_needs_the_date(finished_run, productio
     assert medians[2020.0][0] == medians[2020.0][1]
     assert np.log(medians[2020.0][0] / medians[2024.0][0]) == pytest.approx(0.3, abs=0.01)
     follower = run.follow(1.0, conditions={"date": 2020.0})
+    later = mb.Trace.from_arrays(trace.time[40:], trace.displacement[40:])
     follower.update(trace.time[:40], trace.displacement[:40], None, record.trace(32.0).force[:40])
-    assert not any("date" in r for r in follower.band(later(trace)).remarks)
+    assert not any("date" in r for r in follower.band(later).remarks)
 
 
-def later(trace):
-    return mb.Trace.from_arrays(trace.time[40:], trace.displacement[40:])
-
-
-@pytest.mark.parametrize(
-    "words", [["--date", "5.3.2024"], ["--temperature", "warm"], ["--cycles", "-1"]]
-)
-def test_conditions_of_a_record_are_read_as_in_a_campaign(
-    finished_run, production, tmp_path, words
-):
-    told = ["--actuation", "1000 psi", "-o", tmp_path / "qc", *words]
-    ended = accept(finished_run.out, production("good.csv"), *told)
-    assert ended.returncode == 2
-    assert words[0] in ended.stderr
-
-
-def test_slope_and_gap_are_those_of_the_record_and_its_rate(finished_run, tmp_path):
+def test_slope_and_gap_are_those_of_the_record_and_its_rate(run, tmp_path):
     """A record that is thinned to the rate of the calibrated tests has a blunt build-up."""
     rng = np.random.default_rng(3)
     values = draw_values(1.0, Matrix(pressures=(500.0,)).laws, rng)
-    frame = pd.DataFrame(np.transpose(draw_record(values, 1.0, 4, rng)), columns=COLUMNS)
-    frame.to_csv(tmp_path / "fast.csv", index=False)
-    run = mb.open_run(finished_run.out)
-    record = mb.read_record(tmp_path / "fast.csv", actuation="1000 psi")
+    fast = write_csv(tmp_path / "fast.csv", *draw_record(values, 1.0, 4, rng))
+    record = mb.read_record(fast, actuation="1000 psi")
     (judged,) = mb.accept(run, record, draws=400)
     whole, thin = replace(record.trace(), force=None), record.trace(50.0)
-    band, own = run.predict(whole, "device", draws=400), measured_cycles(record).of_test()
+    band, own = run.predict(whole, "device", draws=400), measured_cycles(record.trace()).of_test()
     for name in ("build_up_slope", "gap"):
         assert judged.rows.loc[name, "measured"] == pytest.approx(own[name])
         fine = np.median(properties_of(whole, band.draws)[name])
@@ -212,11 +177,7 @@ def test_slope_and_gap_are_those_of_the_record_and_its_rate(finished_run, tmp_pa
     assert blunt < 0.95 * own["build_up_slope"]  # the control
 
 
-def test_tests_that_scatter_more_than_the_population_says_widen_the_intervals(
-    finished_run, production
-):
-    run = mb.open_run(finished_run.out)
-    record = mb.read_record(production("good.csv"), actuation="1000 psi")
+def test_tests_that_scatter_more_than_the_population_says_widen_the_intervals(run, record):
     entries = dict(run.manifest.tests)
     for name, by in zip(run.tests, (0.6, 1.5, 0.7, 1.4, 0.6, 1.5) * 9, strict=False):
         measured = dict(entries[name].measured)

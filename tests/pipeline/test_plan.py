@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -21,7 +22,6 @@ from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import save_trace
 from tests.command_line import NAMES, here, refusal, write_csv
-from tests.run_folders import write_run
 
 HEAD = '[campaign]\nmodel = "lugre"\nnoise = "iid"\nrate = "32 Hz"\n'
 TIME = np.arange(640) / 64
@@ -251,10 +251,9 @@ def test_a_force_of_any_size_that_is_taken_has_a_likelihood(tmp_path, model):
 
 
 @pytest.mark.usefixtures("no_figures_of_tests")
-def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(tmp_path):
+def test_an_odd_test_is_named_and_left_out_of_the_report_which_is_finished(small_run, tmp_path):
     """The held-out test is at an actuation that the laws cannot reach."""
-    out = tmp_path / "out"
-    write_run(out, small=True)
+    out = shutil.copytree(small_run, tmp_path / "out")
     trace = open_run(out).held_out["c"]
     moved = Trace.from_arrays(trace.time, trace.displacement, 1e-9, trace.force)  # 1 µpsi
     save_trace(out / "tests/c/record.nc", moved, {})

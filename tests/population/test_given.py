@@ -4,22 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import linalg, stats
+from scipy import stats
 
-from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError, RecordError
-from mfd_bayes.friction.models import find_model
 from mfd_bayes.population import given as given_part
-from mfd_bayes.population.bands import FEWEST, Forecast, Predictor
+from mfd_bayes.population.bands import FEWEST, Forecast
 from mfd_bayes.population.design import setting_of
-from mfd_bayes.population.given import (
-    Forecaster,
-    Sums,
-    predict_given,
-)
+from mfd_bayes.population.given import Forecaster, predict_given, stroke_likelihood
 from mfd_bayes.records.trace import Trace
-from tests.population.made import make_population, no_residual
+from tests.population.made import make_predictor, no_residual
 
 RATE = 32.0
 TIME = np.arange(160) / RATE
@@ -35,17 +28,11 @@ def motion(actuation=1.0):
     return Trace.from_arrays(TIME, x, actuation, np.ones(TIME.size))
 
 
-def predictor(priors, name, **options):
+def predictor(name, **options):
     """A population of a model, with medians typical of the priors."""
-    model = find_model(name)
-    names = Posterior(motion(), priors, "iid", model, start="sample").names
-    medians = {n: priors.parameters[n].typical for n in names if n not in ("start", "gamma1")}
-    medians |= {"noise_sd": 0.05, "offset": 0.0}
-    options = {"scatter": 0.1, "level_sd": 0.01} | options
     residual = no_residual(**RESIDUAL, **options.pop("residual", {}))
-    tested = [setting_of(motion(p)) for p in (0.5, 1.0, 2.0)]
-    population = make_population(tested, medians=medians, residual=residual, **options)
-    return Predictor(population, model, find_noise("iid"))
+    options = {"scatter": 0.1, "level_sd": 0.01, "residual": residual} | options
+    return make_predictor(name, [setting_of(motion(p)) for p in (0.5, 1.0, 2.0)], **options)
 
 
 def truth_of(made, seed=1, actuation=1.0):
@@ -66,19 +53,15 @@ def test_the_likelihood_is_the_dense_density_with_an_intercept_of_each_stroke():
     rng = np.random.default_rng(1)
     strokes, left = np.repeat([0, 1, 2], [5, 9, 4]), rng.standard_normal((3, 18))
     sd, h = np.array([0.5, 1.0, 1.7]), 0.6
-    sums = Sums.of(left, np.ones(18), strokes, 3)
-    found = sums.log_likelihood(sd, h)
-    common = linalg.block_diag(*(np.ones((n, n)) for n in (5, 9, 4)))
-    unit = (1.0 - h**2) * np.eye(18) + h**2 * common
+    found = stroke_likelihood(left, np.ones(18), strokes, sd, h)
+    unit = (1.0 - h**2) * np.eye(18) + h**2 * (strokes[:, None] == strokes)
     expected = [
         stats.multivariate_normal(np.zeros(18), s**2 * unit).logpdf(row)
         for s, row in zip(sd, left, strict=True)
     ]
     np.testing.assert_allclose(found - 9.0 * np.log(2.0 * np.pi), expected, rtol=1e-10)
-    parts = Sums.of(left[:, :7], np.ones(7), strokes[:7], 2)
-    parts = parts.plus(Sums.of(left[:, 7:], np.ones(11), strokes[7:], 3))
-    np.testing.assert_allclose(parts.log_likelihood(sd, h), found)
-    assert np.abs(sums.log_likelihood(sd, 0.0) - found).max() > 1.0  # the control
+    independent = stroke_likelihood(left, np.ones(18), strokes, sd, 0.0)
+    assert np.abs(independent - found).max() > 1.0  # the control
 
 
 # --- a closed form
@@ -87,15 +70,15 @@ def test_the_likelihood_is_the_dense_density_with_an_intercept_of_each_stroke():
 OFFSET = 0.06  # kip, scatter of the only unknown
 
 
-def known_but_for_the_offset(priors, share=0.0):
+def known_but_for_the_offset(share=0.0):
     residual = {"stroke_share": share}
-    return predictor(priors, "lugre", scatter={"offset": OFFSET}, level_sd=0.0, residual=residual)
+    return predictor("lugre", scatter={"offset": OFFSET}, level_sd=0.0, residual=residual)
 
 
 # by weights alone, and resampled and moved
 @pytest.mark.parametrize(("share", "end"), [(0.0, 0.07), (0.5, 3.0)])
-def test_an_offset_given_a_part_is_the_closed_form(priors, share, end):
-    made = known_but_for_the_offset(priors, share)
+def test_an_offset_given_a_part_is_the_closed_form(share, end):
+    made = known_but_for_the_offset(share)
     record, force, _ = truth_of(made, seed=4)
     band = predict_given(made, record, Forecast(draws=4000, seed=1), (0.0, end))
     assert band.given.method == "sampling" or end < 1.0
@@ -120,9 +103,9 @@ def test_an_offset_given_a_part_is_the_closed_form(priors, share, end):
 
 # a part that tells as much as 70 independent samples: weights alone would leave a few draws
 @pytest.mark.parametrize(("name", "number"), [("three_stage", 6), ("backlash", 2)])
-def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name, number, monkeypatch):
+def test_a_given_part_makes_the_band_narrower_and_nearer(name, number, monkeypatch):
     monkeypatch.setattr(given_part, "PARTICLES", 800)
-    made = predictor(priors, name, scatter=0.2)
+    made = predictor(name, scatter=0.2)
     errors, widths, inside, unreliable = [], [], [], 0
     rest = TIME > 2.2
     for seed in range(number):
@@ -144,8 +127,8 @@ def test_a_given_part_makes_the_band_narrower_and_nearer(priors, name, number, m
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_test_that_is_followed_is_that_which_is_given(priors, name):
-    made = predictor(priors, name, scatter=0.1)
+def test_a_test_that_is_followed_is_that_which_is_given(name):
+    made = predictor(name, scatter=0.1)
     record, _, _ = truth_of(made, 2)
     forecast, at = Forecast(draws=3000, seed=1), 30
     forecaster = Forecaster(made, setting_of(record), forecast, refresh=False)
@@ -166,23 +149,10 @@ def test_a_test_that_is_followed_is_that_which_is_given(priors, name):
     assert np.mean(free.draws[:, at:].std(axis=0) / sd) > 1.02  # the control
 
 
-def test_a_refreshed_forecaster_knows_what_is_given(priors):
-    made = known_but_for_the_offset(priors)
-    record, force, values = truth_of(made, 3)
-    forecaster = Forecaster(made, setting_of(record), Forecast(draws=500))
-    forecaster.update(record.time[:80], record.displacement[:80], None, record.force[:80])
-    band = forecaster.band(Trace.from_arrays(TIME[80:], record.displacement[80:]))
-    known = 0.05 / np.sqrt(80)
-    assert np.median(band.values["offset"]) == pytest.approx(values["offset"], abs=5.0 * known)
-    assert band.values["offset"].std() < 2.0 * known
-    assert np.mean(np.abs(band.median - force[80:])) < 0.02 * np.ptp(force)
-    assert forecaster.time == record.time[79]
-
-
 @pytest.mark.parametrize("actuation", [1.4, np.where(TIME < 2.5, 1.0, 2.0), 0.0])
-def test_any_actuation_can_be_given_and_followed(priors, actuation):
+def test_any_actuation_can_be_given_and_followed(actuation):
     laws = {"Fc_fwd": "affine", "Fc_bwd": "affine"}
-    made = predictor(priors, "three_stage", laws=laws, effect={"level_friction": 0.1})
+    made = predictor("three_stage", laws=laws, effect={"level_friction": 0.1})
     record, force, _ = truth_of(made, 2, actuation)
     band = predict_given(made, record, Forecast(draws=200), (0.0, 2.0))
     assert np.mean(np.abs(band.median - force)[TIME > 2.0]) < 0.3 * np.std(force)
@@ -197,8 +167,8 @@ def test_any_actuation_can_be_given_and_followed(priors, actuation):
 # --- what is refused
 
 
-def test_what_cannot_be_given_is_one_sentence(priors):
-    made = predictor(priors, "lugre")
+def test_what_cannot_be_given_is_one_sentence():
+    made = predictor("lugre")
     record, _, _ = truth_of(made)
     for trace, kind, window, words in (
         (record, "device", (0.0, 1.0), "given is for the kinds"),
@@ -211,8 +181,8 @@ def test_what_cannot_be_given_is_one_sentence(priors):
             predict_given(made, trace, Forecast(kind), window)
 
 
-def test_samples_that_cannot_follow_are_one_sentence(priors):
-    made = predictor(priors, "lugre")
+def test_samples_that_cannot_follow_are_one_sentence():
+    made = predictor("lugre")
     record, _, _ = truth_of(made)
     forecaster = Forecaster(made, setting_of(record), Forecast(draws=20), refresh=False)
     with pytest.raises(FitError, match="a band needs some samples"):

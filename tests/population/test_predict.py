@@ -5,19 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.errors import FitError, NotThereError
-from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import (
     ADVICE,
     Forecast,
-    Predictor,
     holds_whole,
     whole_band,
 )
 from mfd_bayes.population.design import setting_of, with_zeros
 from mfd_bayes.records.trace import Trace
-from tests.population.made import THREE_STAGE, make_population, no_residual
+from tests.population.made import THREE_STAGE, make_predictor, no_residual
 
 TIME = np.arange(200) / 50.0
 LEVELS = (0.5, 1.0, 2.0)
@@ -32,10 +29,9 @@ def settings(amplitudes=(1.0, 1.0, 1.0)):
     return [setting_of(motion(p, x)) for p, x in zip(LEVELS, amplitudes, strict=True)]
 
 
-def predictor(*arguments, **options):
-    tested = options.pop("tested", None) or settings()
-    population = make_population(tested, *arguments, **options)
-    return Predictor(population, ThreeStage(), find_noise("iid"))
+def predictor(*arguments, tested=None, **options):
+    options = {"medians": THREE_STAGE} | options
+    return make_predictor("three_stage", tested or settings(), *arguments, **options)
 
 
 def spread(band, name="Fc_fwd"):
@@ -85,27 +81,13 @@ def test_the_named_law_gives_the_median_and_its_slope():
         population.ratio("Fc_fwd", [1.0, -1.0])
 
 
-def test_levels_deviate_from_the_laws_less_where_tests_are_near():
-    made = predictor(
-        {"Fc_fwd": "power"}, effect={"level_friction": 0.1}, scatter=1e-9, level_sd=0.0
-    )
-    forecast = Forecast("device", draws=DRAWS)
-    tested, between, far = (
-        spread(made.predict(motion(p), forecast)) for p in (1.0, 1.4, 2.0 * 1.9)
-    )
-    assert tested < 1e-6  # its effect is known, and 0 here
-    assert 0.005 < between < 0.05
-    assert far > 1.3 * between
-
-
 # --- a test without actuation, and one whose actuation changes
 
 
-def test_without_actuation_a_proportional_friction_is_none():
+def test_without_actuation_a_law_without_an_intercept_leaves_no_friction():
     tested = with_zeros([setting_of(motion(p)) for p in (1e-5, 1.0, 2.0)])
     assert tested[0].actuation == 0.0
-    made = predictor(POWER, tested=tested)
-    band = made.predict(motion(0.0), Forecast(draws=200))
+    band = predictor(POWER, tested=tested).predict(motion(0.0), Forecast(draws=200))
     assert np.all(band.values["Fc_fwd"] < 1e-6)
     assert np.all(np.isfinite(band.draws))
     affine = predictor(dict.fromkeys(POWER, "affine"), tested=tested, share=0.7)
@@ -262,16 +244,13 @@ def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
         assert np.abs(difference).max() == pytest.approx(0.1 * level, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        ({"kind": "all"}, "'all'"),
-        ({"probability": 1.0}, "probability"),
-        ({"draws": 9}, "draws"),
-        ({"session": 5}, "session"),
-        ({"whole": "no"}, "whole"),
-    ],
-)
-def test_what_cannot_be_asked_of_a_prediction_is_named(options, named):
-    with pytest.raises(FitError, match=named):
-        Forecast(**options)
+def test_what_cannot_be_asked_of_a_prediction_is_named():
+    for name, value in (
+        ("kind", "all"),
+        ("probability", 1.0),
+        ("draws", 9),
+        ("session", 5),
+        ("whole", "no"),
+    ):
+        with pytest.raises(FitError, match=name):
+            Forecast(**{name: value})

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.population import (
     ELSEWHERE,
@@ -19,7 +18,7 @@ from mfd_bayes.population.population import (
     place_left,
 )
 from mfd_bayes.records.trace import Trace
-from tests.population.made import THREE_STAGE, make_population
+from tests.population.made import THREE_STAGE, make_predictor
 
 TIME = np.arange(300) / 50.0
 SINE = Trace.from_arrays(TIME, np.sin(np.pi * TIME), 1.0)
@@ -33,37 +32,29 @@ def at_the_end():
     return Starts(weights)
 
 
-def population(starts):
-    tested = [replace(setting_of(SINE), actuation=p) for p in (0.5, 1.0, 2.0)]
-    return make_population(tested, scatter=1e-9, level_sd=0.0, starts=starts)
-
-
 def drawn(motion, starts):
-    predictor = Predictor(population(starts), ThreeStage(), find_noise("iid"))
+    tested = [replace(setting_of(SINE), actuation=p) for p in (0.5, 1.0, 2.0)]
+    options = {"scatter": 1e-9, "level_sd": 0.0, "starts": starts, "medians": THREE_STAGE}
+    predictor = make_predictor("three_stage", tested, **options)
     found = predictor.draw(motion, Forecast(draws=DRAWS), np.random.default_rng(1))
     return found.unshared["start"]
 
 
 FADING = np.sin(np.pi * TIME) * np.exp(-0.6 * TIME)  # with few full strokes
 
-OTHERS = {
-    "larger stroke": Trace.from_arrays(TIME, 1.3 * np.sin(np.pi * TIME), 1.0),
-    "smaller stroke": Trace.from_arrays(TIME, 0.8 * np.sin(np.pi * TIME), 1.0),
-    "another kind": Trace.from_arrays(TIME, 2.0 * FADING / np.ptp(FADING), 1.0),
-}
 
-
-@pytest.mark.parametrize("name", OTHERS)
-def test_another_kind_or_stroke_never_begins_as_repeats_did(name):
-    motion = OTHERS[name]
-    if name == "another kind":  # so that it differs in kind alone
-        setting = setting_of(motion).covariates
-        assert abs(setting["full_strokes"] - setting_of(SINE).covariates["full_strokes"]) > 0.25
-        assert setting["amplitude"] == pytest.approx(1.0, rel=0.01)
-    begun = drawn(motion, at_the_end())
-    assert stats.kstest(begun, "uniform").pvalue > 1e-4
+def test_another_kind_or_stroke_never_begins_as_repeats_did():
     repeated = drawn(SINE, at_the_end())
     assert stats.kstest(repeated, "uniform").pvalue < 1e-20  # the control
+    fading = 2.0 * FADING / np.ptp(FADING)
+    setting = setting_of(Trace.from_arrays(TIME, fading, 1.0)).covariates
+    full = setting_of(SINE).covariates["full_strokes"]
+    assert abs(setting["full_strokes"] - full) > 0.25  # it differs in kind alone
+    assert setting["amplitude"] == pytest.approx(1.0, rel=0.01)
+    sine = np.sin(np.pi * TIME)
+    for motion in (1.3 * sine, 0.8 * sine, fading):
+        begun = drawn(Trace.from_arrays(TIME, motion, 1.0), at_the_end())
+        assert stats.kstest(begun, "uniform").pvalue > 1e-4
 
 
 def test_a_repeat_begins_where_its_motion_ends_but_for_a_fifth():

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from mfd_bayes import ThreeStage, Trace, read_record
+from mfd_bayes import Trace, read_record
 from mfd_bayes.calibration.posterior import cycle_energies
 from mfd_bayes.cli.commands import app
 from mfd_bayes.records.loops import MeasuredCycles, find_loops, loop_estimate, measured_cycles
@@ -90,15 +90,6 @@ def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
     assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
 
 
-def test_the_model_reads_as_its_parameters():
-    trace = drawn_loop()
-    theta = np.array([[200, 0, 0, 2.0, 2.0, 2.4, 2.4, 0.1, 20, 0.15, 0.1, 1, 0.001, 0.5]])
-    force = ThreeStage().force(theta, trace)[0]
-    read = loop_estimate(Trace.from_arrays(trace.time, trace.displacement, 0.03, force))
-    assert (read.plateau_fwd, read.plateau_bwd) == pytest.approx((2.0, 2.4), rel=0.02)
-    assert read.gap == pytest.approx(0.25, rel=0.1)
-
-
 @given(
     amplitude=st.floats(0.1, 5.0),
     frequency=st.sampled_from([0.5, 1.0, 2.0]),
@@ -154,7 +145,7 @@ TITLES = {
 def test_inspect_shows_the_measured_values_of_shared_records(data_folder, tmp_path, small_pictures):
     for path in sorted(data_folder.glob("20*.csv"))[::6]:
         record = read_record(path)
-        cycles = measured_cycles(record)
+        cycles = measured_cycles(record.trace())
         assert np.nanmax(cycles.peak_fwd) <= cycles.largest_fwd == record.force.max(), path
         assert np.nanmax(cycles.peak_bwd) <= cycles.largest_bwd == -record.force.min(), path
         content = cycles.to_content()

@@ -10,8 +10,7 @@ import pint
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.errors import FitError, MfdError, RecordError, UnitError
-from mfd_bayes.records.inputs import real_number, real_numbers
+from mfd_bayes.errors import FitError, MfdError, RecordError, UnitError, real_number, real_numbers
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Source, Subtracted, checked_window
 from mfd_bayes.units import parse_mass, parse_quantity
@@ -110,14 +109,6 @@ def test_turning_points_are_the_extremes_beyond_the_hysteresis():
     ripple = MOTION + 1e-3 * np.sin(2 * np.pi * 40 * TIME)
     assert turns(ripple, 0.01).size == 10 < turns(ripple, 1e-5).size
     assert turns(np.array([0, 1, 1, 1, 0, 0, 1, 1.0]), 0.1).tolist() == [3, 5]
-
-
-def test_turning_points_alternate_on_a_random_walk():
-    walk = np.cumsum(np.random.default_rng(3).normal(size=5000))
-    legs = np.diff(walk[turns(walk, 5.0)])
-    assert legs.size > 10
-    assert np.all(np.abs(legs) > 5)
-    assert np.all(legs[1:] * legs[:-1] < 0)
 
 
 def test_noise_of_a_sensor_makes_no_turns_and_a_smooth_small_motion_does():
@@ -281,15 +272,6 @@ def test_of_a_time_with_gaps_the_longest_piece_inside_the_window_is_used(tmp_pat
     paused = TIME + 0.02 * np.cumsum(np.arange(TIME.size) % 400 == 399)
     words = mb.read_record(write(tmp_path, time_s=paused, displacement_in=MOTION)).clock.words()
     assert "pauses 5 times, for up to 0.025 s" in words
-
-
-@pytest.mark.parametrize("rate", [256.0, 600.0])
-def test_rounded_time_stamps_do_not_change_the_rate(tmp_path, rate):
-    time = np.round(np.arange(4000) / rate, 3)
-    path = write(tmp_path, time_s=time, displacement_in=np.sin(2 * np.pi * time))
-    record = mb.read_record(path)
-    assert record.rate == pytest.approx(rate, rel=1e-3)
-    assert record.trace(0.875 * rate).samples == pytest.approx(3500, abs=2)
 
 
 # --- traces of a record

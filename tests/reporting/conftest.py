@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -28,7 +30,7 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.figures import draw_shared, draw_test
+from mfd_bayes.reporting.publish import Forms, publish
 from mfd_bayes.runs.manifest import Use, Verdict
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
@@ -70,7 +72,6 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
     view = TestView(
         id=identity,
         role=role,
-        actuation="800 psi",
         trace=trace,
         first=5,
         device=make_fan("device", force),
@@ -130,9 +131,8 @@ def make_law_scores() -> tuple[dict, ...]:
 
 
 def make_left_out() -> LeftOutView:
-    row = {"part": "800 psi", "test": "p800_f0.25"} | SCORES
+    row = {"part": "800 psi", "test": "p800_f0.25", "whole_95": NAN} | SCORES
     row |= {"fitted_width": 0.2, "fitted_crps": 0.03, "width_ratio": 2.0, "crps_ratio": 2.0}
-    row |= {"whole_95": NAN}
     mean = row | {"part": "", "test": "mean"}
     return LeftOutView("level", (row,), mean, "Of 1 tests the bands hold 95 %.")
 
@@ -170,25 +170,6 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
 @pytest.fixture(scope="session")
 def test_view() -> Callable[..., TestView]:
     return make_test
-
-
-def draw_pngs(view: CampaignView) -> dict[str, bytes]:
-    pngs = dict(draw_shared(view))
-    for test in view.tests:
-        pngs |= draw_test(test, view.system, view.actuation_unit)
-    return pngs
-
-
-@pytest.fixture(scope="session")
-def draw() -> Callable[[CampaignView], dict[str, bytes]]:
-    """PNG of every figure of a report, by its key."""
-    return draw_pngs
-
-
-@pytest.fixture(scope="session")
-def images(campaign: CampaignView) -> dict[str, bytes]:
-    """PNG of every figure of `campaign`, by its key."""
-    return draw_pngs(campaign)
 
 
 @pytest.fixture(scope="session")
@@ -235,3 +216,24 @@ def make_datasheet() -> Datasheet:
 @pytest.fixture(scope="session")
 def datasheet() -> Datasheet:
     return make_datasheet()
+
+
+@pytest.fixture(scope="session")
+def published(campaign, datasheet, tmp_path_factory) -> Path:
+    """Folder with the whole report of `campaign`."""
+    folder = tmp_path_factory.mktemp("published")
+    forms = Forms(word=bool(find_spec("docx")), excel=bool(find_spec("openpyxl")))
+    publish(campaign, folder, 1, lambda _: None, forms, datasheet)
+    return folder
+
+
+@pytest.fixture
+def written(tmp_path, no_figures) -> Callable[..., dict[str, str]]:
+    """Function that writes a report without its figures; the texts of its files, by their names."""
+
+    def written(view: CampaignView, sheet: Datasheet | None = None, **forms: bool):
+        publish(view, tmp_path, 1, lambda _: None, Forms(**forms), sheet)
+        paths = [p for p in tmp_path.rglob("*.*") if p.suffix in (".csv", ".json", ".tex", ".html")]
+        return {str(p.relative_to(tmp_path)): p.read_text("utf-8") for p in paths}
+
+    return written

@@ -3,19 +3,15 @@
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.views import CampaignView
-from mfd_bayes.reporting.figures import to_png
-from mfd_bayes.reporting.figures.loops import draw_overview
-from mfd_bayes.reporting.page import render
-from mfd_bayes.reporting.publish import find_browser, print_page
-from mfd_bayes.reporting.tables import record_table, shared_tables
+from mfd_bayes.reporting.publish import find_browser, print_page, publish
+from mfd_bayes.reporting.symbols import number
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason='no playwright: pip install "mfd_bayes[browser]"'
@@ -26,35 +22,16 @@ pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium: install Debian
 
 HOSTILE = '"><img src=x onerror="window.hit=1"><script>window.hit=1</script>'
 TEST = "tests/p800_f0.25/page.html"
+PAGES = ("report.html", "datasheet.html", TEST)
 A4 = (794 - 91, 1123 - 91)
 """Width and height of A4 less the page's margins, in CSS pixels."""
+MODEL = "Bokeh.documents[0].get_model_by_name"
 
 
 @pytest.fixture(scope="session")
-def write(draw, datasheet) -> Callable[..., Path]:
-    """Write the files of a report; returns the first page."""
-
-    def written(folder: Path, view: CampaignView, images: dict[str, bytes] | None = None) -> Path:
-        images = draw(view) if images is None else images
-        files: dict[str, bytes] = {
-            name if name.startswith("tests/") else f"figures/{name}": png
-            for name, png in images.items()
-        }
-        files = {f"{name}.png": png for name, png in files.items()}
-        texts = render(view, images, datasheet) | dict(shared_tables(view))
-        texts |= {f"tests/{test.id}/record.csv": record_table(test) for test in view.tests}
-        files |= {name: text.encode() for name, text in texts.items()}
-        for name, content in files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(content)
-        return folder / "report.html"
-
-    return written
-
-
-@pytest.fixture(scope="session")
-def report(write, campaign, images, tmp_path_factory) -> Path:
-    return write(tmp_path_factory.mktemp("report"), campaign, images)
+def report(published) -> Path:
+    """The first page."""
+    return published / "report.html"
 
 
 @pytest.fixture(scope="session")
@@ -75,10 +52,10 @@ class Watched:
         size = {"width": width, "height": 900}
         context = browser.new_context(viewport=size, color_scheme=scheme, accept_downloads=True)
         self.page = context.new_page()
-        self.asked, self.said = [], []
+        self.asked, self.errors = [], []
         self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.on("console", lambda message: self.said.append((message.type, message.text)))
-        self.page.on("pageerror", lambda error: self.said.append(("error", str(error))))
+        self.page.on("console", self.hear)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(path.as_uri())
         if self.page.query_selector("#explorer"):
             self.page.wait_for_selector("#explorer[data-ready]")
@@ -89,9 +66,9 @@ class Watched:
     def __exit__(self, *_):
         self.page.context.close()
 
-    @property
-    def errors(self) -> list[str]:
-        return [text for kind, text in self.said if kind in ("error", "warning")]
+    def hear(self, message):
+        if message.type in ("error", "warning"):
+            self.errors.append(message.text)
 
     @property
     def violations(self) -> list[tuple[str, str]]:
@@ -102,16 +79,16 @@ class Watched:
         return [(v["id"], v["nodes"][0]["html"]) for v in found]
 
 
-@pytest.mark.parametrize("name", ["report.html", "datasheet.html", TEST])
+@pytest.mark.parametrize("name", PAGES)
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (1400, "dark"), (380, "light")])
 def test_pages_ask_for_nothing_fail_nowhere_and_are_accessible(
     chromium, report, name, width, scheme
 ):
     with Watched(chromium, report.parent / name, width, scheme) as found:
         assert found.errors == []
-        beside = report.parent / Path(name).parent
+        folder = (report.parent / name).parent.as_uri()
         asked = [url for url in found.asked if not url.startswith(("data:", "blob:"))]
-        assert [url for url in asked if not url.startswith(beside.as_uri())] == []
+        assert [url for url in asked if not url.startswith(folder)] == []
         assert name == TEST or len(asked) == 1
         overflow = "document.documentElement.scrollWidth - innerWidth"
         assert found.page.evaluate(overflow) <= 0
@@ -128,7 +105,6 @@ def test_axe_can_find_something(chromium, report, tmp_path):
 def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report):
     with Watched(chromium, report) as found:
         page = found.page
-        axis = "Bokeh.documents[0].get_model_by_name('plot-x').below[0].axis_label"
         head, cell = page.locator(".properties thead"), page.locator(".properties td").nth(4)
         assert "800 psi" in head.inner_text()
         assert cell.inner_text() == "1.00"
@@ -137,31 +113,25 @@ def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report)
         assert "5.52 MPa" in head.inner_text()
         assert cell.inner_text() == "4.45"
         assert "within 20.3 mm" in page.inner_text("ul.verdict")
-        assert page.evaluate(axis) == "displacement, mm"
-        highest = "Bokeh.documents[0].get_model_by_name('plot-x').x_range.end"
-        assert page.evaluate(highest) == pytest.approx(25.4 * 1.08, rel=0.02)
+        assert page.evaluate(f"{MODEL}('plot-x').below[0].axis_label") == "displacement, mm"
+        highest = page.evaluate(f"{MODEL}('plot-x').x_range.end")
+        assert highest == pytest.approx(25.4 * 1.08, rel=0.02)
         page.check("#units-us")  # the script writes numbers as Python does
         assert page.locator("body").inner_text() == before
         assert found.errors == []
-
-
-def test_numbers_are_written_by_the_script_as_by_python(chromium, report):
-    from mfd_bayes.reporting.symbols import number
-
-    values = (1.3, 0.9999, 1234.4, 123456.0, 1.25e-7, 0.00012345, -2.5, 0.0, 9.999e5, 1e7, 99.95)
-    with Watched(chromium, report) as found:
-        for value in values:
+        for value in (0.9999, 1234.4, 123456.0, 1.25e-7, 0.00012345, -2.5, 0.0, 9.999e5, 99.95):
             for digits in (3, 4):
-                assert found.page.evaluate(f"written({value!r}, {digits})") == number(value, digits)
+                assert page.evaluate(f"written({value!r}, {digits})") == number(value, digits)
 
 
-def test_the_explorer_switches_tests_and_tells_stages(chromium, campaign, images, tmp_path, write):
+def test_the_explorer_switches_tests_and_tells_stages(chromium, campaign, tmp_path, no_figures):
     test = campaign.tests[0]
     stage = np.full(test.trace.samples, 3, dtype=np.int8)
-    view = replace(campaign, tests=(replace(test, stage=stage), campaign.tests[1]))
-    with Watched(chromium, write(tmp_path, view, images)) as found:
-        page = found.page
-        samples = "Bokeh.documents[0].get_model_by_name('samples').data"
+    publish(
+        replace(campaign, tests=(replace(test, stage=stage), campaign.tests[1])), tmp_path, 1, print
+    )
+    with Watched(chromium, tmp_path / "report.html") as found:
+        page, samples = found.page, f"{MODEL}('samples').data"
         assert page.evaluate(f"{samples}.stage[0]") == "3, build-up"
         force = page.evaluate(f"Array.from({samples}.force)")
         assert force == pytest.approx(test.trace.force.tolist(), abs=1e-6)
@@ -194,15 +164,6 @@ def test_a_sample_is_read_by_pointing_at_it(chromium, report):
         assert any(value.endswith("kip") for value in values)
 
 
-def test_a_picture_can_be_taken_from_the_page_alone(chromium, report, tmp_path):
-    alone = tmp_path / "mailed.html"
-    shutil.copy(report, alone)
-    with Watched(chromium, alone) as found:
-        with found.page.expect_download() as waited:
-            found.page.click('a[download="overview.png"]')
-        assert Path(waited.value.path()).read_bytes().startswith(b"\x89PNG")
-
-
 def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, report):
     context = chromium.new_context(java_script_enabled=False)
     page = context.new_page()
@@ -214,14 +175,14 @@ def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, rep
     context.close()
 
 
-def test_names_from_files_run_nothing(chromium, campaign, images, tmp_path, write):
+def test_names_from_files_run_nothing(chromium, campaign, datasheet, tmp_path, no_figures):
     rows = tuple(row | {"note": HOSTILE} for row in campaign.tests[0].rows)
     test = replace(campaign.tests[0], rows=rows)
     view = replace(campaign, title=HOSTILE, tests=(test, campaign.tests[1]))
     view = replace(view, provenance={HOSTILE: HOSTILE}, remarks=(HOSTILE,))
-    first = write(tmp_path, view, images)
-    for name in ("report.html", "datasheet.html", TEST):
-        with Watched(chromium, first.parent / name) as found:
+    publish(view, tmp_path, 1, print, sheet=datasheet)
+    for name in PAGES:
+        with Watched(chromium, tmp_path / name) as found:
             assert found.page.evaluate("window.hit") is None
             assert found.errors == []
             assert HOSTILE in found.page.title()
@@ -244,37 +205,30 @@ def test_figures_are_not_cut_in_print(chromium, report):
         assert found.page.locator(".explorer").is_hidden()
 
 
-def printed_pages(page: Path) -> int:
-    printed = print_page(page)
-    assert printed.startswith(b"%PDF")
-    assert re.search(rb"/MediaBox\s*\[\s*0 0 59[45]\.?\d* 84[12]\.?\d*\s*\]", printed)  # A4
-    return len(re.findall(rb"/Type\s*/Page\b", printed))
-
-
 def test_the_data_sheet_prints_on_one_page(report):
     assert find_browser()
-    assert printed_pages(report.with_name("datasheet.html")) == 1
-    assert printed_pages(report) >= 2  # the control
+    pages = []
+    for page in (report.with_name("datasheet.html"), report):
+        printed = print_page(page)
+        assert printed.startswith(b"%PDF")
+        assert re.search(rb"/MediaBox\s*\[\s*0 0 59[45]\.?\d* 84[12]\.?\d*\s*\]", printed)  # A4
+        pages.append(len(re.findall(rb"/Type\s*/Page\b", printed)))
+    assert pages[0] == 1
+    assert pages[1] >= 2  # the control
 
 
-def test_fifty_tests_stay_small_and_readable(chromium, campaign, draw, write, tmp_path):
-    some, rng = campaign.tests[0], np.random.default_rng(1)
-    tests = []
+def test_fifty_tests_stay_small_and_readable(chromium, campaign, tmp_path):
+    some, rng, tests = campaign.tests[0], np.random.default_rng(1), []
     for at in range(50):
         name, noise = f"t{at:02d}", 0.05 * rng.standard_normal(some.trace.samples)
         rows = tuple(row | {"test": name} for row in some.rows)
         trace = replace(some.trace, force=np.asarray(some.trace.force) + noise)
         tests.append(replace(some, id=name, rows=rows, trace=trace))
-    drawn = draw(replace(campaign, tests=(some,)))
-    images = {key: png for key, png in drawn.items() if not key.startswith("tests/")}
-    images["overview"] = to_png(draw_overview("loops", tests))
-    for test in tests:  # one test's pictures for all: they are as large
-        images |= {k.replace(some.id, test.id): png for k, png in drawn.items() if some.id in k}
-    first = write(tmp_path, replace(campaign, tests=tuple(tests)), images)
-    assert len(list(tmp_path.rglob("*.html"))) == 52
+    publish(replace(campaign, tests=tuple(tests)), tmp_path, 1, print)
+    assert len(list(tmp_path.rglob("*.html"))) == 51
     files = [*tmp_path.rglob("*.html"), *tmp_path.rglob("*.png")]
-    assert sum(file.stat().st_size for file in files) < 25e6
-    with Watched(chromium, first) as found:
+    assert sum(file.stat().st_size for file in files) < 12e6
+    with Watched(chromium, tmp_path / "report.html") as found:
         assert found.errors == []
         assert found.page.locator("#explorer-test option").count() == 50
         assert found.violations == []

@@ -1,13 +1,12 @@
-"""Everything that a reader is given of a run, written into its folder."""
+"""Which files a report has, and what of an earlier one goes."""
 
 import re
+import shutil
 from dataclasses import replace
 
 import pytest
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.jobs.job import Step
-from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.publish import Forms, publish
 
 
@@ -15,37 +14,24 @@ def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-@pytest.fixture
-def quickly_drawn(monkeypatch):
-    """Figures are made as they are, but every picture of one is the same small one."""
-    dot = figures.to_png(figures.agg.new_figure(1, 1))
-    monkeypatch.setattr("mfd_bayes.reporting.figures.report.look.to_png", lambda _: dot)
-
-
-@pytest.mark.usefixtures("quickly_drawn")
-def test_a_report_holds_every_figure_and_every_table(campaign, datasheet, tmp_path):
+def test_a_report_holds_every_figure_and_every_table(campaign, published, written, tmp_path):
     pytest.importorskip("docx")
-    steps = []
-    forms = Forms(word=True, excel=True)
-    publish(campaign, tmp_path, 1, steps.append, forms, datasheet)
-    found = files(tmp_path)
     own = ("loops", "history", "residuals", "marginals", "corner", "ranks")
     expected = {f"tests/p800_f0.25/{name}.png" for name in own}
     expected |= {f"tests/held/{name}.png" for name in ("loops", "history")}
-    expected |= {
-        f"tests/{n}/{f}" for n in ("held", "p800_f0.25") for f in ("page.html", "record.csv")
-    }
+    pairs = ((n, f) for n in ("held", "p800_f0.25") for f in ("page.html", "record.csv"))
+    expected |= {f"tests/{name}/{file}" for name, file in pairs}
     expected |= {f"figures/{n}.{s}" for n in ("overview", "laws", "truth") for s in ("png", "csv")}
     names = "parameters derived loop_estimates noises laws law_scores checks scores tested_range"
     expected |= {f"{name}.csv" for name in (*names.split(), "crossvalidation", "datasheet")}
     expected |= {f"{name}.{end}" for name in ("parameters", "laws") for end in ("json", "tex")}
     expected |= {"datasheet.tex", "report.html", "datasheet.html", "tables.docx", "tables.xlsx"}
-    assert set(found) == expected
-    assert [step.stage for step in steps] == ["figures", "pages", "done"]
-    assert all(isinstance(step, Step) for step in steps)
+    assert set(files(published)) == expected
+    shutil.copytree(published, tmp_path, dirs_exist_ok=True)
+    written(campaign)  # pictures with nothing to show any more are removed
+    assert not list(tmp_path.glob("tests/*/*.png"))
 
 
-@pytest.mark.usefixtures("quickly_drawn")
 def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkeypatch):
     monkeypatch.setattr("mfd_bayes.reporting.publish.ALL_DRAWN", 1)
     left, drawn = (test.id for test in campaign.tests)
@@ -62,16 +48,17 @@ def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkey
 
 def test_what_cannot_be_made_is_refused_before_anything_is_written(monkeypatch):
     names = ("p500_f0.05", "p800_f0.05")
-    with pytest.raises(ReportError, match=r"no test 'p500_f005'; did you mean 'p500_f0\.05'\?"):
-        Forms(tests=("p500_f005",)).check(names)
     Forms(tests=names[:1]).check(names)
     monkeypatch.setattr("mfd_bayes.reporting.publish.find_spec", lambda _: None)
-    for form, extra in ((Forms(word=True), "word"), (Forms(excel=True), "excel")):
-        with pytest.raises(ReportError, match=rf"mfd_bayes\[{extra}\]"):
-            form.check(names)
     monkeypatch.setattr("shutil.which", lambda _: None)
-    with pytest.raises(ReportError, match="needs a Chromium"):
-        Forms(pdf=True).check(names)
+    for forms, offender in (
+        (Forms(tests=("p500_f005",)), r"no test 'p500_f005'; did you mean 'p500_f0\.05'\?"),
+        (Forms(word=True), r"mfd_bayes\[word\]"),
+        (Forms(excel=True), r"mfd_bayes\[excel\]"),
+        (Forms(pdf=True), "needs a Chromium"),
+    ):
+        with pytest.raises(ReportError, match=offender):
+            forms.check(names)
 
 
 @pytest.mark.slow
@@ -85,12 +72,3 @@ def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(campaign, tm
     assert one == two
     sizes = re.findall(r'src="loops\.png" width="(\d+)"', one["tests/t0/page.html"].decode())
     assert int(sizes[0]) > 300
-
-
-@pytest.mark.usefixtures("quickly_drawn")
-def test_a_picture_with_nothing_to_show_any_more_is_removed(campaign, tmp_path):
-    picture = tmp_path / "tests" / campaign.tests[0].id / "corner.png"
-    for corner in (("Fc_fwd", "k3"), ()):
-        test = replace(campaign.tests[0], corner=corner)
-        publish(replace(campaign, tests=(test,)), tmp_path, 1, lambda _: None)
-        assert picture.is_file() == bool(corner)

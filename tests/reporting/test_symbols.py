@@ -1,3 +1,5 @@
+"""Symbols, numbers and units as engineers write them, in figures and on pages."""
+
 import math
 
 from mfd_bayes.calibration.priors import known_quantities
@@ -6,7 +8,7 @@ from mfd_bayes.reporting import symbols
 NAMES = symbols.Symbols()
 
 
-def test_every_quantity_has_a_symbol():
+def test_every_quantity_has_a_symbol_and_unknown_names_are_escaped():
     for name in known_quantities():
         assert NAMES.in_figure(name).startswith("$"), name
         assert NAMES.in_html(name), name
@@ -14,9 +16,6 @@ def test_every_quantity_has_a_symbol():
     assert NAMES.parts("Fc_fwd") == [("F", False), ("c,fwd", True)]
     assert NAMES.label("sigma0", "kip/in") == r"$\sigma_0$, kip/in"
     assert NAMES.label("gamma1", "1") == r"$\gamma_1$"
-
-
-def test_unknown_names_are_escaped():
     assert NAMES.in_html("<b>_x") == "&lt;b&gt; x"
     assert NAMES.in_figure("a$b$") == r"a\$b\$"
     assert symbols.plain("a\nb" + "x" * 80) == "a b" + "x" * 56 + "…"
@@ -45,9 +44,6 @@ def test_quantities_of_the_population_are_written_in_words():
     ):
         assert NAMES.in_html(name) == text
         assert meaning in NAMES.meaning(name), name
-
-
-def test_a_sentence_has_symbols_and_no_code_names():
     for text, html in (
         ("not determined: sigma1 (7), k3", "not determined: σ<sub>1</sub> (7), k<sub>3</sub>"),
         ("the gap of a<b is Fc_fwd.", "the gap of a&lt;b is F<sub>c,fwd</sub>."),

@@ -14,22 +14,12 @@ import pandas as pd
 import pytest
 
 from mfd_bayes.evaluation.views import Check
-from mfd_bayes.jobs.job import Step
-from mfd_bayes.reporting.publish import PLAIN, Forms, publish
-from mfd_bayes.reporting.symbols import Symbols
-from mfd_bayes.reporting.tables import (
-    datasheet_frame,
-    paper_sheets,
-    predicted_csv,
-    record_table,
-    shared_tables,
-    to_latex,
-)
+from mfd_bayes.reporting.tables import predicted_csv
 from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.manifest import Verdict
-from mfd_bayes.runs.unit_system import SI
 
-STIFFNESS = 4.4482216 / 25.4  # kN/mm of a kip/in
+KIP = 4.4482216  # kN
+STIFFNESS = KIP / 25.4  # kN/mm of a kip/in
 SPECIAL = r"a_b%c&d#e$f\g{h}i~j^k|l<m>"
 DOCUMENT = r"""\documentclass{article}
 \usepackage{booktabs,longtable,array}
@@ -38,7 +28,6 @@ DOCUMENT = r"""\documentclass{article}
 \input{laws.tex}
 \end{document}
 """
-NAMES = Symbols()
 ESTIMATE = {"name": "k3", "unit": "kip/in", "value": 14.25, "lower": 0.8, "median": 1.0}
 ESTIMATE |= {"upper": 1.2, "tolerance": 0.3, "missed": True}
 NOISE = {"name": "k3", "unit": "kip/in", "noise": "ou", "lower": 0.8, "median": 1.0, "upper": 1.2}
@@ -59,18 +48,6 @@ COLUMNS = {
 }
 
 
-@pytest.fixture
-def files(tmp_path, no_figures):
-    """Texts and bytes of all tables of a report, as they are written, by the file's name."""
-
-    def write(view, sheet=None, forms=PLAIN):
-        publish(view, tmp_path, 1, lambda step: Step, forms, sheet)
-        paths = [p for p in tmp_path.iterdir() if p.suffix in (".csv", ".json", ".tex")]
-        return {p.name: p.read_text() for p in paths}
-
-    return write
-
-
 def read(text):
     return list(csv.DictReader(io.StringIO(text)))
 
@@ -80,18 +57,18 @@ def of_two(view, **changes):
     return replace(view, tests=(replace(view.tests[0], **changes), *view.tests[1:]))
 
 
-def test_values_are_those_of_the_report_under_their_columns(campaign, files):
-    texts = files(campaign)
+def test_values_are_those_of_the_report_under_their_columns(published):
+    texts = {name: (published / f"{name}.csv").read_text() for name in COLUMNS}
     for name, columns in COLUMNS.items():
-        first = texts[f"{name}.csv"].splitlines()[0].split(",")
+        first = texts[name].splitlines()[0].split(",")
         assert first[: len(columns.split())] == columns.split()
-    assert float(read(texts["parameters.csv"])[1]["q97.5"]) == 1.2
-    assert [line["role"] for line in read(texts["scores.csv"])] == ["calibrate", "validate"]
-    derived = read(texts["derived.csv"])
+    assert float(read(texts["parameters"])[1]["q97.5"]) == 1.2
+    assert [line["role"] for line in read(texts["scores"])] == ["calibrate", "validate"]
+    derived = read(texts["derived"])
     assert [line["measured"] for line in derived][:3] == ["3.3", "1.4", ""]
     assert derived[3]["q50"] == ""  # no full cycle
-    assert [line["test"] for line in read(texts["crossvalidation.csv"])] == ["p800_f0.25", "mean"]
-    assert [line["chosen"] for line in read(texts["law_scores.csv"])] == ["no", "yes"]
+    assert [line["test"] for line in read(texts["crossvalidation"])] == ["p800_f0.25", "mean"]
+    assert [line["chosen"] for line in read(texts["law_scores"])] == ["no", "yes"]
 
 
 def test_a_prediction_says_what_it_is(campaign):
@@ -102,60 +79,73 @@ def test_a_prediction_says_what_it_is(campaign):
 
 
 def test_a_new_run_in_a_folder_removes_every_table_of_the_old_one(
-    campaign, datasheet, files, tmp_path
+    campaign, datasheet, written, tmp_path
 ):
-    files(replace(campaign, left_out=None, truth=()), datasheet, Forms(word=True, excel=True))
+    written(replace(campaign, left_out=None, truth=()), datasheet, word=True, excel=True)
     (tmp_path / "manifest.json").write_text("{}")
     discard(tmp_path)
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == []
 
 
-def test_no_text_is_a_formula_in_csv_or_excel(campaign, files, tmp_path):
+def test_no_text_is_a_formula_in_csv_or_excel(campaign, written, tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     texts = ["=1+1", "-1", "\t@SUM(A1)"]
     row = {"mean": -1.25e-7, "r_hat": math.nan}
     rows = tuple(campaign.law_rows[0] | row | {"test": text, "note": text} for text in texts)
     check = Check(texts[0], "a, b", 'say "x"', -1.0, 1.0, Verdict.PASS)
-    view = replace(campaign, law_rows=rows, checks=(check,))
-    written = files(view, forms=Forms(excel=True))
-    for line, text in zip(read(written["laws.csv"]), texts, strict=True):
+    files = written(replace(campaign, law_rows=rows, checks=(check,)), excel=True)
+    for line, text in zip(read(files["laws.csv"]), texts, strict=True):
         assert line["group"] == line["note"] == f"'{text}".replace("\t", " ")
         assert (line["mean"], line["r_hat"]) == ("-1.25e-07", "")
-    found = read(written["checks.csv"])[0]
+    found = read(files["checks.csv"])[0]
     assert (found["check"], found["feature"], found["observed"]) == ("a, b", 'say "x"', "-1")
     book = openpyxl.load_workbook(tmp_path / "tables.xlsx")
     assert not [cell for row in book["laws"].rows for cell in row if cell.data_type == "f"]
 
 
-def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign, files, tmp_path):
-    name = campaign.tests[0].id
+def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign, written, tmp_path):
+    name, trace = campaign.tests[0].id, campaign.tests[0].trace
     view = of_two(campaign, loop_estimates=(ESTIMATE | {"test": name},))
-    texts = files(replace(view, metric=True), forms=Forms(excel=True))
+    texts = written(replace(view, metric=True), excel=True)
     row = next(r for r in read(texts["parameters.csv"]) if r["parameter"] == "k3")
     assert row["unit"] == "kN/mm"
-    assert float(row["q50"]) == pytest.approx(STIFFNESS, rel=1e-5)
+    for column, value in (("q2.5", 0.8), ("q50", 1.0), ("q97.5", 1.2)):
+        assert float(row[column]) == pytest.approx(value * STIFFNESS, rel=1e-5)
+    assert (float(row["r_hat"]), float(row["contraction"])) == (1.002, 0.95)
     estimate = float(read(texts["loop_estimates.csv"])[0]["loop_estimate"])
     assert estimate == pytest.approx(14.25 * STIFFNESS, rel=1e-5)
-    assert float(read(texts["scores.csv"])[0]["crps_kN"]) == pytest.approx(0.13344665, rel=1e-5)
+    assert float(read(texts["scores.csv"])[0]["crps_kN"]) == pytest.approx(0.03 * KIP, rel=1e-5)
     assert float(read(texts["scores.csv"])[0]["coverage_95"]) == 0.95
-    assert '"unit": "kN/mm"' in texts["parameters.json"]
-    assert "kN/mm" in texts["parameters.tex"]
-    assert "kip" not in "".join(texts.values())
+    record = pd.read_csv(io.StringIO(texts[f"tests/{name}/record.csv"]))
+    for column, values, factor in (
+        ("force_kN", trace.force, KIP),
+        ("displacement_mm", trace.displacement, 25.4),
+        ("velocity_mm_per_s", trace.velocity, 25.4),
+    ):
+        np.testing.assert_allclose(record[column], factor * values, rtol=1e-4, atol=1e-4)
+    laws = read(texts["figures/laws.csv"])
+    assert {row["what"] for row in laws} == {
+        *("mean property, 95 %", "this device tested again, 95 %"),
+        *("test a, 95 %", "test b, 95 %"),
+    }
+    assert all(float(r["lower"]) <= float(r["median"]) <= float(r["upper"]) for r in laws)
+    last = [row for row in laws if row["what"].startswith("mean")][-1]
+    assert float(last["median"]) == pytest.approx(1.5 * KIP, rel=1e-4)
+    assert float(last["actuation_MPa"]) == pytest.approx(1.5 * 6.894757, rel=1e-4)
+    tables = "".join(text for file, text in texts.items() if not file.endswith(".html"))
+    assert "kip" not in tables
+    assert all("kN/mm" in texts[f"parameters.{form}"] for form in ("csv", "json", "tex"))
     sheets = pd.read_excel(tmp_path / "tables.xlsx", sheet_name=None)
     table = sheets["parameters"].set_index(["test", "parameter"])
     assert table.loc[(name, "k3"), "q50"] == pytest.approx(STIFFNESS, rel=1e-6)
     assert sheets["laws"]["q50"].tolist() == pytest.approx([1.2 * 25.4**2])
 
 
-def test_json_says_what_it_holds_and_holds_what_csv_does(campaign, files):
+def test_json_says_what_it_holds_and_holds_what_csv_does(campaign, written):
     rows = (campaign.law_rows[0] | {"r_hat": math.inf, "mean": math.nan},)
-    texts = files(replace(campaign, law_rows=rows))
-
-    def refuse(word):
-        raise ValueError(word)
-
+    texts = written(replace(campaign, law_rows=rows))
     for name in ("parameters", "laws"):
-        content = json.loads(texts[f"{name}.json"], parse_constant=refuse)
+        content = json.loads(texts[f"{name}.json"], parse_constant=pytest.fail)
         assert content["interval"]["kind"] == "equal-tailed"
         assert content["interval"]["probability"] == 0.95
         lines = read(texts[f"{name}.csv"])
@@ -167,25 +157,24 @@ def test_json_says_what_it_holds_and_holds_what_csv_does(campaign, files):
     assert content["rows"][0]["mean"] is None
 
 
-def test_what_the_noise_or_the_other_tests_decide_stands_beside_the_value(campaign, files):
+def test_what_the_noise_or_the_other_tests_decide_stands_beside_the_value(campaign, written):
     name = campaign.tests[0].id
     joint = {"joint_lower": 2.0, "joint_median": 2.5, "joint_upper": 3.0, "disagrees": True}
     rows = (campaign.tests[0].rows[0], campaign.tests[0].rows[1] | joint)
     view = of_two(campaign, noises=(NOISE | {"test": name},), rows=rows)
-    plain, texts = files(campaign), files(view)
+    texts = written(view)
     other, row = read(texts["parameters.csv"])
-    assert (other["note"], other["disagrees"]) == ("", "no")
-    assert "noise model decides" in row["note"]
+    assert other["disagrees"] == "no"
     assert (row["joint_q50"], row["disagrees"]) == ("2.5", "yes")
     assert "staged: 42.2 {[}39.0, 45.6]" in texts["parameters.tex"]
     assert "with the others: 2.50 {[}2.00, 3.00]" in texts["parameters.tex"]
-    assert not [text for text in plain.values() if "staged" in text or "with the others" in text]
-    metric = read(files(replace(view, metric=True))["noises.csv"])[0]
+    metric = read(written(replace(view, metric=True))["noises.csv"])[0]
     assert float(metric["other_q50"]) == pytest.approx(42.2 * STIFFNESS, rel=1e-5)
     assert metric["decides"] == "yes"
+    assert "staged" not in written(campaign)["parameters.tex"]  # the control
 
 
-def test_a_word_document_holds_both_tables(campaign, files, tmp_path):
+def test_a_word_document_holds_both_tables(campaign, written, tmp_path):
     docx = pytest.importorskip("docx", reason='needs the extra "word"')
     rows = {f"t{i}": campaign.tests[0].rows for i in range(7)}
     rows["t0"] = tuple(row | {"note": "mostly the prior"} for row in rows["t0"])
@@ -193,7 +182,7 @@ def test_a_word_document_holds_both_tables(campaign, files, tmp_path):
         replace(campaign.tests[0], id=name, rows=tuple(row | {"test": name} for row in own))
         for name, own in rows.items()
     )
-    files(replace(campaign, tests=tests, metric=True), forms=Forms(word=True))
+    written(replace(campaign, tests=tests, metric=True), word=True)
     document = docx.Document(tmp_path / "tables.docx")
     assert document.paragraphs[0].text == campaign.title
     first, *_, last = document.tables
@@ -208,25 +197,41 @@ def test_a_word_document_holds_both_tables(campaign, files, tmp_path):
     assert [head.split(",")[0] for head in heads] == list(rows)
 
 
-def test_a_data_sheet_is_the_same_in_every_form(campaign, datasheet, files):
-    frame = datasheet_frame(datasheet.rows, SI)
-    assert list(frame["actuation_unit"].unique()) == ["MPa"]
-    assert frame["stroke_mm"].tolist() == [25.4] * 6
-    energy = frame[frame["quantity"] == "energy"].iloc[0]
+def test_a_data_sheet_is_the_same_in_every_form(campaign, datasheet, written):
+    texts = written(replace(campaign, metric=True), datasheet)
+    table = pd.read_csv(io.StringIO(texts["datasheet.csv"]))
+    assert list(table["actuation_unit"].unique()) == ["MPa"]
+    assert table["stroke_mm"].tolist() == [25.4] * 6
+    energy = table[table["quantity"] == "energy"].iloc[0]
     assert energy["unit"] == "kN*mm"
-    assert energy["nominal"] == pytest.approx(4.4482216 * 25.4)
-    texts = files(replace(campaign, metric=True), datasheet)
-    line = read(texts["datasheet.csv"])[0]
-    assert (line["quantity"], line["tested"], line["n_outside"]) == ("slip_force", "yes", "1")
-    assert float(line["nominal"]) == pytest.approx(4.4482216)
+    assert energy["nominal"] == pytest.approx(KIP * 25.4, rel=1e-5)
+    line = table.iloc[0]
+    assert (line["quantity"], line["tested"], line["n_outside"]) == ("slip_force", "yes", 1)
+    assert line["nominal"] == pytest.approx(KIP, rel=1e-5)
     for shown in ("6.01", "5.78--6.23", "4.45", "3.56--5.56", "0.800--1.25"):
         assert shown in texts["datasheet.tex"]
     assert r"no test was made there.\par" in texts["datasheet.tex"]
 
 
-def latex(view):
-    one, two = paper_sheets(view, NAMES)
-    return to_latex("parameters", one, NAMES), to_latex("laws", two, NAMES)
+def test_the_table_of_a_record_has_every_sample(campaign, written):
+    test, held = campaign.tests
+    stage, travel = np.full(test.trace.samples, 2, np.int8), np.zeros(test.trace.samples)
+    named = replace(test, id="=HYPERLINK(1)")
+    texts = written(of_two(campaign, stage=stage, travel=travel))
+    frame = pd.read_csv(io.StringIO(texts[f"tests/{test.id}/record.csv"]))
+    np.testing.assert_allclose(frame["force_kip"], test.trace.force, rtol=1e-5, atol=1e-9)
+    residual = test.trace.force - test.observation.median
+    np.testing.assert_allclose(frame["residual_kip"], residual, rtol=1e-4, atol=1e-6)
+    assert (frame["lower_95_kip"] <= frame["lower_50_kip"]).all()
+    assert "model_lower_95_kip" in frame
+    assert frame["fitted"].sum() == test.trace.samples - test.first
+    assert frame["stage"].eq(2).all()
+    predicted = pd.read_csv(io.StringIO(texts[f"tests/{held.id}/record.csv"]))
+    assert predicted["fitted"].eq(0).all()
+    assert "\n'=HYPERLINK(1)" in written(replace(campaign, tests=(named,)))["figures/overview.csv"]
+
+
+# --- LaTeX
 
 
 @pytest.fixture
@@ -243,17 +248,15 @@ def hostile(campaign):
     return replace(campaign, tests=(*tests, held), law_rows=laws, title=title)
 
 
-def test_latex_has_a_column_for_each_test_and_no_text_is_a_command(campaign, hostile):
-    tests = tuple(replace(campaign.tests[0], id=f"p{i}") for i in range(10))
-    text = latex(replace(campaign, tests=tests))[0]
-    assert text.count(r"\begin{longtable}") == text.count(r"\end{longtable}") == 4
-    assert re.search(r"\$k_3\$.* & kip/in & 1\.00\\newline", latex(campaign)[0])
-    empty = latex(replace(campaign, tests=(), law_rows=()))
-    assert [line for line in "".join(empty).splitlines() if line and not line.startswith("%")] == []
-    for text, counts in zip(latex(hostile), ({4}, {3}), strict=True):
+def test_latex_has_a_column_for_each_test_and_no_text_is_a_command(campaign, hostile, written):
+    assert re.search(r"\$k_3\$.* & kip/in & 1\.00\\newline", written(campaign)["parameters.tex"])
+    texts = written(hostile)
+    for name, columns in (("parameters.tex", 4), ("laws.tex", 3)):
+        text = texts[name]
+        assert text.count(r"\begin{longtable}") == text.count(r"\end{longtable}") >= 1
         lines = [line for line in text.splitlines() if not line.startswith("%")]
         rows = [line for line in lines if " & " in line]
-        assert {len(re.findall(r"(?<!\\)&", line)) + 1 for line in rows} == counts
+        assert {len(re.findall(r"(?<!\\)&", line)) + 1 for line in rows} == {columns}
         assert not [line for line in lines if r"\input" in line or "secret" in line]
         plain = re.sub(r"\\[\\_%&#${}]", "", "\n".join(lines))
         assert not re.search(r"[%#~]", plain)
@@ -263,43 +266,9 @@ def test_latex_has_a_column_for_each_test_and_no_text_is_a_command(campaign, hos
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no LaTeX here")
-def test_latex_typesets_the_tables(hostile, tmp_path):
-    for name, text in zip(("parameters.tex", "laws.tex"), latex(hostile), strict=True):
-        (tmp_path / name).write_text(text, encoding="utf-8")
+def test_latex_typesets_the_tables(hostile, written, tmp_path):
+    written(hostile)
     (tmp_path / "main.tex").write_text(DOCUMENT)
     words = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "main.tex"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False, timeout=120)
     assert done.returncode == 0, done.stdout.decode(errors="replace")[-2000:]
-
-
-def test_the_table_of_a_record_has_every_sample(campaign):
-    test = campaign.tests[0]
-    stage, travel = np.full(test.trace.samples, 2, np.int8), np.zeros(test.trace.samples)
-    frame = pd.read_csv(io.StringIO(record_table(replace(test, stage=stage, travel=travel))))
-    assert len(frame) == test.trace.samples
-    np.testing.assert_allclose(frame["force_kip"], test.trace.force, rtol=1e-5, atol=1e-9)
-    residual = test.trace.force - test.observation.median
-    np.testing.assert_allclose(frame["residual_kip"], residual, rtol=1e-4, atol=1e-6)
-    assert (frame["lower_95_kip"] <= frame["lower_50_kip"]).all()
-    assert "model_lower_95_kip" in frame
-    assert frame["fitted"].sum() == test.trace.samples - test.first
-    assert frame["stage"].eq(2).all()
-    held = pd.read_csv(io.StringIO(record_table(campaign.tests[1], SI)))
-    assert held["fitted"].eq(0).all()
-    assert "velocity_mm_per_s" in held
-    first = 4.4482216 * campaign.tests[1].trace.force[0]
-    assert held["force_kN"][0] == pytest.approx(first, rel=1e-5)
-
-
-def test_tables_behind_the_figures_of_all_tests(campaign):
-    named = replace(campaign.tests[0], id="=HYPERLINK(1)")
-    texts = dict(shared_tables(replace(campaign, tests=(named,), metric=True)))
-    assert set(texts) == {f"figures/{name}.csv" for name in ("overview", "laws", "truth")}
-    assert "\n'=HYPERLINK(1)" in texts["figures/overview.csv"]
-    rows = read(texts["figures/laws.csv"])
-    assert {row["what"] for row in rows} == {
-        *("mean property, 95 %", "this device tested again, 95 %"),
-        *("test a, 95 %", "test b, 95 %"),
-    }
-    assert {row["unit"] for row in rows} == {"kN"}
-    assert all(float(r["lower"]) <= float(r["median"]) <= float(r["upper"]) for r in rows)

@@ -246,6 +246,8 @@ def test_a_table_has_units_in_its_names_or_in_a_row(tmp_path):
         ("time,acceleration\ns,%g", 100.0),
         ("time_s,Acceleration (CM/SEC/SEC)", IN_GAL),
         ("time_s,acceleration_gal", IN_GAL),
+        ("t,a\ns,m/s2", 0.01 * IN_GAL),
+        ("Zeit [s],Beschleunigung [m/s²]", 0.01 * IN_GAL),
     ):
         check(read(table(tmp_path, head, by=by)))
     check(read(table(tmp_path, "time,acceleration\nms,g", step=10.0)))

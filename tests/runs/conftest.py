@@ -6,21 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.run_folders import plan_of, write_run
-
-
-@pytest.fixture(scope="session")
-def made(tmp_path_factory) -> Path:
-    """A finished run of the tests a and b, with c held out; tests read it."""
-    folder = tmp_path_factory.mktemp("made") / "out"
-    write_run(folder)
-    return folder
+from tests.run_folders import plan_of
 
 
 @pytest.fixture
-def out(made, tmp_path) -> Path:
-    """A copy of the run."""
-    return Path(shutil.copytree(made, tmp_path / "out"))
+def out(made_run, tmp_path) -> Path:
+    """A copy of the run of a and b."""
+    return Path(shutil.copytree(made_run, tmp_path / "out"))
 
 
 @pytest.fixture

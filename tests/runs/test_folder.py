@@ -104,6 +104,11 @@ def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change):
             resume(plan, out)
         assert stored(out) == ("ab", True)
         (out / "manifest.json").write_text(whole)
+    for content in ("", '{"status": "run', "[]", "{}"):
+        (out / "manifest.json").write_text(content)
+        with pytest.raises(StoreError, match=r"cannot be resumed.*--force"):
+            resume(plan, out)
+        assert stored(out) == ("ab", True)
 
 
 def test_another_machine_is_said(plan, out, change):

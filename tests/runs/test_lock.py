@@ -1,8 +1,5 @@
 """One process at a time in a run folder: a second one is refused with the name of the owner."""
 
-import errno
-import fcntl
-import math
 import os
 import shutil
 import signal
@@ -12,14 +9,13 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import StoreError
 from mfd_bayes.runs.folder import OWNER, alone_in
 from mfd_bayes.runs.run import open_run
-from tests.run_folders import write_run
+from tests.command_line import contents, refusal, write_csv
 
 HOLD = """\
 import sys, time
@@ -86,15 +82,6 @@ def test_a_file_that_no_process_holds_is_no_lock(out):
     assert not list(out.iterdir())
 
 
-def test_a_file_system_without_locks_is_used_all_the_same(out, monkeypatch):
-    def fail(handle, operation):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", fail)
-    with alone_in(out):
-        pass
-
-
 # --- everything that writes into a run folder takes the lock; what reads notices a change
 
 WRITERS = (
@@ -110,30 +97,27 @@ TEST = '[[test]]\nid = "{id}"\nfile = "a.csv"\nactuation = "{level} psi"\n'
 
 
 @pytest.fixture(scope="module")
-def run_folder(tmp_path_factory):
-    """A finished run folder that no sampler has seen, named as a model of a comparison."""
+def run_folder(small_run, tmp_path_factory):
+    """A finished run folder, named as a model of a comparison, with its campaign beside it."""
     home = tmp_path_factory.mktemp("stored")
-    write_run(home / "lugre", small=True)
     tests = (TEST.format(id=name, level=level) for name, level in (("a", 500), ("b", 900)))
     (home / "campaign.toml").write_text("".join(tests))
-    time = [i / 50 for i in range(401)]
-    rows = [f"{t},{math.sin(math.pi * t)},{math.tanh(4 * math.cos(math.pi * t))}" for t in time]
-    (home / "a.csv").write_text("time_s,displacement_in,force_kip\n" + "\n".join(rows))
-    return home / "lugre"
+    time = np.arange(401) / 50
+    motion, force = np.sin(np.pi * time), np.tanh(4 * np.cos(np.pi * time))
+    write_csv(home / "a.csv", time, motion, force)
+    return Path(shutil.copytree(small_run, home / "lugre"))
 
 
 def test_every_command_that_writes_into_a_run_takes_its_lock(run_folder):
     home = run_folder.parent
     places = {"out": run_folder, "above": home, "campaign": home / "campaign.toml"}
     with held(run_folder) as owner:
-        before = {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()}
+        before = contents(run_folder)
         for words in WRITERS:
-            outcome = CliRunner().invoke(app, [word.format(**places) for word in words])
-            assert outcome.exit_code == 2, (words, outcome.output)
-            (sentence,) = outcome.stderr.splitlines()
+            sentence = refusal(*(word.format(**places) for word in words))
             assert "another process is working in" in sentence, words
             assert f"process {owner.pid} " in sentence, words
-        assert {p: p.read_bytes() for p in run_folder.rglob("*") if p.is_file()} == before
+        assert contents(run_folder) == before
 
 
 def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(run_folder, tmp_path):

@@ -43,7 +43,7 @@ def test_a_file_that_was_changed_or_is_missing_or_a_link_is_refused(out, tmp_pat
 @pytest.mark.parametrize(
     ("keys", "value", "words"),
     [
-        *((("settings", "test", 0, "id"), i, "names a folder") for i in ("..", "/etc", "a\u202e")),
+        *((("settings", "test", 0, "id"), i, "names a folder") for i in ("../x", "/x", "a\u202e")),
         (("tests",), {}, "tests"),
         (("tests", "a", "role"), "both", "role"),
         (("tests", "a", "conditions"), {"stroke": "long"}, "conditions"),
@@ -73,16 +73,6 @@ def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value
     with pytest.raises(StoreError, match=words) as caught:
         open_run(out)
     assert str(out) in str(caught.value)
-
-
-def test_an_id_leads_nowhere_else(out, change):
-    def rename(manifest):
-        manifest["tests"] = {"../../x": manifest["tests"].pop("a"), **manifest["tests"]}
-        manifest["settings"]["test"][0]["id"] = "../../x"
-
-    change(out, rename)
-    with pytest.raises(StoreError, match=r"manifest\.json.*id names a folder"):
-        open_run(out)
 
 
 def test_the_effort_of_a_damaged_run_is_refused(out, change):

@@ -14,8 +14,8 @@ FORECAST = Forecast(draws=20)
 
 
 @pytest.fixture(scope="module")
-def run(made):
-    return open_run(made)
+def run(made_run):
+    return open_run(made_run)
 
 
 def ordered(run, turns=None, **after):

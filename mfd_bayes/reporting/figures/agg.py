@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from mfd_bayes.evaluation.views import Fan, Interval
@@ -102,25 +100,10 @@ def to_png(figure: Figure) -> bytes:
     canvas.draw()  # once: savefig would draw twice where there is a layout
     size = canvas.get_width_height()
     drawn = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
-    few = drawn.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    few.putpalette(_most_frequent(few, drawn).ravel().tolist())
+    few = drawn.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     packed = io.BytesIO()
     few.save(packed, "png", compress_level=6)
     return packed.getvalue()
-
-
-def _most_frequent(few: Image.Image, drawn: Image.Image) -> NDArray[np.int64]:
-    """Palette, (colours, 3), of the colour that the pixels of each entry most often have.
-
-    An octree takes their mean, so that white paper would be a little grey.
-    """
-    palette: NDArray[np.int64] = np.reshape(few.getpalette() or [], (-1, 3))
-    entry = np.asarray(few).ravel()[::11].astype(np.int64)  # a prime: no width is a multiple
-    colour = np.asarray(drawn).reshape(-1, 3)[::11] @ np.array([1 << 16, 1 << 8, 1])
-    pairs, times = np.unique(entry << 24 | colour, return_counts=True)
-    by_times = pairs[np.argsort(times, kind="stable")]  # the most frequent one is set last
-    palette[by_times >> 24] = by_times[:, None] >> np.array([16, 8, 0]) & 255
-    return palette
 
 
 def shades(fan: Fan) -> Iterator[tuple[Interval, str]]:

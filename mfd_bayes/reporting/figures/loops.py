@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import cycle, pairwise
 from typing import Any
 
@@ -20,7 +21,7 @@ from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import Array, Fan, TestView
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.records.data_quality import Fault
-from mfd_bayes.records.loops import Loops
+from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.symbols import (
@@ -34,7 +35,6 @@ from mfd_bayes.reporting.symbols import (
     SKY,
     VALIDATE,
     VERMILLION,
-    Symbols,
     plain,
 )
 from mfd_bayes.runs.tested_range import conditions_of
@@ -46,8 +46,20 @@ TURNS = 24
 """Most turning points of a record that is shown in one column, without the strongest motion."""
 PANELS = 60
 """Most panels of an overview."""
-NAMES = Symbols()
 _NOT_FITTED, _GIVEN = "#eeeeee", "#fff3d6"
+
+
+def in_units(system: System, trace: Trace, fans: Sequence[Fan]) -> tuple[Trace, list[Fan]]:
+    """A motion with its force, and bands of it, in the units of a system."""
+    length, force = system.factor("in"), system.factor("kip")
+    trace = replace(
+        trace,
+        displacement=trace.displacement * length,
+        velocity=trace.velocity * length,
+        force=None if trace.force is None else trace.force * force,
+        hysteresis=trace.hysteresis * length,
+    )
+    return trace, [fan.times(force) for fan in fans]
 
 
 @look.style()
@@ -56,21 +68,18 @@ def draw_loops(
     trace: Trace,
     fans: Sequence[Fan] = (),
     system: System = US,
-    symbols: Symbols = NAMES,
 ) -> Figure:
-    """Force against displacement and against velocity, over bands, the widest fan first.
-
-    Trace and fans are in the units of `system`.
-    """
+    """Force against displacement and against velocity, over bands, the widest fan first."""
+    trace, fans = in_units(system, trace, fans)
     figure = look.new_figure(10, 4.3, title)
     left, *others = figure.subplots(1, 2 if trace.timed else 1, sharey=True, squeeze=False)[0]
     _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
-    left.set(xlabel=symbols.motion(system), ylabel=symbols.response(system))
+    left.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
     left.set_title(system.text("Force–displacement"))
     for right in others:
         span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
         _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
-        right.set(xlabel=system.label("velocity", "in/s"), ylabel=symbols.response(system))
+        right.set(xlabel=system.label("velocity", "in/s"), ylabel=system.label("force", "kip"))
         right.set_title(system.text("Force–velocity"))
     _legend(figure, fans, trace.force is not None)
     return figure
@@ -82,17 +91,17 @@ def draw_history(
     trace: Trace,
     fans: Sequence[Fan] = (),
     system: System = US,
-    symbols: Symbols = NAMES,
     first: int = 0,
     given: tuple[float, float] | None = None,
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
     The residual is the force minus the first fan's median. There is none where the force is NaN at
-    a sample. Trace and fans are in the units of `system`. A long record has a second column with
-    its strongest motion. Shaded: samples before `first`, which were not fitted, and the times, s,
-    between which the force was `given` to the prediction.
+    a sample. A long record has a second column with its strongest motion. Shaded: samples before
+    `first`, which were not fitted, and the times, s, between which the force was `given` to the
+    prediction.
     """
+    trace, fans = in_units(system, trace, fans)
     whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
     rows = 3 if fans and whole else 2
     windows = _windows(trace)
@@ -112,18 +121,16 @@ def draw_history(
                 column[2].plot(*thinned(time, residual), color=DATA, linewidth=0.6)
                 column[2].axhline(0.0, color=BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
-            begin, end = float(time[0]), float(time[-1])
-            if trace.time[first] > begin:
-                axes.axvspan(begin, float(trace.time[first]), color=_NOT_FITTED, zorder=0)
-            if given is not None and max(given[0], begin) < min(given[1], end):
-                axes.axvspan(max(given[0], begin), min(given[1], end), color=_GIVEN, zorder=0)
-                axes.axvline(min(given[1], end), color=DATA, lw=0.8, linestyle="--")
+            axes.set_xlim(time[0], time[-1])
+            if first > 0:
+                axes.axvspan(trace.time[0], trace.time[first], color=_NOT_FITTED, zorder=0)
+            if given is not None:
+                axes.axvspan(*given, color=_GIVEN, zorder=0)
+                axes.axvline(given[1], color=DATA, lw=0.8, linestyle="--")
         column[-1].set_xlabel(clock(trace))
-        column[-1].margins(x=0.005)
-    below = symbols.response(system), symbols.response(system, "residual")
-    names = (system.label("displ.", "in"), *below)
-    for axes, name in zip(grid[:, 0], names, strict=False):
-        axes.set_ylabel(name)
+    labels = (("displ.", "in"), ("force", "kip"), ("residual", "kip"))
+    for axes, label in zip(grid[:, 0], labels, strict=False):
+        axes.set_ylabel(system.label(*label))
     if len(windows) > 1:
         grid[0, 0].set_title("Whole record")
         grid[0, 1].set_title("Strongest motion")
@@ -139,12 +146,11 @@ def draw_overview(
     tests: Sequence[TestView],
     system: System = US,
     actuation_unit: str = "ksi",
-    symbols: Symbols = NAMES,
 ) -> Figure:
     """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
 
-    Tests are in the units of `system`, but for their actuation. Where the grid would be mostly
-    empty, as of earthquake records, the tests follow each other by actuation and frequency.
+    Where the grid would be mostly empty, as of earthquake records, the tests follow each other by
+    actuation and frequency.
     """
     shown = tests[:PANELS]
     places, rows, columns = _places(shown, actuation_unit)
@@ -157,11 +163,11 @@ def draw_overview(
     for (row, column), test in zip(places, shown, strict=True):
         axes = grid[row, column]
         axes.set_visible(True)
-        _draw_panel(axes, test)
+        _draw_panel(axes, test, system, system.actuation(test.trace, actuation_unit))
         if (row + 1, column) not in places:
-            axes.set_xlabel(symbols.motion(system))
+            axes.set_xlabel(system.label("displacement", "in"))
         if (row, column - 1) not in places:
-            axes.set_ylabel(symbols.response(system))
+            axes.set_ylabel(system.label("force", "kip"))
             axes.tick_params(labelleft=True)
     if shown:
         _legend(figure, [shown[0].observation], True)
@@ -190,15 +196,14 @@ def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]]
     return [divmod(int(at), wide) for at in order], -(-len(tests) // wide), wide
 
 
-def _draw_panel(axes: Axes, test: TestView) -> None:
+def _draw_panel(axes: Axes, test: TestView, system: System, actuation: str) -> None:
     held_out = test.role == "validate"
     colour = VALIDATE if held_out else DATA
-    trace = test.trace
-    _draw_loop(axes, [test.observation], trace.displacement, trace.turning_points, trace.force)
+    trace, fans = in_units(system, test.trace, [test.observation])
+    _draw_loop(axes, fans, trace.displacement, trace.turning_points, trace.force)
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    fitted = ", held out" if held_out else ""
-    name = f"{plain(test.id)}\n{plain(test.actuation)}{fitted}"
-    axes.set_title(name, fontsize=8, color=colour)
+    role = ", held out" if held_out else ""
+    axes.set_title(f"{plain(test.id)}\n{plain(actuation)}{role}", fontsize=8, color=colour)
     if held_out:
         for spine in axes.spines.values():
             spine.set(edgecolor=colour, linewidth=1.3, visible=True)
@@ -212,10 +217,11 @@ def draw_band(
     system: System,
     force: Array | None = None,
 ) -> Axes:
-    """Axes with a band in the units of a system over time, s, or over a displacement.
+    """Axes with a band in the units of a system over time, s, or over a displacement, in.
 
     Over it are its median, or a measured force. `axes` are None for those of a new figure.
     """
+    by, fan = system.factor("kip"), fan.times(system.factor("kip"))
     if axes is None:
         pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
         figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
@@ -227,10 +233,11 @@ def draw_band(
         axes.plot(*thinned(time, fan.median), color=BANDS[fan.kind][2], lw=0.9)
         axes.set_xlabel("time, s" if system.axes.timed else "sample")
     else:
+        displacement = displacement * system.factor("in")
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
-        _draw_loop(axes, [fan], displacement, turns, force)
-        axes.set_xlabel(NAMES.motion(system))
-    axes.set_ylabel(NAMES.response(system))
+        _draw_loop(axes, [fan], displacement, turns, None if force is None else force * by)
+        axes.set_xlabel(system.label("displacement", "in"))
+    axes.set_ylabel(system.label("force", "kip"))
     axes.set_title(f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
     return axes
 
@@ -262,10 +269,10 @@ def _draw_loop(
         for interval, colour in look.shades(fan):
             outlines = []
             for part in stretches(turns, abscissa.size):
-                pick = np.unique(np.append(np.arange(part.start, part.stop, step), part.stop - 1))
-                there = np.concatenate([abscissa[pick], abscissa[pick][::-1]])
-                edge = np.concatenate([interval.lower[pick], interval.upper[pick][::-1]])
-                outlines.append(np.column_stack([there, edge]))
+                pick = np.append(np.arange(part.start, part.stop, step), part.stop - 1)
+                forth = np.column_stack([abscissa[pick], interval.lower[pick]])
+                back = np.column_stack([abscissa[pick], interval.upper[pick]])
+                outlines.append(np.concatenate([forth, back[::-1]]))
             # the thin edge shows a narrow band where the force is steep
             bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
             axes.add_collection(bands)
@@ -336,13 +343,14 @@ _MARKS = 60  # more of one kind would hide the curve
 
 @look.style()
 def draw_inspection(
-    title: str, trace: Trace, loops: Loops, faults: Sequence[Fault] = (), system: System = US
+    title: str, trace: Trace, faults: Sequence[Fault] = (), system: System = US
 ) -> Figure:
     """Loop, displacement and force over time, and energy per cycle of a record at its own rate.
 
     Faults are marked at their samples, if they have any, and named below the panels. Without
-    a force there is only the displacement. Trace and loops are in the units of `system`.
+    a force there is only the displacement.
     """
+    trace, _ = in_units(system, trace, ())
     figure, x, time = look.new_figure(10, 5.6, title), trace.displacement, trace.time
     curves: list[tuple[Axes, Array, Array]]
     if trace.force is None:
@@ -363,7 +371,7 @@ def draw_inspection(
         history.plot(*thinned(time, trace.force), color=DATA, linewidth=0.6)
         history.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
         history.set_title("Force")
-        _draw_energy(panels["energy"], loops, system)
+        _draw_energy(panels["energy"], find_loops(trace), system)
     turns = trace.turning_points
     place.plot(*thinned(time, x), color="#555555", linewidth=0.8)
     place.plot(time[turns], x[turns], ".", color="#999999", markersize=3)

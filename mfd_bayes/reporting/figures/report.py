@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, R
 from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.reporting.figures import agg as look
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, in_units
 from mfd_bayes.reporting.symbols import (
     BAND_NAMES,
     BANDS,
@@ -33,7 +32,6 @@ from mfd_bayes.reporting.symbols import (
     Symbols,
     plain,
 )
-from mfd_bayes.reporting.tables import convert_law, convert_rows, convert_test
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
 
@@ -178,33 +176,32 @@ def draw_corner(
 
 
 @look.style()
-def draw_residuals(title: str, test: TestView, system: System, symbols: Symbols) -> Figure | None:
-    """Residuals of a test, in the units of `system`: by stage, along the gap, autocorrelation.
+def draw_residuals(title: str, test: TestView, system: System) -> Figure | None:
+    """Residuals of a test: by stage, along the gap, autocorrelation.
 
     None of a test that was not fitted.
     """
     if test.role == "validate":
         return None
     kept = slice(test.first, None)
-    residual = (np.asarray(test.trace.force) - test.observation.median)[kept]
-    widest = test.observation.widest
-    half = 0.5 * (widest.upper - widest.lower)[kept]
+    trace, (observation,) = in_units(system, test.trace, [test.observation])
+    residual = (np.asarray(trace.force) - observation.median)[kept]
+    half = 0.5 * (observation.widest.upper - observation.widest.lower)[kept]
     figure = look.new_figure(10, 3.4, title)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.6, 1.3))
     _draw_by_stage(left, residual, half, None if test.stage is None else test.stage[kept])
-    residual_label = symbols.response(system, "residual")
-    left.set_ylabel(residual_label)
-    where, below = test.trace.displacement, symbols.motion(system)
+    where, below = trace.displacement, "displacement"
     if test.travel is not None:
-        where, below = test.travel, system.label("travel since the last slip or turn", "in")
+        where, below = test.travel * system.factor("in"), "travel since the last slip or turn"
     _draw_along(middle, where[kept], residual, half)
-    middle.set(xlabel=below, ylabel=residual_label)
+    middle.set_xlabel(system.label(below, "in"))
     lags, bound = min(60, len(residual) // 4), 1.96 / np.sqrt(len(residual))
     right.axhspan(-bound, bound, color="#e6e6e6")
     right.acorr(residual - residual.mean(), maxlags=lags - 1, color=BLUE, linewidth=1.0)
     right.set(xlabel="lag, samples", xlim=(-1, lags))
     right.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
     for axes in (left, middle):
+        axes.set_ylabel(system.label("residual", "kip"))
         axes.axhline(0.0, color="#888888", linewidth=0.7)
     return figure
 
@@ -252,40 +249,39 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     kept = [row for row in rows if row["truth"] > 0]
     if not kept:
         return None
+    names = list(dict.fromkeys(row["name"] for row in kept))
+    figure = look.new_figure(9, 1.3 + 0.12 * (len(names) + 0.25 * len(kept)), title)
+    axes = figure.subplots()
     kinds = {
         (True, True): (POSTERIOR, "o", 3, "interval holds the truth"),
         (True, False): (TRUTH, "X", 6, "interval misses the truth"),
         (False, True): (PRIOR, "o", 3, "not informed by the data"),
         (False, False): (PRIOR, "X", 6, ""),
     }
-    names = list(dict.fromkeys(row["name"] for row in kept))
-    heights = [1.0 + 0.25 * sum(row["name"] == name for row in kept) for name in names]
-    ends = np.cumsum(heights)
-    figure = look.new_figure(9, 1.3 + 0.12 * float(ends[-1]), title)
-    axes = figure.subplots()
-    for number, (name, end, height) in enumerate(zip(names, ends, heights, strict=True)):
+    reach, end, middles = 1.25, 0.0, []
+    for number, name in enumerate(names):
+        own = [row for row in kept if row["name"] == name]
+        begin, end = end, end + 1.0 + 0.25 * len(own)
+        middles.append(0.5 * (begin + end))
         if number % 2:
-            axes.axhspan(end - height, end, color="#f4f4f4", zorder=0)
-        for at, row in enumerate(row for row in kept if row["name"] == name):
+            axes.axhspan(begin, end, color="#f4f4f4", zorder=0)
+        for y, row in enumerate(own):
             colour, marker, size, _ = kinds[bool(row["informed"]), bool(row["inside"])]
-            y = end - height + 0.625 + 0.25 * at
             lower, median, upper = (row[k] / row["truth"] for k in ("lower", "median", "upper"))
-            axes.plot([lower, upper], [y, y], color=colour, lw=1.2)
-            axes.plot([median], [y], marker, color=colour, ms=size)
+            axes.plot([lower, upper], [begin + 0.625 + 0.25 * y] * 2, color=colour, lw=1.2)
+            axes.plot([median], [begin + 0.625 + 0.25 * y], marker, color=colour, ms=size)
+            if row["informed"]:
+                reach = max(reach, 1.05 * upper, 1.05 / max(lower, 0.1))
     axes.axvline(1.0, color=DATA, linewidth=1.2, zorder=1)
-    middles = ends - 0.5 * np.array(heights)
     axes.set_yticks(middles, [symbols.in_figure(name) for name in names], fontsize=9)
-    axes.set_ylim(ends[-1], 0.0)
+    axes.set_ylim(end, 0.0)
     axes.grid(visible=False, axis="y")
-    informed = [row for row in kept if row["informed"]] or kept
-    widest = max(
-        max(r["upper"] / r["truth"], r["truth"] / max(r["lower"], 1e-12)) for r in informed
-    )
-    reach = float(np.clip(1.05 * widest, 1.25, 8.0))
-    ticks = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
+    reach = min(reach, 8.0)
     axes.set(xscale="log", xlim=(1.0 / reach, reach))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xticks([tick for tick in ticks if 1 / reach <= tick <= reach])
+    axes.set_xticks(
+        [t for t in (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0) if 1 / reach <= t <= reach]
+    )
     axes.xaxis.set_major_formatter(_PLAIN)
     axes.set_xlabel("posterior ÷ truth (1 = truth), logarithmic; bars are 95 % intervals")
     shown = [kind for kind in kinds.values() if kind[3]]
@@ -300,82 +296,53 @@ OF_TEST = ("loops", "history", "residuals", "marginals", "corner", "ranks")
 _MEDIAN = "#4db894"
 
 
-def draw_shared(view: CampaignView) -> Iterator[tuple[str, bytes]]:
-    """PNGs of the figures that show all tests together, one at a time, each with its key.
-
-    Keys are "overview", "laws", "truth" and "next"; what has nothing to show is left out.
-    """
-    return _pngs(shared_figures(view))
-
-
-def draw_test(
-    test: TestView, system: System, actuation_unit: str, model: Model | None = None
-) -> Iterator[tuple[str, bytes]]:
-    """PNGs of the figures of one test, one at a time, each with its key.
-
-    Keys are "tests/ID/" and one of `OF_TEST`; a figure with nothing to show is left out. The
-    test and `actuation_unit` are in internal units, the figures in those of `system`.
-    """
-    return _pngs(figures_of_test(test, system, actuation_unit, model))
-
-
-def shared_figures(view: CampaignView) -> Iterator[tuple[str, Figure]]:
-    """Figures that show all tests together, each with its key."""
+def draw_shared(view: CampaignView) -> Iterator[tuple[str, Figure]]:
+    """Figures that show all tests together, each with its key; without what has nothing to show."""
     system, unit, symbols = view.system, view.actuation_unit, Symbols(view.model)
     if view.tests:
-        tests = [convert_test(test, system, unit) for test in view.tests]
         title = "Measured loops over their bands"
-        yield "overview", draw_overview(title, tests, system, unit, symbols)
+        yield "overview", draw_overview(title, view.tests, system, unit)
     if view.laws:
-        laws = [convert_law(law, system, unit) for law in view.laws]
         title = "Quantities against the actuation"
-        yield "laws", draw_laws(title, laws, system.unit(unit), symbols)
-    truth = convert_rows(view.truth, system)
-    figure = draw_truth("Posterior against the known truth", truth, symbols)
+        yield "laws", draw_laws(title, view.laws, system, unit, symbols)
+    figure = draw_truth("Posterior against the known truth", view.truth, symbols)
     if figure is not None:
         yield "truth", figure
     if view.next_test is not None:
         yield "next", draw_next(view.next_test, system, unit, "Which test next")
 
 
-def figures_of_test(
+def draw_test(
     test: TestView, system: System, actuation_unit: str, model: Model | None = None
 ) -> Iterator[tuple[str, Figure]]:
-    """Figures of one test in the units of a system, each with its key."""
-    t, names = convert_test(test, system, actuation_unit), Symbols(model)
-    title, drawn = f"{t.id}, {t.actuation}", t.marginals
-    motion = title, t.trace, [f for f in (t.observation, t.device) if f is not None], system, names
-    figures: dict[str, Callable[[], Figure | None]] = {
-        "loops": lambda: draw_loops(*motion),
-        "history": lambda: draw_history(*motion, t.first),
-        "residuals": lambda: draw_residuals(f"{title}: residuals", t, system, names),
-        "marginals": lambda: draw_marginals(f"{title}: priors and posteriors", drawn, names),
-        "corner": lambda: draw_corner(f"{title}: joint posterior", drawn, t.corner, names),
-        "ranks": lambda: draw_ranks(f"{title}: ranks of each chain", drawn, t.chains, names),
-    }
-    for name in OF_TEST:
-        figure = figures[name]()
+    """Figures of one test in the units of a system, each with its key, "tests/ID/loops".
+
+    One with nothing to show is left out. The test and `actuation_unit` are in internal units.
+    """
+    names, title = Symbols(model), f"{test.id}, {system.actuation(test.trace, actuation_unit)}"
+    motion = title, test.trace, [f for f in (test.observation, test.device) if f is not None]
+    shown = [
+        Marginal(m.name, system.unit(m.unit), m.prior * by, m.posterior * by, m.contraction)
+        for m in test.marginals
+        for by in [system.factor(m.unit)]
+    ]
+    figures = (
+        draw_loops(*motion, system),
+        draw_history(*motion, system, test.first),
+        draw_residuals(f"{title}: residuals", test, system),
+        draw_marginals(f"{title}: priors and posteriors", shown, names),
+        draw_corner(f"{title}: joint posterior", shown, test.corner, names),
+        draw_ranks(f"{title}: ranks of each chain", shown, test.chains, names),
+    )
+    for name, figure in zip(OF_TEST, figures, strict=True):
         if figure is not None:
             yield f"tests/{test.id}/{name}", figure
 
 
-def _pngs(drawn: Iterable[tuple[str, Figure]]) -> Iterator[tuple[str, bytes]]:
-    """PNGs of figures; Matplotlib's many small objects would call the collector too often."""
-    enabled = gc.isenabled()
-    gc.disable()
-    gc.freeze()
-    try:
-        for key, figure in drawn:
-            yield key, look.to_png(figure)
-            gc.collect()
-    finally:
-        gc.unfreeze()
-        if enabled:
-            gc.enable()
-
-
 @look.style()
-def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str, symbols: Symbols) -> Figure:
+def draw_laws(
+    title: str, laws: Sequence[LawView], system: System, actuation_unit: str, symbols: Symbols
+) -> Figure:
     """One panel per law: the mean property with its bands, and the tests' 95 % intervals."""
     columns = min(3, len(laws))
     rows = -(-len(laws) // columns)
@@ -384,31 +351,39 @@ def draw_laws(title: str, laws: Sequence[LawView], actuation_unit: str, symbols:
     for axes in grid.flat[len(laws) :]:
         axes.set_visible(False)
     for axes, law in zip(grid.flat, laws, strict=False):
-        _draw_law(axes, law, symbols)
-        axes.set_xlabel(plain(f"actuation, {actuation_unit}"))
+        _draw_law(axes, law, system.factor(law.unit), system.factor(actuation_unit))
+        axes.set_title(f"{symbols.in_figure(law.name)}: {plain(law.law)}")
+        axes.set_ylabel(symbols.label(law.name, system.unit(law.unit)))
+        axes.set_xlabel(plain(f"actuation, {system.unit(actuation_unit)}"))
     handles, texts = grid.flat[0].get_legend_handles_labels()
     figure.legend(handles, texts, loc="outside lower left", ncols=4)
     return figure
 
 
-def _draw_law(axes: Axes, law: LawView, symbols: Symbols) -> None:
+def _draw_law(axes: Axes, law: LawView, by: float, along: float) -> None:
+    """A law in other units: its quantity times a factor, and its actuation times another."""
+    actuation, device, again = law.actuation * along, law.device.times(by), law.new_test.times(by)
     wide, _, dark = BANDS["new_test"]
-    for fan, colour in ((law.new_test, wide), (law.device, _MEDIAN)):
+    for fan, colour in ((again, wide), (device, _MEDIAN)):
         edges = fan.widest.lower, fan.widest.upper
         name = f"{BAND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
-        axes.fill_between(law.actuation, *edges, color=colour, linewidth=0, label=name)
-    axes.plot(law.actuation, law.device.median, color=dark, label="best estimate")
+        axes.fill_between(actuation, *edges, color=colour, linewidth=0, label=name)
+    axes.plot(actuation, device.median, color=dark, label="best estimate")
+    shown = [device.median]
     if law.tested:
-        _, at, lower, median, upper = (np.asarray(part) for part in zip(*law.tested, strict=True))
+        at, *bounds = (np.array(part) for part in list(zip(*law.tested, strict=True))[1:])
+        lower, median, upper = (by * bound for bound in bounds)
         arms = np.maximum(0.0, [median - lower, upper - median])
-        shown: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 3}
-        axes.errorbar(spread(at), median, arms, label="tests, 95 %", linewidth=0.9, **shown)
-    axes.set_title(f"{symbols.in_figure(law.name)}: {plain(law.law)}")
-    axes.set_ylabel(symbols.label(law.name, law.unit))
-    axes.set_ylim(*_limits(law))
-    axes.margins(x=0.0)
-    if any(test[1] == 0 for test in law.tested):  # room for tests at zero, side by side
-        axes.set_xlim(left=-0.03 * law.actuation[-1])
+        look_of: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 3}
+        axes.errorbar(spread(at * along), median, arms, label="tests, 95 %", lw=0.9, **look_of)
+        shown += [lower, upper]
+    low, high = (float(end(np.concatenate(shown))) for end in (np.min, np.max))
+    low = min(low, float(np.min(again.widest.lower)))
+    high = max(high, min(float(np.max(again.widest.upper)), 2.0 * high))  # it may go beyond
+    margin = 0.05 * (high - low) or 0.1
+    axes.set_ylim(0.0 if 0.0 <= low < 0.5 * high else low - margin, high + margin)
+    at_zero = any(test[1] == 0.0 for test in law.tested)  # these stand side by side
+    axes.set_xlim(-0.03 * actuation[-1] if at_zero else actuation[0], actuation[-1])
 
 
 def spread(actuation: Array) -> Array:
@@ -427,18 +402,6 @@ def spread(actuation: Array) -> Array:
     return shifted
 
 
-def _limits(law: LawView) -> tuple[float, float]:
-    """Vertical limits that hold tests and best estimate; the wide band may go beyond them."""
-    tops = [float(np.max(law.device.median)), *(t[4] for t in law.tested)]
-    bottoms = [float(np.min(law.device.median)), *(t[2] for t in law.tested)]
-    for interval in law.new_test.intervals:
-        tops.append(min(float(np.max(interval.upper)), 2.0 * max(tops)))
-        bottoms.append(float(np.min(interval.lower)))
-    low, high = min(bottoms), max(tops)
-    margin = 0.05 * (high - low) or 0.1
-    return (0.0 if 0 <= low < 0.5 * high else low - margin), high + margin
-
-
 @look.style()
 def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     """Candidates by actuation and frequency, coloured by gain, and the curve of the width."""
@@ -447,17 +410,16 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     by, name = system.of_actuation(unit)
     gains: dict[tuple[float, float], float] = {}  # of the best amplitude
-    for row in advice:
-        place = row.candidate.actuation * by, row.candidate.frequency
-        gains[place] = max(gains.get(place, 0.0), 100.0 * row.reduction)
-    look_of: dict[str, Any] = {"s": 130, "cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
-    places = np.array(list(gains)).T
-    shown = left.scatter(*places, c=list(gains.values()), linewidths=0.5, **look_of)
+    for row in reversed([*advice]):
+        gains[row.candidate.actuation * by, row.candidate.frequency] = 100.0 * row.reduction
+    shades: dict[str, Any] = {"cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
+    shown = left.scatter(*zip(*gains, strict=True), s=130, c=[*gains.values()], lw=0.5, **shades)
     first = advice[0].candidate
     ring: dict[str, Any] = {"mfc": "none", "mec": DATA, "mew": 1.6, "ms": 15}
     left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
-    made = [(test.actuation * by, test.frequency) for test in advice.tests]
-    left.plot(*np.reshape(made, (-1, 2)).T, "x", color="#c0392b", ms=5, label="tests made")
+    levels = [test.actuation * by for test in advice.tests]
+    frequencies = [test.frequency for test in advice.tests]
+    left.plot(levels, frequencies, "x", color="#c0392b", ms=5, label="tests made")
     left.set_yscale("log")
     left.yaxis.set_major_formatter(ScalarFormatter())
     left.yaxis.set_minor_formatter(ScalarFormatter())

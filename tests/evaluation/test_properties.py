@@ -1,0 +1,133 @@
+"""Bounding properties from draws whose quantiles are known, and the data sheet of a run."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mfd_bayes import open_run
+from mfd_bayes.errors import MfdError
+from mfd_bayes.evaluation.properties import (
+    ANOTHER,
+    NOT_KNOWN,
+    bounds_of,
+    datasheet,
+    design_warnings,
+    parse_condition,
+)
+from mfd_bayes.records.trace import Trace
+from tests.run_folders import FORCE, MOTION
+
+DATA = Path(__file__).parents[1] / "data" / "run"
+UNIT = (np.arange(2000) + 0.5) / 2000.0
+DRAWN = {
+    "device": {"slip_fwd": 2.0 + 0.2 * (UNIT - 0.5), "energy_per_cycle": np.full(2000, 4.0)},
+    "new_test": {"slip_fwd": 2.0 + 2.0 * (UNIT - 0.5), "energy_per_cycle": 3.0 + 2.0 * UNIT},
+    "observation": {"energy_per_cycle": 2.0 + 4.0 * UNIT},
+}
+
+
+def bounds(probability=0.9, drawn=DRAWN):
+    return {(r["name"], r["basis"]): r for r in bounds_of(drawn, probability)}
+
+
+def test_bounds_are_quantiles_and_factors_relative_to_the_mean_property():
+    row = bounds(0.9)["slip_fwd", "new_test"]
+    figures = [row[key] for key in ("lower", "nominal", "upper", "lambda_min", "lambda_max")]
+    assert figures == pytest.approx([1.1, 2.0, 2.9, 0.55, 1.45], abs=1e-3)
+    narrow = bounds(0.5)["slip_fwd", "new_test"]
+    assert (narrow["lower"], narrow["upper"]) == pytest.approx((1.5, 2.5), abs=1e-3)
+
+
+def test_what_a_basis_or_a_motion_does_not_have_is_left_out_or_not_known():
+    assert ("slip_fwd", "observation") not in bounds()
+    assert ("energy_per_cycle", "observation") in bounds()
+    none = {basis: {"energy_per_cycle": np.full(9, np.nan)} for basis in ("device", "new_test")}
+    assert bounds_of(none, 0.9) == ()
+    row = bounds()["slip_fwd", ANOTHER]
+    assert np.isnan(row["upper"])
+    assert row["note"] == NOT_KNOWN
+    known = bounds(drawn={**DRAWN, ANOTHER: DRAWN["new_test"]})["slip_fwd", ANOTHER]
+    assert known["upper"] > known["nominal"]
+    assert known["note"] == ""
+
+
+def test_bounds_from_two_levels_come_with_a_warning():
+    time = np.linspace(0.0, 4.0, 401)
+    traces = [Trace.from_arrays(time, np.sin(np.pi * time), p) for p in (0.5, 0.5, 1.0, 1.5)]
+    tests = {str(i): SimpleNamespace(trace=trace) for i, trace in enumerate(traces)}
+    (warning,) = design_warnings(SimpleNamespace(tests=dict(list(tests.items())[:3])))
+    assert "have 2 levels" in warning
+    assert "too narrow" in warning
+    assert design_warnings(SimpleNamespace(tests=tests)) == ()
+
+
+# --- the data sheet
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    run = open_run(DATA)
+    return datasheet(run, [parse_condition("700 psi, 0.9 in, 0.4 Hz", run.actuation_unit)])
+
+
+def test_every_condition_has_every_quantity_and_what_was_asked_for_bounds(sheet):
+    rows = sheet.rows[sheet.rows["cycle"] == 0]
+    wanted = {"slip_force", "peak_force", "effective_stiffness", "effective_damping"}
+    for condition, part in rows.groupby("condition"):
+        assert set(part["quantity"]) == wanted | {"energy", "gap"}, condition
+        directions = set(part.loc[part["quantity"] == "peak_force", "direction"])
+        assert directions == {"forward", "backward"}
+    assert set(sheet.formulas) == set(rows["quantity"])
+    asked = sheet.rows[sheet.rows["condition"] == "700 psi, 0.9 in, 0.4 Hz"]
+    assert len(asked) == 11  # eight, and the energy of three cycles
+    assert not asked["tested"].any()
+    assert asked["measured"].isna().all()
+    assert (asked["n_cycles"] == 0).all()
+    assert (asked["lower"] < asked["nominal"]).all()
+    assert (asked["nominal"] < asked["upper"]).all()
+    np.testing.assert_allclose(asked["lambda_max"], asked["upper"] / asked["nominal"])
+
+
+def test_it_says_what_was_tested_and_what_is_not_known(sheet):
+    assert len(sheet.verdict) == 3
+    assert "2 calibrated, 1 held out" in str(sheet.tested["tests"])
+    assert "actuation" in sheet.tested
+    assert any("Temperature" in str(message) for message in sheet.not_known)
+
+
+def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):
+    sheet = datasheet(open_run(made_run))
+    rows = sheet.rows
+    levels = ["500 psi", "700 psi", "1000 psi"]  # of tests a, c, which is held out, and b
+    assert list(dict.fromkeys(rows["condition"])) == [f"{level}, 1 in, 1 Hz" for level in levels]
+    assert rows["tested"].all()
+    area = np.sum(0.5 * (FORCE[1:41] + FORCE[:40]) * np.diff(MOTION[:41])) / 2  # two periods
+    expected = {"slip_force": 2.0, "peak_force": 2.0, "effective_stiffness": 2.0, "energy": area}
+    expected["effective_damping"] = area / (2 * np.pi * 2.0)
+    for condition, part in rows.groupby("condition"):
+        for quantity, value in expected.items():
+            own = part[part["quantity"] == quantity]
+            for column in ("measured_low", "measured", "measured_high"):
+                np.testing.assert_allclose(own[column], value, rtol=0.02, err_msg=quantity)
+            outside = (own["measured"] < own["lower"]) | (own["measured"] > own["upper"])
+            assert (own["n_outside"] == own["n_cycles"] * outside).all(), (condition, quantity)
+        energy = part[part["quantity"] == "energy"]
+        assert energy["cycle"].tolist() == [0, 1, 2]
+        assert energy["n_cycles"].tolist() == [2, 1, 1]
+    whole = rows[rows["cycle"] == 0]
+    outside, cycles = whole["n_outside"].sum(), whole["n_cycles"].sum()
+    assert 0 < outside < cycles
+    assert str(sheet.verdict[1]).startswith(f"{outside} of {cycles} measured values")
+
+
+def test_a_condition_that_is_none_is_refused():
+    for text in (
+        "35 lbf",
+        "500 psi, 1 in",
+        "500 psi, 1 in, 0.5 Hz, 3 cycles",
+        "35 lbf, 1 in, 1 Hz",
+    ):
+        with pytest.raises(MfdError, match=text.split(",")[0]):
+            parse_condition(text, "ksi")
