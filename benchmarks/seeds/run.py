@@ -2,11 +2,11 @@
 
     nice python -m benchmarks.seeds.run 20 > benchmarks/seeds/seeds.txt
 
-runs TESTS with the seeds 1 to 20 on each of three sets of instructions: two minutes for each seed on
-one quiet core (--slow: the slow ones too, an hour for each seed; --quick: one file with one seed). Each `default_rng(seed)` of tests and
-package becomes `default_rng([seed, number])`: what is the same for one seed stays the same.
-Processes that a test starts keep their own seeds. A failure is a tolerance that is too narrow, or a
-fault that the tests' own seeds hide. Exit status 1: a test failed.
+runs TESTS with the seeds 1 to 20 on each of three sets of instructions: two minutes for each seed
+on a quiet core (--slow: the slow ones too, an hour for each; --quick: one file with one seed). Each
+`default_rng(seed)` of tests and package becomes `default_rng([seed, number])`: what is the same for
+one seed stays the same. Processes that a test starts keep their own seeds. A failure is a tolerance
+that is too narrow, or a fault that the tests' own seeds hide. Exit status 1: a test failed.
 """
 
 import os
