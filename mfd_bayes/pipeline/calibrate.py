@@ -132,7 +132,7 @@ def _holds_a_demo_alone(out: Path) -> bool:
     others = [path for path in out.iterdir() if path != campaign]
     return (
         campaign.is_dir()
-        and all(p.name == OWNER or is_part(p, MANIFEST) or is_part(p, OWNER) for p in others)
+        and all(path.name == OWNER or is_part(path, MANIFEST) for path in others)
         and all(path.is_file() and ours.fullmatch(path.name) for path in campaign.iterdir())
     )
 

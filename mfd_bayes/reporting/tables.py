@@ -54,9 +54,9 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     if system == US:
         return frame
     shown, axes = frame.copy(), system.axes
-    for name in ("quantity", "feature", "condition", "note"):
-        if name in frame and not axes.of_damper:
-            shown[name] = [_renamed(v, axes) for v in frame[name]]
+    if not axes.of_damper:
+        for name in {"quantity", "feature", "condition", "note"}.intersection(frame.columns):
+            shown[name] = [_renamed(words, axes) for words in frame[name]]
     if "unit" in frame:
         by = frame["unit"].map(system.factor)
         for name in _OF_UNIT.intersection(frame.columns):
@@ -64,16 +64,15 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
         shown["unit"] = frame["unit"].map(system.unit)
     names = {}
     for name in frame.columns:
-        ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
-        if ending:
-            names[name] = system.column(str(name).removesuffix(ending), _ENDINGS[ending])
-            shown[name] = frame[name] * system.factor(_ENDINGS[ending])
-    shown = shown.rename(columns=names)
-    if axes.timed:
-        return shown
-    lost = [n for n in shown if n == "frequency_Hz" or "in_per_s" in str(n)]
-    lost += [n for n in names.values() if n == system.column("velocity", "in/s")]
-    return shown.drop(columns=lost).rename(columns={"time_s": "sample"})
+        for ending, internal in _ENDINGS.items():
+            if name.endswith(ending):
+                names[name] = system.column(name.removesuffix(ending), internal)
+                shown[name] = frame[name] * system.factor(internal)
+    if not axes.timed:
+        names["time_s"] = "sample"
+        rates = [n for n in map(str, frame) if n == "frequency_Hz" or n.endswith("_in_per_s")]
+        shown = shown.drop(columns=rates)
+    return shown.rename(columns=names)
 
 
 def _renamed(words: Any, axes: Axes) -> Any:
