@@ -8,7 +8,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tomllib
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
@@ -247,16 +246,6 @@ def test_every_public_name_is_in_the_reference():
     text = PAGES["python.md"].read_text(encoding="utf-8")
     shown = set(re.findall(r"^::: .*\.(\w+)$", text, re.MULTILINE))
     assert shown - {"TestResult"} == set(mb.__all__)  # TestResult: what run.tests holds
-
-
-def test_the_citation_is_that_of_the_package():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
-    assert {f"title: {project['name']}", f"version: {project['version']}"} <= set(lines)
-    assert f"license: {project['license']}" in lines
-    assert [f'  - name: "{author["name"]}"' for author in project["authors"]] == [
-        line for line in lines if line.startswith("  - name: ")
-    ]
 
 
 def test_names_commands_and_files_that_are_named_exist():

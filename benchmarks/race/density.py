@@ -23,9 +23,6 @@ def jax_density(posterior):
 
     def log_prob(q):
         own = dict(zip(posterior.names, q, strict=True))
-        for pivot in posterior.pivots:
-            kinetic, excess = posterior.names[pivot.kinetic], posterior.names[pivot.excess]
-            own[kinetic] -= jnp.log1p(pivot.share * _value(pivot.prior, own[excess]))
         priors = {name: posterior.priors[name] for name in posterior.names}
         values = fixed | {name: _value(priors[name], own[name]) for name in own}
         prior = sum(_log_density(priors[name], own[name]) for name in own)

@@ -21,25 +21,18 @@ Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 
 LOG_2PI = float(np.log(2 * np.pi))
-SD = Quantity("noise_sd", "force", "s", "s", "standard deviation of the noise")
-TIME = Quantity("noise_time", "time", r"\tau_c", "τ<sub>c</sub>", "correlation time of the noise")
+SD = Quantity("noise_sd", "force", "s", "standard deviation of the noise")
+TIME = Quantity("noise_time", "time", r"\tau_c", "correlation time of the noise")
 DOF = Quantity(
     "noise_dof",
     "dimensionless",
     r"\nu",
-    "ν",
     "degrees of freedom of the noise",
     pooled=False,
 )
-BUILD = Quantity(
-    "noise_build", "force", "s_b", "s<sub>b</sub>", "added noise where the force builds up"
-)
-FADE = Quantity(
-    "noise_fade", "displacement", r"\lambda", "λ", "slip over which the added noise fades"
-)
-BUILD_TIME = Quantity(
-    "noise_build_time", "time", r"\tau_b", "τ<sub>b</sub>", "correlation time of the added noise"
-)
+BUILD = Quantity("noise_build", "force", "s_b", "added noise where the force builds up")
+FADE = Quantity("noise_fade", "displacement", r"\lambda", "slip over which the added noise fades")
+BUILD_TIME = Quantity("noise_build_time", "time", r"\tau_b", "correlation time of the added noise")
 
 
 class Noise:

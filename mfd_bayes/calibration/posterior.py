@@ -24,26 +24,6 @@ Array = NDArray[np.float64]
 AT_ONCE = 1 << 24  # points times samples whose forces are computed at once: some 400 MB
 
 
-@dataclass(frozen=True)
-class Pivot:
-    """Friction at the record's usual speed, sampled in place of kinetic friction.
-
-    A slow test tells F_s, a fast one F_c; F_c (1 + c e), with c the mean of exp(−(v/v_s)²)
-    over the motion and e the excess of static friction, is what either knows best. The
-    logarithms of both differ by log(1 + c e), which depends on e alone: the Jacobian is 1.
-    """
-
-    kinetic: int  # columns of q
-    excess: int
-    share: float  # c
-    prior: Prior  # of the excess
-
-    def shift(self, points: Array) -> Array:
-        """Difference between the sampled coordinate and log F_c, log(1 + c e), (n,)."""
-        shift: Array = np.log1p(self.share * self.prior.value(points[:, self.excess]))
-        return shift
-
-
 @dataclass(frozen=True, init=False, eq=False)
 class Posterior:
     """Density of the parameters of one test, given its record (model.md section 5).
@@ -65,9 +45,7 @@ class Posterior:
     Attributes
     ----------
     names : tuple of str
-        The quantity of each column of q. Each column is the coordinate of the quantity's prior,
-        except kinetic friction where there is a `Pivot`.
-    pivots : tuple of Pivot
+        The quantity of each column of q, which is the coordinate of the quantity's prior.
     first : int
         Samples before this one are left out of the likelihood.
 
@@ -84,7 +62,6 @@ class Posterior:
     noise: Noise
     priors: Mapping[str, Prior]
     names: tuple[str, ...]
-    pivots: tuple[Pivot, ...]
     first: int
 
     def __init__(
@@ -107,10 +84,9 @@ class Posterior:
         kind = find_noise(noise)
         own = priors_of_fit(file, chosen, kind, sampled_start=start == "sample")
         names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
-        vars(self).update(trace=trace, model=chosen, noise=kind, priors=own, names=names)
+        first = first_slip(trace, file, chosen) if start == "mask" else 0
         vars(self).update(
-            pivots=_pivots(trace, names, own) if chosen.standard_names else (),
-            first=first_slip(trace, file, chosen) if start == "mask" else 0,
+            trace=trace, model=chosen, noise=kind, priors=own, names=names, first=first
         )
         if chosen.own:  # a user's model that cannot be used is refused before it is sampled
             typical = {name: np.array([prior.typical]) for name, prior in own.items()}
@@ -141,18 +117,14 @@ class Posterior:
     def log_prob(self, q: ArrayLike) -> Array:
         """Log posterior density of q, unnormalised, (n, dim) -> (n,)."""
         points = self._check(q)
-        density = self.log_prior(points)
-        inside = np.isfinite(density)
-        density[inside] += self._log_likelihood(points[inside])
-        if np.any(np.isnan(density)):
-            raise FitError("the log posterior is not a number: please report this as a bug")
-        return density
+        prior = self.log_prior(points)
+        return prior + self._log_likelihood(points, prior)
 
     def log_prior(self, q: ArrayLike) -> Array:
         """Log prior density of q with its Jacobian, (n, dim) -> (n,)."""
-        own = self.to_own(self._check(q))
-        density = np.zeros(len(own))
-        for name, column in zip(self.names, own.T, strict=True):
+        points = self._check(q)
+        density = np.zeros(len(points))
+        for name, column in zip(self.names, points.T, strict=True):
             density += self.priors[name].log_density(column)
         return density
 
@@ -162,95 +134,64 @@ class Posterior:
         It is −inf too where the prior has no density, since a value there may be none of a damper.
         """
         points = self._check(q)
-        density = np.full(len(points), -np.inf)
-        inside = np.isfinite(self.log_prior(points))
-        density[inside] = self._log_likelihood(points[inside])
-        return density
+        return self._log_likelihood(points, self.log_prior(points))
 
-    def _log_likelihood(self, points: Array) -> Array:
+    def _log_likelihood(self, points: Array, log_prior: Array) -> Array:
         """As `log_likelihood`; many points of a long record some at a time, to bound the memory."""
-        if len(points) == 0:
-            return np.empty(0)
-        parts = min(-(-len(points) * self.trace.samples // AT_ONCE), len(points))
-        if parts > 1:
-            some = np.array_split(points, parts)
-            return np.concatenate([self._log_likelihood(part) for part in some])
-        values, kept = self.values(points), slice(self.first, None)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            residual, travel = self._residual(values)[:, kept], self.travel(values)
-            travel = None if travel is None else travel[:, kept]
-            density = self.noise.log_density(residual, self.trace.time[kept], values, travel)
+        density, kept = np.full(len(points), -np.inf), slice(self.first, None)
+        inside = np.flatnonzero(np.isfinite(log_prior))
+        most = max(AT_ONCE // self.trace.samples, 1)
+        for begin in range(0, inside.size, most):
+            rows = inside[begin : begin + most]
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                values = self.values(points[rows])
+                residual, travel = self.residual(points[rows])[:, kept], self.travel(values)
+                travel = None if travel is None else travel[:, kept]
+                density[rows] = self.noise.log_density(
+                    residual, self.trace.time[kept], values, travel
+                )
         return np.where(np.isnan(density), -np.inf, density)
 
     def residual(self, q: ArrayLike, scales: Mapping[str, Array] | None = None) -> Array:
         """What the model leaves over, F_obs − F0 − F, (n, T), kip; scales as in `Model.force`."""
-        return self._residual(self.values(q), scales)
-
-    def _residual(
-        self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
-    ) -> Array:
-        left = np.asarray(self.trace.force) - self.force(values, scales=scales)
+        values = self.values(q)
+        left = np.asarray(self.trace.force) - self.force(values, scales)
         left -= values["offset"][:, None]
         return left
 
     def force(
-        self,
-        values: Mapping[str, Array],
-        trace: Trace | None = None,
-        scales: Mapping[str, Array] | None = None,
+        self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None
     ) -> Array:
         """Force of the model without the load cell's offset, (n, T), kip."""
-        return self.model.force_unbounded(*self._motion(values, trace), scales=scales)
+        theta, start = self.theta(values), named_columns(values, ("start",))["start"]
+        return self.model.force_unbounded(theta, self.trace, start, scales=scales)
 
-    def travel(self, values: Mapping[str, Array], trace: Trace | None = None) -> Array | None:
+    def travel(self, values: Mapping[str, Array]) -> Array | None:
         """Travel since the last slip, (n, T), in; None where the noise does not need it."""
         if not self.noise.needs_travel:
             return None
-        return self.model.travel(*self._motion(values, trace))
-
-    def _motion(
-        self, values: Mapping[str, Array], trace: Trace | None
-    ) -> tuple[Array, Trace, Array]:
-        """Parameters, motion and place in the gap, as the model takes them."""
-        motion = self.trace if trace is None else check_trace("trace", trace, FitError)
-        return self.theta(values), motion, named_columns(values, ("start",))["start"]
+        return self.model.travel(self.theta(values), self.trace, values["start"])
 
     def values(self, q: ArrayLike) -> dict[str, Array]:
         """Values of all quantities of q by name, (n,) each, internal units.
 
         γ1 is 1 here: it does not matter to the force.
         """
-        own = self.to_own(self._check(q))
-        values = {name: np.full(len(own), value) for name, value in self._defaults.items()}
-        columns = zip(self.names, own.T, strict=True)
+        points = self._check(q)
+        values = {name: np.full(len(points), value) for name, value in self._defaults.items()}
+        columns = zip(self.names, points.T, strict=True)
         return values | {name: self.priors[name].value(column) for name, column in columns}
 
     def derived(self, q: ArrayLike) -> Array:
         """Friction forces that follow from several coordinates, (n, m), kip."""
-        theta = self.theta(self.values(q))
-        several = {self.names[pivot.kinetic] for pivot in self.pivots}
-        several |= set(self.model.composed(self.names))
+        theta, several = self.theta(self.values(q)), self.model.composed(self.names)
         return theta[:, [k for k, n in enumerate(self.model.parameters) if n in several]]
 
     def coordinates(self, values: Mapping[str, Array]) -> Array:
         """Coordinates q of values by name, (n, dim), the inverse of `values`."""
         columns = named_vectors(values, self.names)
-        own = [self.priors[name].coordinate(value) for name, value in columns.items()]
-        return self.from_own(np.stack(own, axis=1))
-
-    def to_own(self, points: Array) -> Array:
-        """Coordinates of the priors themselves, of those that are sampled, (n, dim)."""
-        own = points.copy()
-        for pivot in self.pivots:
-            own[:, pivot.kinetic] -= pivot.shift(points)
-        return own
-
-    def from_own(self, own: Array) -> Array:
-        """The coordinates that are sampled, of those of the priors, (n, dim)."""
-        points = own.copy()
-        for pivot in self.pivots:
-            points[:, pivot.kinetic] += pivot.shift(own)
-        return points
+        q = [self.priors[name].coordinate(value) for name, value in columns.items()]
+        return np.stack(q, axis=1)
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters of the model in its own order, (n, p)."""
@@ -271,23 +212,6 @@ class Posterior:
         if np.any(np.isnan(points)):
             raise FitError("q holds NaN")
         return points
-
-
-def _pivots(trace: Trace, names: tuple[str, ...], priors: Mapping[str, Prior]) -> tuple[Pivot, ...]:
-    """Pivots of the directions in which F_c, on its log scale, and its excess are sampled."""
-    if "v_s" not in priors:
-        return ()
-    velocity = trace.velocity
-    moving = np.abs(velocity) > 0.01 * np.max(np.abs(velocity))
-    stribeck = np.exp(-((velocity / priors["v_s"].typical) ** 2))
-    pivots = []
-    for side, sign in (("fwd", 1.0), ("bwd", -1.0)):
-        kinetic, excess = f"Fc_{side}", f"static_excess_{side}"
-        there = moving & (sign * velocity > 0)
-        if {kinetic, excess} <= set(names) and priors[kinetic].on_half_line and np.any(there):
-            columns = names.index(kinetic), names.index(excess)
-            pivots.append(Pivot(*columns, float(np.mean(stribeck[there])), priors[excess]))
-    return tuple(pivots)
 
 
 def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:

@@ -230,11 +230,10 @@ OF_RECORDS = (
         "start",
         "dimensionless",
         "w_0",
-        "w<sub>0</sub>",
         "place in the gap at the first sample",
         pooled=False,
     ),
-    Quantity("offset", "force", "F_0", "F<sub>0</sub>", "offset of the load cell", least=-np.inf),
+    Quantity("offset", "force", "F_0", "offset of the load cell", least=-np.inf),
 )
 
 

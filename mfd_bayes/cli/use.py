@@ -359,18 +359,18 @@ def next_test(
     with mistakes():
         from mfd_bayes.pipeline import next_test as pipeline
 
-        best = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
+        best, files = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
     for remark in best.advice.remarks:
         console.say(f"warning: {remark}", err=True)
     if not quiet:
         heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
         title = "How much the best candidates are expected to narrow the goal"
-        console.print_rows(title, ["test", *heads], best.rows)
+        console.print_rows(title, ["test", *heads], best.shown(10))
     console.say(best.sentence)
     if not quiet:
         for sentence in best.together:
             console.say(sentence)
-        console.say(f"look next at {' and '.join(map(str, best.files[:1] + best.files[2:]))}")
+        console.say(f"look next at {' and '.join(map(str, files[:1] + files[2:]))}")
 
 
 def respond(

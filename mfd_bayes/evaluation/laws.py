@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date, timedelta
 from typing import Any
 
@@ -16,7 +16,7 @@ from mfd_bayes.evaluation.acceptance import DEFAULT_LIMITS
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.properties import sessions_of
 from mfd_bayes.evaluation.scores import fan_of, spread_of
-from mfd_bayes.evaluation.views import Fan, LawView, Row, Rows
+from mfd_bayes.evaluation.views import LawView, Row, Rows
 from mfd_bayes.population.design import CONDITIONS, Setting
 from mfd_bayes.population.law_scores import LARGEST_K, LawScore
 from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit, shapes_of
@@ -140,9 +140,6 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     drawn, views = _law_draws(run, grid), []
     for name, law in population.design.laws.items():
         starts = np.any(population.ratio(name, grid) > 0.0, axis=(0, 1))  # not at zero
-        device, again = (
-            fan_of(kind, starts * drawn[kind][name]) for kind in ("device", "new_test")
-        )
         bounds = [test.intervals[name] for test in tests]
         views.append(
             LawView(
@@ -150,8 +147,8 @@ def law_views(run: Run) -> tuple[LawView, ...]:
                 unit=units(run.model)[name],
                 law=law_label(law, population.law_weights[name]),
                 actuation=grid,
-                device=device,
-                new_test=_around(again, device),
+                device=fan_of("device", starts * drawn["device"][name]),
+                new_test=fan_of("new_test", starts * drawn["new_test"][name]),
                 tested=tuple(
                     (test.id, at, low, middle, high)
                     for test, at, (middle, low, high) in zip(tests, levels, bounds, strict=True)
@@ -178,31 +175,21 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
             population.level_effects(chosen, session, grid, numbers.level)
             for chosen in (inside, index)
         )
-        levels: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
+        values: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
         for p in grid.tolist():
             setting = Setting(p, session, dict(population.design.covariates))
             tested = population.within_levels(p)
             chosen, effects = (inside, within) if tested else (index, beyond)
             mean, scatter = population.parts(setting, chosen, numbers, effects)
-            for kind, coordinates in zip(kinds, (mean, mean + scatter), strict=True):
-                levels[kind].append(population.values(coordinates))
-        for kind in kinds:
+            values["device"].append(population.values(mean))
+            values["new_test"].append(population.values(mean + scatter))
+        for kind, at_levels in values.items():
             for name in names:
-                parts[kind][name].append(np.stack([v[name] for v in levels[kind]], axis=1))
+                parts[kind][name].append(np.stack([of[name] for of in at_levels], axis=1))
     return {
         kind: {name: np.concatenate(several) for name, several in of.items()}
         for kind, of in parts.items()
     }
-
-
-def _around(wide: Fan, narrow: Fan) -> Fan:
-    """A fan that is nowhere inside another, which chance in its draws may make it."""
-    pairs = zip(wide.intervals, narrow.intervals, strict=True)
-    intervals = (
-        replace(w, lower=np.minimum(w.lower, n.lower), upper=np.maximum(w.upper, n.upper))
-        for w, n in pairs
-    )
-    return replace(wide, intervals=tuple(intervals))
 
 
 # --- which law predicts best

@@ -40,8 +40,8 @@ class Quantity:
         In prior files, tables and stored draws.
     kind : str
         What it measures, a key of `units.DIMENSIONS`; or, for any other, its unit.
-    maths, html : str
-        Its symbol in LaTeX's mathematics and in HTML; "" where `html_of` makes it of the first.
+    maths : str
+        Its symbol in LaTeX's mathematics.
     meaning : str
         What it is, in a few words.
     least, most : float, in its unit
@@ -55,7 +55,6 @@ class Quantity:
     name: str
     kind: str
     maths: str
-    html: str
     meaning: str
     least: float = 0.0
     most: float = np.inf
@@ -66,6 +65,11 @@ class Quantity:
     def unit(self) -> str:
         """Internal unit."""
         return dimension_of(self.kind).unit
+
+    @property
+    def html(self) -> str:
+        """Its symbol in HTML."""
+        return html_of(self.maths)
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,6 @@ class Parameter:
             self.name,
             kinds.get(self.unit, self.unit),
             maths,
-            html_of(self.symbol or self.name),
             self.meaning or self.name,
             least,
             most,
@@ -137,7 +140,7 @@ def html_of(symbol: str) -> str:
     text = re.sub(
         r"_(?:\{((?:[^{}]|\{[^{}]*\})*)\}|(\w))", lambda m: f"<sub>{m[1] or m[2]}</sub>", text
     )
-    return unicodedata.normalize("NFC", re.sub(r"[{}]", "", text))
+    return unicodedata.normalize("NFC", re.sub(r"[{}]", "", text)).replace(" - ", " − ")
 
 
 STATIC = MappingProxyType(
@@ -145,38 +148,37 @@ STATIC = MappingProxyType(
 )
 """F_s = F_c (1 + excess), so that F_s ≥ F_c holds: kinetic friction and excess of each F_s."""
 
-# name, kind, symbol, HTML, meaning, in the order of sampling; @ is one side, and then the other
-_TABLE: tuple[tuple[str, str, str, str, str], ...] = (
-    ("sigma0", "stiffness", r"\sigma_0", "", "aggregate bristle stiffness"),
-    ("sigma1", "damping", r"\sigma_1", "", "micro-damping"),
-    ("sigma2", "damping", r"\sigma_2", "", "viscous friction"),
-    ("Fc_@", "force", r"F_{c,\mathrm{@}}", "", "kinetic friction, @"),
+# name, kind, symbol, meaning, in the order of sampling; @ is one side, and then the other
+_TABLE: tuple[tuple[str, str, str, str], ...] = (
+    ("sigma0", "stiffness", r"\sigma_0", "aggregate bristle stiffness"),
+    ("sigma1", "damping", r"\sigma_1", "micro-damping"),
+    ("sigma2", "damping", r"\sigma_2", "viscous friction"),
+    ("Fc_@", "force", r"F_{c,\mathrm{@}}", "kinetic friction, @"),
     (
         "static_excess_@",
         "dimensionless",
-        r"F_s/F_c - 1,\ \mathrm{@}",
-        "(F<sub>s</sub>/F<sub>c</sub> − 1)<sub>@</sub>",
+        r"(F_s/F_c - 1)_\mathrm{@}",
         "excess of static over kinetic friction, @",
     ),
-    ("k2", "stiffness", "k_2", "", "stiffness of stage 2"),
-    ("k3", "stiffness", "k_3", "", "stiffness of stage 3"),
-    ("d2", "displacement", "d_2", "", "drum travel of stage 2"),
-    ("d3", "displacement", "d_3", "", "drum travel of stage 3"),
-    ("ell", "displacement", r"\ell", "", "transition length, γ2/γ1 of the three stages"),
-    ("gamma1", "dimensionless", r"\gamma_1", "", "transition constant"),
-    ("v_s", "velocity", r"\dot x_s", "", "Stribeck velocity"),
-    ("Fs_@", "force", r"F_{s,\mathrm{@}}", "", "static friction, @"),
-    ("gamma2", "displacement", r"\gamma_2", "", "transition constant"),
-    ("k_@", "stiffness", r"k_\mathrm{@}", "", "stiffness beyond the gap, @"),
-    ("gap", "displacement", "D", "", "width of the gap"),
-    ("k_0", "stiffness", "k_0", "", "stiffness inside the gap"),
-    ("n", "dimensionless", "n", "", "how sharply slip sets in"),
-    ("k", "stiffness", "k", "", "stiffness of Bouc-Wen hysteresis"),
-    ("alpha", "dimensionless", r"\alpha", "", "share of the stiffness that remains in slip"),
-    ("Fy_@", "force", r"F_{y,\mathrm{@}}", "", "yield force, @"),
-    ("beta", "dimensionless", r"\beta", "", "shape of the unloading"),
-    ("exponent", "dimensionless", "n", "", "sharpness of the knee"),
-    ("c", "damping", "c", "", "viscous damping of Bouc-Wen hysteresis"),
+    ("k2", "stiffness", "k_2", "stiffness of stage 2"),
+    ("k3", "stiffness", "k_3", "stiffness of stage 3"),
+    ("d2", "displacement", "d_2", "drum travel of stage 2"),
+    ("d3", "displacement", "d_3", "drum travel of stage 3"),
+    ("ell", "displacement", r"\ell", "transition length, γ2/γ1 of the three stages"),
+    ("gamma1", "dimensionless", r"\gamma_1", "transition constant"),
+    ("v_s", "velocity", r"\dot x_s", "Stribeck velocity"),
+    ("Fs_@", "force", r"F_{s,\mathrm{@}}", "static friction, @"),
+    ("gamma2", "displacement", r"\gamma_2", "transition constant"),
+    ("k_@", "stiffness", r"k_\mathrm{@}", "stiffness beyond the gap, @"),
+    ("gap", "displacement", "D", "width of the gap"),
+    ("k_0", "stiffness", "k_0", "stiffness inside the gap"),
+    ("n", "dimensionless", "n", "how sharply slip sets in"),
+    ("k", "stiffness", "k", "stiffness of Bouc-Wen hysteresis"),
+    ("alpha", "dimensionless", r"\alpha", "share of the stiffness that remains in slip"),
+    ("Fy_@", "force", r"F_{y,\mathrm{@}}", "yield force, @"),
+    ("beta", "dimensionless", r"\beta", "shape of the unloading"),
+    ("exponent", "dimensionless", "n", "sharpness of the knee"),
+    ("c", "damping", "c", "viscous damping of Bouc-Wen hysteresis"),
 )
 _LIMITS = {"n": (1.0, np.inf), "alpha": (0.0, 1.0), "beta": (0.5, 1.0), "exponent": (1.0, np.inf)}
 
@@ -184,14 +186,14 @@ _LIMITS = {"n": (1.0, np.inf), "alpha": (0.0, 1.0), "beta": (0.5, 1.0), "exponen
 def _packaged() -> dict[str, Quantity]:
     """Quantities of the package's models by name."""
     found = {}
-    for template, kind, *words, meaning in _TABLE:
+    for template, kind, symbol, meaning in _TABLE:
         sides = {"fwd": "forward", "bwd": "backward"} if "@" in template else {"": ""}
         for side, direction in sides.items():
-            name, maths, html = (text.replace("@", side) for text in (template, *words))
+            name, maths = template.replace("@", side), symbol.replace("@", side)
             about = meaning.replace("@", direction)
             sampled = name not in (*STATIC, "gamma2")
             limits = _LIMITS.get(name, LIMITS["positive"])
-            found[name] = Quantity(name, kind, maths, html, about, *limits, sampled=sampled)
+            found[name] = Quantity(name, kind, maths, about, *limits, sampled=sampled)
     return found
 
 

@@ -15,7 +15,7 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import Building, Device, Limits
-from mfd_bayes.response.device_draws import Choice, draw_dampers
+from mfd_bayes.response.device_draws import draw_dampers
 from mfd_bayes.runs.folder import POPULATION, check_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span, departures, far_sentences
@@ -86,8 +86,7 @@ def _samples(run: Run, level: float, request: Export) -> tuple[dict[str, str], A
         (Device("device", 1, 0, level, run.actuation_unit),),
         Limits(),
     )
-    choice = Choice("new_test", request.draws, request.seed)
-    dampers = draw_dampers(run.population, model, building, choice)
+    dampers = draw_dampers(run.population, model, building, draws=request.draws, seed=request.seed)
     known = {q.name: q.unit for q in model.quantities}
     units = {name: known.get(name, "1") for name in model.parameters} | {"start": "1"}
     return units, np.column_stack([dampers.theta[:, 0], dampers.start[:, 0]])

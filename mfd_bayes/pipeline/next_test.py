@@ -8,23 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mfd_bayes.errors import CampaignError, StoreError, why_no_file
-from mfd_bayes.evaluation.next_test import (
-    advice_content,
-    advice_sentence,
-    candidate_words,
-    shown_rows,
-    together_words,
-)
+from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import commented, json_text, quoted, write_bytes, write_text
 
 if TYPE_CHECKING:
-    from mfd_bayes.planning.study import Advice
-    from mfd_bayes.runs.unit_system import System
+    pass
 
-SHOWN = 10  # candidates on a terminal
 _LARGEST = 2**20  # bytes of a file of candidates
 
 
@@ -44,21 +36,8 @@ class Wish:
     force: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Recommendation:
-    """Advice on the next test, in words."""
-
-    advice: Advice
-    sentence: str
-    together: list[str]
-    """The best two and three tests together."""
-    rows: list[tuple[str, ...]]
-    """Cells of the first candidates."""
-    files: list[Path]
-
-
-def next_test(out: Path, wish: Wish) -> Recommendation:
-    """Which test to make next; the table, its JSON and a picture are written."""
+def next_test(out: Path, wish: Wish) -> tuple[AdviceInWords, list[Path]]:
+    """Which test to make next, and the files: the table, its JSON and a picture are written."""
     if wish.tests > 1 and wish.draft is None:
         raise CampaignError("--tests says how many tests --write drafts: give --write too")
     table = out / ADVICE[0] if wish.table is None else wish.table
@@ -79,21 +58,15 @@ def next_test(out: Path, wish: Wish) -> Recommendation:
             draws=wish.draws,
             seed=wish.seed,
         )
+    words = AdviceInWords(advice, run.system, run.actuation_unit)
     if wish.table is None:
         with alone_in(out):
-            _write(run, advice, files)
+            _write(words, files)
     else:
-        _write(run, advice, files)
-    units = run.system, run.actuation_unit
+        _write(words, files)
     for draft in drafts:
-        write_text(draft, _drafted(advice, wish.tests, *units))
-    return Recommendation(
-        advice,
-        advice_sentence(advice, *units),
-        together_words(advice, *units),
-        list(shown_rows(advice, *units, SHOWN)),
-        [*files, *drafts],
-    )
+        write_text(draft, _drafted(words, wish.tests))
+    return words, [*files, *drafts]
 
 
 def _candidates(text: str) -> str | list[str] | None:
@@ -127,24 +100,24 @@ def _is_path(text: str) -> bool:
         return False
 
 
-def _write(run: Run, advice: Advice, files: list[Path]) -> None:
+def _write(words: AdviceInWords, files: list[Path]) -> None:
     """Write table, JSON and picture."""
     from mfd_bayes.reporting.figures import draw_next, to_png
 
-    units = run.system, run.actuation_unit
-    write_text(files[0], next_csv(advice, *units))
-    write_text(files[1], json_text(advice_content(advice, *units), indent=2) + "\n")
-    title = f"Next test: {candidate_words(advice[0].candidate, *units)}"
-    write_bytes(files[2], to_png(draw_next(advice, *units, title)))
+    write_text(files[0], next_csv(words))
+    write_text(files[1], json_text(words.content(), indent=2) + "\n")
+    title = f"Next test: {words.candidate(words.advice[0].candidate)}"
+    write_bytes(files[2], to_png(draw_next(words.advice, words.system, words.unit, title)))
 
 
-def _drafted(advice: Advice, number: int, system: System, unit: str) -> str:
+def _drafted(advice: AdviceInWords, number: int) -> str:
     """Entries of a campaign file for the best tests."""
-    together = advice.together[min(number, len(advice.together)) - 1]
-    tests = (advice[0].candidate,) if number == 1 else together.candidates
+    chosen = advice.advice.together
+    together = chosen[min(number, len(chosen)) - 1]
+    tests = (advice.advice[0].candidate,) if number == 1 else together.candidates
     lines = ["# Drafted by mfd-bayes next: add these to campaign.toml once the tests are made."]
     for k, test in enumerate(tests, 1):
-        words = candidate_words(test, system, unit)
+        words = advice.candidate(test)
         name = f"next{k}_" + re.sub(r"[^A-Za-z0-9.]+", "_", words)
         lines += [
             "",

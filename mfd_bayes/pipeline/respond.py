@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +21,9 @@ from mfd_bayes.reporting.tables import escape_tex, to_csv
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
 from mfd_bayes.response.result import (
-    PROBABILITIES,
-    Passing,
+    REFERENCES,
     Response,
     Row,
-    Shares,
     Sweep,
     check_goal,
     parse_sweep,
@@ -34,19 +34,14 @@ from mfd_bayes.runs.folder import check_folder
 from mfd_bayes.runs.manifest import Use
 from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.unit_system import SI, SYSTEMS, US, System
+from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.unit_system import SI, SYSTEMS, System
 from mfd_bayes.store.cards import counted
 from mfd_bayes.store.files import json_text, remove_file, write_bytes, write_text
-from mfd_bayes.units import GRAVITY, percent
+from mfd_bayes.units import GRAVITY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
     import pandas as pd
-
-    from mfd_bayes.jobs.job import Step
-    from mfd_bayes.runs.tested_range import Span
 
 
 Array = NDArray[np.float64]
@@ -163,18 +158,24 @@ def view_of(
     run: Run, response: Response, sweep: Sweep | None, query: Query, system: System
 ) -> ResponseView:
     """What the page shows of a response."""
-    dampers, grounds = len(response.building.devices), response.grounds
+    dampers, grounds, rows = len(response.building.devices), response.grounds, response.rows()
+    if not rows and sweep is None:
+        raise BuildingError(
+            f"every draw diverged under {', '.join(ground.name for ground in grounds)}: there is "
+            "no response to write; expected ground motions, and a building, that its dampers can "
+            "bear"
+        )
     about = (
         f"{response.draws} draws of kind {query.kind} of the device in "
         f"{run.folder.resolve().name}, {counted(dampers, 'damper')}, "
         f"{counted(len(grounds), 'ground motion')}, fundamental period "
         f"{response.building.modes.periods[0]:.3g} s."
     )
-    shares = (
-        Shares(name, ground.name, variance_shares(response, name, g))
+    shares: list[Row] = [
+        {"quantity": name, "ground": ground.name, "shares": variance_shares(response, name, g)}
         for name in ("drift", "acceleration")
         for g, ground in enumerate(grounds)
-    )
+    ]
     beyond, caution = beyond_tests(run, response), run.caution
     stated = {*chain.from_iterable(beyond), caution}
     mark, headline = _mark(response, beyond=any(beyond), use=run.use)
@@ -189,20 +190,20 @@ def view_of(
         "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
     }
     return ResponseView(
-        f"{response.building.title}: response with dampers",
-        about,
-        mark,
-        tuple(_verdict(response, system, beyond, caution)),
-        tuple(remark for remark in response.remarks if remark not in stated),
-        tuple(response.rows()),
-        tuple(response.limits()),
-        tuple(share for share in shares if share.shares),
-        "" if sweep is None else sweep_sentence(sweep, run.tested, system),
-        tuple(ground.name for ground in grounds),
-        dampers,
-        system is SI,
-        facts,
-        headline,
+        title=f"{response.building.title}: response with dampers",
+        about=about,
+        mark=mark,
+        headline=headline,
+        verdict=_verdict(response, system, beyond, caution, shares),
+        remarks=[remark for remark in response.remarks if remark not in stated],
+        rows=rows,
+        limits=response.limits(),
+        shares=[row for row in shares if row["shares"]],
+        sweep="" if sweep is None else sweep_sentence(sweep, run.tested, system),
+        grounds=[ground.name for ground in grounds],
+        dampers=dampers,
+        metric=system is SI,
+        provenance=facts,
     )
 
 
@@ -223,7 +224,9 @@ def _mark(response: Response, *, beyond: bool, use: str) -> tuple[str, str]:
     return "pass", "✓ Answered"
 
 
-def _verdict(response: Response, system: System, beyond: list[list[str]], use: str) -> list[str]:
+def _verdict(
+    response: Response, system: System, beyond: list[list[str]], use: str, shares: Sequence[Row]
+) -> list[str]:
     """The answer in sentences, verdict first; beside each, where it lies beyond the tests."""
     sentences = []
     ratios = bool(np.all(np.isfinite(response.building.heights)))
@@ -240,29 +243,29 @@ def _verdict(response: Response, system: System, beyond: list[list[str]], use: s
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
             f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
         )
-        bounds = {name: response.references.get(name) for name in ("lower", "upper")}
         at = [
             f"{name} {float(np.max(bound.drift[0, g] * scale)):.3g} {unit}"
-            for name, bound in bounds.items()
-            if bound is not None and not bound.unstable[0, g]
+            for name, bound in response.references.items()
+            if name in ("lower", "upper") and not bound.unstable[0, g]
         ]
         if at:
             where = f"{ground.name}: with all dampers at their bound"
             sentences.append(f"{where}, {', '.join(at)}.")
-        if shares := variance_shares(response, "drift", g):
-            source = max(shares, key=lambda name: shares[name])
+        if of_drift := shares[g]["shares"]:
+            source = max(of_drift, key=lambda name: of_drift[name])
             sentences.append(
-                f"{ground.name}: {100 * shares[source]:.0f} % of the variance of the largest "
+                f"{ground.name}: {100 * of_drift[source]:.0f} % of the variance of the largest "
                 f"drift is {source}."
             )
         sentences += [f"{sentence}." for sentence in beyond[g]] if response.dampers.count else []
     sentences += [f"{sentence}." for sentence in beyond[-1]]
     sentences += [use] if use else []
     for limit in response.limits():
-        if np.isfinite(limit.probability):
+        if np.isfinite(limit["probability"]):
             sentences.append(
-                f"{limit.ground}: the limit of the {limit.quantity} is exceeded with a probability "
-                f"of {100 * limit.probability:.3g} % (standard error {100 * limit.error:.2g} %)."
+                f"{limit['ground']}: the limit of the {limit['quantity']} is exceeded with a "
+                f"probability of {100 * limit['probability']:.3g} % (standard error "
+                f"{100 * limit['error']:.2g} %)."
             )
     return sentences
 
@@ -277,8 +280,8 @@ def write_response(
     for path in sorted(folder.glob("*")):  # files that not every response has
         if re.fullmatch(r"sweep\.(csv|png)|(history|loops)_\d+\.png", path.name):
             remove_file(path)
-    about = {"title": view.title, "verdict": list(view.verdict), "remarks": list(view.remarks)}
-    write_text(folder / "response.json", response_json(view.rows, view.limits, dict(about), system))
+    about = {"title": view.title, "verdict": view.verdict, "remarks": view.remarks}
+    write_text(folder / "response.json", response_json(view.rows, view.limits, about, system))
     write_text(folder / "peaks.tex", peaks_tex(view.rows, system))
     frames = {
         "peaks": peaks_frame(view.rows, system),
@@ -294,8 +297,7 @@ def write_response(
             images[f"{name}_{each.name}"] = to_png(figure)
             if each is system:
                 write_bytes(folder / f"{name}.png", images[f"{name}_{each.name}"])
-    page = render_response(replace(view, metric=system is not US), images)
-    write_text(folder / "report.html", page)
+    write_text(folder / "report.html", render_response(view, images))
 
 
 # --- the page and the tables
@@ -308,29 +310,22 @@ class ResponseView:
     title: str
     about: str
     mark: str  # "pass", "care" or "fail"
-    verdict: tuple[str, ...]
-    remarks: tuple[str, ...]
-    rows: tuple[Row, ...]
-    limits: tuple[Passing, ...]
-    shares: tuple[Shares, ...]  # for each quantity and ground motion
+    headline: str  # the verdict in a few words
+    verdict: list[str]
+    remarks: list[str]
+    rows: list[Row]  # of `Response.rows`
+    limits: list[Row]  # of `Response.limits`
+    shares: list[Row]  # for each quantity and ground motion
     sweep: str  # the best actuation in a sentence; empty without a sweep
-    grounds: tuple[str, ...]
+    grounds: list[str]
     dampers: int
     metric: bool
     provenance: Mapping[str, object]
-    headline: str = ""  # the verdict in a few words
-
-    def __post_init__(self) -> None:
-        if not self.rows and not self.sweep:
-            raise BuildingError(
-                f"every draw diverged under {', '.join(self.grounds)}: there is no response to "
-                "write; expected ground motions, and a building, that its dampers can bear"
-            )
 
     @property
     def sources(self) -> list[str]:
         """All sources of variance, in their order."""
-        return list(dict.fromkeys(name for share in self.shares for name in share.shares))
+        return list(dict.fromkeys(name for row in self.shares for name in row["shares"]))
 
 
 def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:
@@ -357,56 +352,46 @@ def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
     return by, unit_text(name) or name
 
 
-def _in_system(row: Row | Passing, system: System, names: Iterable[str]) -> dict[str, Any]:
-    """Fields of a row, those of `names` in the unit in which a system shows them."""
-    unit, by = shown_unit(row.unit, system)
-    return {**vars(row), "unit": unit} | {name: by * getattr(row, name) for name in names}
-
-
-def _peaks(rows: Iterable[Row], system: System) -> list[dict[str, Any]]:
-    peaks = []
-    for row in rows:
-        figures = ("median", "mean", "bare", "plain", "lower", "upper")
-        peak = _in_system(row, system, figures)
-        by = shown_unit(row.unit, system)[1]
-        pairs = zip(PROBABILITIES, row.bands, strict=True)
-        bands = {percent(p): [by * end for end in band] for p, band in pairs}
-        peaks.append(peak | {"bands": bands})
-    return peaks
+def _in_system(row: Row, system: System) -> Row:
+    """A row in the unit in which a system shows it."""
+    unit, by = shown_unit(row["unit"], system)
+    figures = {
+        name: by * row[name] for name in ("median", "mean", "limit", *REFERENCES) if name in row
+    }
+    if "bands" in row:
+        figures["bands"] = {p: [by * end for end in band] for p, band in row["bands"].items()}
+    return row | {"unit": unit} | figures
 
 
 def peaks_frame(rows: Iterable[Row], system: System) -> pd.DataFrame:
     """Peaks and bands, a line each."""
     import pandas as pd
 
-    names = {"bare": "without_dampers", "plain": "plain_friction"}
-    names |= {"lower": "all_at_lower_bound", "upper": "all_at_upper_bound"}
+    names = ("without_dampers", "plain_friction", "all_at_lower_bound", "all_at_upper_bound")
     lines = []
-    for peak in _peaks(rows, system):
-        bands = {
-            f"{end}_{share}": value
-            for share, band in peak.pop("bands").items()
-            for end, value in zip(("lower", "upper"), band, strict=True)
-        }
-        others = {name: peak.pop(key) for key, name in names.items()}
-        lines.append(peak | bands | others)
+    for row in rows:
+        peak = _in_system(row, system)
+        others = {name: peak.pop(key) for name, key in zip(names, REFERENCES, strict=True)}
+        for share, (low, high) in peak.pop("bands").items():
+            peak |= {f"lower_{share}": low, f"upper_{share}": high}
+        lines.append(peak | others)
     return pd.DataFrame(lines, columns=None if lines else ["quantity", "ground", "place", "unit"])
 
 
-def limits_frame(limits: Iterable[Passing], system: System) -> pd.DataFrame:
+def limits_frame(limits: Iterable[Row], system: System) -> pd.DataFrame:
     """Probabilities of passing limits."""
     import pandas as pd
 
-    lines = [_in_system(row, system, ["limit"]) for row in limits]
     names = ["quantity", "ground", "limit", "unit", "probability", "error"]
-    return pd.DataFrame(lines, columns=names).rename(columns={"error": "standard_error"})
+    frame = pd.DataFrame([_in_system(row, system) for row in limits], columns=names)
+    return frame.rename(columns={"error": "standard_error"})
 
 
-def shares_frame(shares: Iterable[Shares]) -> pd.DataFrame:
+def shares_frame(shares: Iterable[Row]) -> pd.DataFrame:
     """Shares of variance."""
     import pandas as pd
 
-    lines = [(r.quantity, r.ground, source, v) for r in shares for source, v in r.shares.items()]
+    lines = [(r["quantity"], r["ground"], *pair) for r in shares for pair in r["shares"].items()]
     return pd.DataFrame(lines, columns=["quantity", "ground", "source", "share"])
 
 
@@ -449,12 +434,10 @@ def sweep_frame(sweep: Sweep, system: System) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def response_json(
-    rows: Iterable[Row], limits: Iterable[Passing], about: dict[str, object], system: System
-) -> str:
+def response_json(rows: Iterable[Row], limits: Iterable[Row], about: Row, system: System) -> str:
     """All rows and limits as JSON, in the units of the tables."""
-    passing = [_in_system(limit, system, ["limit"]) for limit in limits]
-    return json_text({**about, "peaks": _peaks(rows, system), "limits": passing}, indent=2) + "\n"
+    peaks, passing = ([_in_system(row, system) for row in some] for some in (rows, limits))
+    return json_text({**about, "peaks": peaks, "limits": passing}, indent=2) + "\n"
 
 
 def peaks_tex(rows: Iterable[Row], system: System) -> str:
@@ -462,7 +445,7 @@ def peaks_tex(rows: Iterable[Row], system: System) -> str:
     import pandas as pd
 
     lines = []
-    for row in _peaks(rows, system):
+    for row in (_in_system(row, system) for row in rows):
         if not row["quantity"].startswith("damper"):
             low, high = row["bands"]["95"]
             quantity = f"{row['quantity']}, {row['unit']}"

@@ -200,7 +200,7 @@ class TestLikelihood:
         """All quantities of the test at x (n, D), by name, (n,) each."""
         names, q = self.coordinates.names, self.coordinates.of_priors(x)
         order = [names.index(name) for name in self.posterior.names]
-        return self.posterior.values(self.posterior.from_own(q[:, order]))
+        return self.posterior.values(q[:, order])
 
     def scales(self, x: Array) -> dict[str, Array]:
         """Factors along the record of what follows a changing actuation, (n, T) each."""

@@ -79,24 +79,21 @@ def _number(value: float, form: str = "") -> str:
 @look.style()
 def draw_batch(devices: Sequence[Acceptance]) -> Figure:
     """Effect of every quantity of every device, with its interval and the limits."""
-    names = list(dict.fromkeys(name for d in devices for name in d.rows.index if name != "loop"))
+    table = pd.concat([d.rows for d in devices], keys=range(len(devices)))
+    names = [name for name in table.index.unique(1) if name != "loop"]
     width = min(2.0 + 1.15 * len(names), 14.0)
     figure = look.new_figure(width, 1.6 + 0.24 * len(devices), "Devices against the others")
     grid = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(grid, names, strict=True):
-        for place, device in enumerate(devices):
-            if name not in device.rows.index:
-                continue
-            row = device.rows.loc[name]
-            colour = _COLOURS.get(row["verdict"], "#b8860b")
-            axes.plot([row["effect_lower"], row["effect_upper"]], [place, place], color=colour)
-            axes.plot(row["effect"], place, "o", markersize=4, color=colour)
-        limits = [d.rows.loc[name, "limit"] for d in devices if name in d.rows.index]
-        for limit in (limits[0], -limits[0]) if np.isfinite(limits[0]) else ():
+        own = table.xs(name, level=1)
+        colours = [_COLOURS.get(verdict, "#b8860b") for verdict in own["verdict"]]
+        axes.hlines(own.index, own["effect_lower"], own["effect_upper"], colors=colours)
+        axes.scatter(own["effect"], own.index, s=16, c=colours)
+        first = own.iloc[0]
+        for limit in (first["limit"], -first["limit"]) if np.isfinite(first["limit"]) else ():
             axes.axvline(limit, color="#666666", linestyle="--", linewidth=0.8)
         axes.axvline(0.0, color="#666666", linewidth=0.6)
-        row = next(d.rows.loc[name] for d in devices if name in d.rows.index)
-        axes.set_title(f"{row['quantity']}\n{row['direction']}", fontsize=7)
+        axes.set_title(f"{first['quantity']}\n{first['direction']}", fontsize=7)
         axes.set_xlabel("%", fontsize=7)
         axes.tick_params(labelsize=7)
     grid[0].set_yticks(range(len(devices)))

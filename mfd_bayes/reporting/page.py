@@ -25,7 +25,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.evaluation.next_test import advice_sentence, shown_rows, together_words
+from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.evaluation.scores import width_sentence
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
 from mfd_bayes.messages import Message, Quantity
@@ -169,9 +169,6 @@ def _plot(along: str, height: int, source: Any) -> Any:
 
 Pair = tuple[System, System]
 """Customary and metric system of units."""
-
-NEXT = 10
-"""Candidates for the next test that the page shows."""
 
 ELSEWHERE = frozenset(
     {
@@ -358,9 +355,7 @@ def _summary(
         )
     advice = None
     if view.next_test is not None:
-        how = view.next_test, view.system, view.actuation_unit
-        sentences = [advice_sentence(*how), *together_words(*how)]
-        advice = {"sentences": sentences, "rows": shown_rows(*how, NEXT)}
+        advice = AdviceInWords(view.next_test, view.system, view.actuation_unit)
     terms = (term for subject in read_glossary().values() for term in subject.items())
     return render_page(
         "report.html.j2",

@@ -85,7 +85,7 @@ class Symbols:
         self.pooled = {name: words for name, words in _POOLED.items() if name in standard}
         self.written = {n: (maths, html_of(maths), what) for n, (maths, what) in _SYMBOLS.items()}
         for name, quantity in known_quantities(model).items():
-            html = quantity.html or html_of(quantity.maths)
+            html = quantity.html
             self.written[name] = quantity.maths, html, quantity.meaning
 
     def written_as(

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.next_test import advice_rows
+from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
-from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
@@ -55,9 +54,9 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     if system == US:
         return frame
     shown, axes = frame.copy(), system.axes
-    for name in ("quantity", "feature", "condition", "note"):
-        if name in frame and not axes.of_damper:
-            shown[name] = [_renamed(v, axes) for v in frame[name]]
+    if not axes.of_damper:
+        for name in {"quantity", "feature", "condition", "note"}.intersection(frame.columns):
+            shown[name] = [_renamed(words, axes) for words in frame[name]]
     if "unit" in frame:
         by = frame["unit"].map(system.factor)
         for name in _OF_UNIT.intersection(frame.columns):
@@ -65,16 +64,15 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
         shown["unit"] = frame["unit"].map(system.unit)
     names = {}
     for name in frame.columns:
-        ending = next((end for end in _ENDINGS if str(name).endswith(end)), "")
-        if ending:
-            names[name] = system.column(str(name).removesuffix(ending), _ENDINGS[ending])
-            shown[name] = frame[name] * system.factor(_ENDINGS[ending])
-    shown = shown.rename(columns=names)
-    if axes.timed:
-        return shown
-    lost = [n for n in shown if n == "frequency_Hz" or "in_per_s" in str(n)]
-    lost += [n for n in names.values() if n == system.column("velocity", "in/s")]
-    return shown.drop(columns=lost).rename(columns={"time_s": "sample"})
+        for ending, internal in _ENDINGS.items():
+            if name.endswith(ending):
+                names[name] = system.column(name.removesuffix(ending), internal)
+                shown[name] = frame[name] * system.factor(internal)
+    if not axes.timed:
+        names["time_s"] = "sample"
+        rates = [n for n in map(str, frame) if n == "frequency_Hz" or n.endswith("_in_per_s")]
+        shown = shown.drop(columns=rates)
+    return shown.rename(columns=names)
 
 
 def _renamed(words: Any, axes: Axes) -> Any:
@@ -577,11 +575,11 @@ def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
     return to_csv(frame_of("comparison", rows))
 
 
-def next_csv(advice: Advice, system: System, actuation_unit: str) -> str:
+def next_csv(advice: AdviceInWords) -> str:
     """Candidates for the next test, the best first, and what each is expected to tell."""
     import pandas as pd
 
-    return to_csv(pd.DataFrame(advice_rows(advice, system, actuation_unit)))
+    return to_csv(pd.DataFrame(advice.rows()))
 
 
 def _by_column(table: str, rows: Rows) -> dict[str, list[Any]]:
@@ -673,7 +671,8 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
     if view.truth:
         yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
     if view.next_test is not None:
-        yield table_of("next"), next_csv(view.next_test, system, view.actuation_unit)
+        advice = AdviceInWords(view.next_test, system, view.actuation_unit)
+        yield table_of("next"), next_csv(advice)
 
 
 def record_table(test: TestView, system: System = US) -> str:

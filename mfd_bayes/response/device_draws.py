@@ -9,7 +9,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import MOST_DRAWS, BuildingError, whole_number
 from mfd_bayes.friction.model import Columns, Model, State
 from mfd_bayes.population.design import Setting
 from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
@@ -64,24 +63,6 @@ class ElastoPlastic(State):
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What is drawn."""
-
-    kind: str = "new_test"  # or "device"
-    draws: int = 300
-    seed: int = 1
-    session: str = ""
-    # factor of the scatter from test to test: 1, or another to see what it does
-    scatter: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise BuildingError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-        whole_number("draws", self.draws, FEWEST, BuildingError, MOST_DRAWS)
-        whole_number("seed", self.seed, 0, BuildingError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,35 +199,45 @@ def plain_friction(slip: Array) -> Dampers:
 
 
 def draw_dampers(
-    population: Population, model: Model, building: Building, choice: Choice
+    population: Population,
+    model: Model,
+    building: Building,
+    kind: str = "new_test",
+    draws: int = 300,
+    seed: int = 1,
+    *,
+    session: str = "",
+    scatter: float = 1.0,
 ) -> Dampers:
     """Dampers of n draws of a building, from the run's population.
 
     What tests share (laws, levels, effects of level and session, the discrepancy, whether they
     begin without load) is one draw for all dampers of a building; each has its own scatter from
     test to test and its own place in its gap. The noise of measurements is left out: it belongs to
-    load cells. The same seed gives the same random numbers at any actuation, tested or not.
+    load cells. The same seed gives the same random numbers at any actuation, tested or not. A
+    factor of the `scatter` other than 1 shows what it does.
     """
     levels = [device.level for device in building.devices]
     if not levels:
-        return no_dampers(choice.draws)
+        return no_dampers(draws)
     times, histories = building.actuations
     beyond = [level for level in levels if not population.within_levels(level)]
-    rng = np.random.default_rng([choice.seed, 0])
-    index = population.draw_index(choice.draws, (beyond or levels)[0], rng)
+    rng = np.random.default_rng([seed, 0])
+    index = population.draw_index(draws, (beyond or levels)[0], rng)
     varying = times is not None
     driven = np.concatenate([levels, *histories])
     grid = np.unique([*levels, *(population.grid(max(levels), driven) if varying else ())])
-    rng = np.random.default_rng([choice.seed, 1])
-    shared = population.draw_numbers(choice.draws, grid.size, rng)
-    effects = population.level_effects(index, choice.session, grid, shared.level)
+    rng = np.random.default_rng([seed, 1])
+    shared = population.draw_numbers(draws, grid.size, rng)
+    effects = population.level_effects(index, session, grid, shared.level)
     values, about, scales = [], [], []
     for damper, (level, history) in enumerate(zip(levels, histories, strict=True)):
-        setting = Setting(level, choice.session, dict(population.design.covariates))
-        numbers = _own(shared, np.random.default_rng([choice.seed, 2, damper]))
-        scattered = choice.kind == "new_test"
-        mean, scatter = population.parts(setting, index, numbers, effects, scatter=scattered)
-        x = mean + choice.scatter * scatter
+        setting = Setting(level, session, dict(population.design.covariates))
+        numbers = _own(shared, np.random.default_rng([seed, 2, damper]))
+        mean, scattered = population.parts(
+            setting, index, numbers, effects, scatter=kind == "new_test"
+        )
+        x = mean + scatter * scattered
         unshared = population.unshared(model, x, numbers.start)
         own = {**unshared, **population.values(x)}
         typical = slip_force_of(model, {**unshared, **population.values(mean)})
@@ -261,7 +252,7 @@ def draw_dampers(
         scales.append(population.scales(model, history, index, level, effects))
     slip = np.stack([slip_force_of(model, one) for one in values], axis=1)
     residual = population.residual
-    knots = residual.draw_knots(np.random.default_rng([choice.seed, 4]), choice.draws)
+    knots = residual.draw_knots(np.random.default_rng([seed, 4]), draws)
     return Dampers(
         model,
         np.stack([model.theta(one) for one in values], axis=1),
@@ -275,7 +266,7 @@ def draw_dampers(
 
 
 def bound_dampers(
-    population: Population, model: Model, building: Building, drawn: Dampers, choice: Choice
+    population: Population, model: Model, building: Building, drawn: Dampers, seed: int
 ) -> dict[str, Dampers]:
     """One building with all dampers at the "lower", and one at the "upper", design value.
 
@@ -289,7 +280,7 @@ def bound_dampers(
         devices=tuple(replace(d, actuation=d.level, history=None) for d in building.devices),
     )
     mean, scattered = (
-        draw_dampers(population, model, constant, replace(choice, kind=kind, draws=BOUND_DRAWS))
+        draw_dampers(population, model, constant, kind, BOUND_DRAWS, seed)
         for kind in ("device", "new_test")
     )
     levels, residual = np.array([device.level for device in building.devices]), population.residual

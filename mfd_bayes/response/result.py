@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -15,11 +15,14 @@ from mfd_bayes.errors import BuildingError, NotThereError, UnitError
 from mfd_bayes.response.building import Building, Limits
 from mfd_bayes.response.device_draws import Dampers
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.units import GRAVITY, parse_actuation
+from mfd_bayes.units import GRAVITY, parse_actuation, percent
 
 Array = NDArray[np.float64]
 
+Row = dict[str, Any]
+
 PROBABILITIES = (0.5, 0.9, 0.95)  # of the equal-tailed bands
+REFERENCES = ("bare", "plain", "lower", "upper")
 OPEN = 0.005  # share of the time in steps that should have been shorter, from which a draw is named
 PER_DRAW = (
     *("drift", "acceleration", "base_shear", "force", "travel", "energy", "residual"),
@@ -29,39 +32,6 @@ PER_DRAW = (
 
 PER_GROUND = ("histories", "travels", "forces")
 """Tuples of arrays (n, T, …), one for each ground motion."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """A peak and its bands."""
-
-    quantity: str
-    ground: str
-    place: str
-    unit: str  # internal, or "1" of a ratio
-    median: float
-    mean: float
-    bands: tuple[tuple[float, float], ...]  # for `PROBABILITIES`
-    # the same without dampers, and with plain friction of the median slip force; NaN where it
-    # has no meaning
-    bare: float = np.nan
-    plain: float = np.nan
-    # the same with all dampers at their lower, and at their upper, design value; NaN where
-    # the bounds are not known
-    lower: float = np.nan
-    upper: float = np.nan
-
-
-@dataclass(frozen=True)
-class Passing:
-    """Probability that a limit is passed somewhere in the building, and its standard error."""
-
-    quantity: str
-    ground: str
-    limit: float
-    unit: str
-    probability: float
-    error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,36 +135,42 @@ class Response:
             del found["drift ratio"], found["residual drift ratio"]
         return found
 
-    def rows(self) -> Iterator[Row]:
-        """Peaks and residuals with their bands, for each record and place."""
-        references = {name: one.quantities() for name, one in self.references.items()}
+    def rows(self) -> list[Row]:
+        """Median, mean and bands of peaks and residuals, under each ground motion at each place.
+
+        With those of the references, NaN where they have no meaning. A unit of "1" is a ratio's.
+        """
+        references = {name: of.quantities() for name, of in self.references.items()}
+        tails = [(0.5 * (1.0 - p), 0.5 * (1.0 + p)) for p in PROBABILITIES]
+        names, rows = [percent(p) for p in PROBABILITIES], []
         for g, ground in enumerate(self.grounds):
             for quantity, (unit, places, values) in self.quantities().items():
                 used = values[self.usable(g), g]
                 if quantity == "residual drift ratio" or not len(used):
                     continue
+                skipped = ("bare", "plain") if quantity.startswith("damper") else ()
                 for i, place in enumerate(places):
                     own = used[:, i]
-                    tails = ((0.5 * (1 - p), 0.5 * (1 + p)) for p in PROBABILITIES)
-                    ends = (np.quantile(own, tail).tolist() for tail in tails)
-                    of_damper = quantity.startswith("damper")
-                    others = [
-                        np.nan
-                        if name not in references or (of_damper and name in ("bare", "plain"))
-                        else float(references[name][quantity][2][0, g, i])
-                        for name in ("bare", "plain", "lower", "upper")
-                    ]
-                    yield Row(
-                        *(quantity, ground.name, place, unit),
-                        float(np.median(own)),
-                        float(own.mean()),
-                        tuple((low, high) for low, high in ends),
-                        *others,
-                    )
+                    bands = [tuple(np.quantile(own, tail).tolist()) for tail in tails]
+                    row: Row = {
+                        "quantity": quantity,
+                        "ground": ground.name,
+                        "place": place,
+                        "unit": unit,
+                        "median": float(np.median(own)),
+                        "mean": float(own.mean()),
+                        "bands": dict(zip(names, bands, strict=True)),
+                        **dict.fromkeys(REFERENCES, np.nan),
+                    }
+                    for name, of in references.items():
+                        if name not in skipped:
+                            row[name] = float(of[quantity][2][0, g, i])
+                    rows.append(row)
+        return rows
 
-    def limits(self) -> Iterator[Passing]:
-        """Probability of passing each limit, under each ground motion, with its error."""
-        given, quantities = self.building.limits, self.quantities()
+    def limits(self) -> list[Row]:
+        """Probability of passing each limit in the building, under each motion, and its error."""
+        given, quantities, rows = self.building.limits, self.quantities(), []
         limits = {
             "drift ratio": given.drift,
             "acceleration": given.acceleration,
@@ -213,7 +189,9 @@ class Response:
                 # with the centre of Agresti and Coull, so that 0 of n has an error too
                 centre = (p * n + 2.0) / (n + 4.0)
                 error = float(np.sqrt(centre * (1.0 - centre) / (n + 4.0)))
-                yield Passing(quantity, ground.name, limit, unit, p, error)
+                row = {"quantity": quantity, "ground": ground.name, "limit": limit, "unit": unit}
+                rows.append(row | {"probability": p, "error": error})
+        return rows
 
     def measure(self, name: str) -> Array:
         """The largest of a quantity over the building, (n, g).
@@ -254,15 +232,6 @@ ORDERS = 24  # orders in which sources are added; the share of each is its mean 
 FEWEST = 30  # fewest draws, of those that did not run away, of which there are shares
 PLACES = 6  # dampers whose own values are columns of the regression, beside the mean over all
 REST = "interactions and the rest"
-
-
-@dataclass(frozen=True)
-class Shares:
-    """Shares of the sources in the variance of a peak, within one ground motion."""
-
-    quantity: str
-    ground: str
-    shares: Mapping[str, float]
 
 
 def variance_shares(

@@ -51,29 +51,9 @@ LARGEST_BEND = 0.1
 SHARPER = 0.25  # share of this for the draws that are computed again
 ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
 BOOLE = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # weights of Boole's rule
-CHUNK = 128  # steps of draws that are taken in together, at least
 
 
 # --- what is kept of histories: peaks, residuals, energies, samples
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """One step of some draws."""
-
-    # states after ¼, ½ and ¾ of the step, (3, r, 2N), from those at its begin, the ground's
-    # acceleration at its ends, (r, 2), and the forces
-    inner: Callable[[Array, Array, Sequence[Array]], Array]
-    size: float  # its length, s
-    rows: NDArray[np.intp]  # (r,), which draws
-    time: float  # its begin, s
-    shaking: Array  # (2,), in/s², ground's acceleration at both ends
-    # (r, 2N), in and in/s: displacements and velocities
-    begin: Array
-    end: Array
-    # three of (r, m), kip, of the devices, beyond those at rest: at the begin, in the middle
-    # and at the end
-    forces: Sequence[Array]
 
 
 class Recorder:
@@ -105,67 +85,37 @@ class Recorder:
         self.most_input, self.most_lost = np.zeros((2, n))
         self.histories = np.zeros((n, samples, storeys), dtype=np.float32)
         self.loops = np.zeros((2, min(kept, n), samples, m), dtype=np.float32)
-        self.pieces: list[Piece] = []
-        self.samples: list[tuple[Array, Array]] = []
-        self.sampled = 0
 
-    def include(self, pieces: Sequence[Piece], state: Array, force: Array, *, last: bool) -> None:
-        """Take in the steps to the next sample of the ground motion, and all draws there.
-
-        All that waits is worked up together when it is enough, and with the last sample.
-        """
-        self.pieces += pieces
-        self.samples.append((state.copy(), force))
-        if not last and sum(piece.rows.size for piece in self.pieces) < CHUNK:
-            return
+    def sample(self, k: int, state: Array, force: Array) -> None:
+        """Take in all draws at a sample of the ground motion."""
         n, m, building, kept = (
             self.building.freedoms,
             self.dampers,
             self.building,
-            self.loops.shape[1],
+            len(self.loops[0]),
         )
-        states, forces = (np.stack(column, axis=1) for column in zip(*self.samples, strict=True))
-        span = slice(self.sampled, self.sampled + states.shape[1])
-        self.histories[:, span] = states[..., :n] @ building.drifts.T
-        pulled = (forces - self.rest[:, None])[:kept, :, :m]
-        travels = states[:kept, :, :n] @ self.places[:m].T - pulled * self.brace[:m]
-        self.loops[:, :, span] = travels, forces[:kept, :, :m]
-        self.sampled = span.stop
-        for size in {piece.size for piece in self.pieces}:
-            self._take_in([piece for piece in self.pieces if piece.size == size])
-        self.pieces, self.samples = [], []
+        x, v, pulled = state[:, :n], state[:, n:], force - self.rest
+        self.histories[:, k] = x @ building.drifts.T
+        travels = x[:kept] @ self.places[:m].T - (pulled * self.brace)[:kept, :m]
+        self.loops[:, :, k] = travels, force[:kept, :m]
         # energy that is not accounted for, now
-        x, v = state[:, :n], state[:, n:]
         stored = 0.5 * ((v @ building.mass) * v + (x @ building.stiffness) * x).sum(axis=1)
         lost = self.work[:, 0] - self.work[:, 1:].sum(axis=1) - stored
         self.most_lost = np.maximum(self.most_lost, np.abs(lost))
         self.most_input = np.maximum(self.most_input, np.abs(self.work[:, 0]))
-        self.elastic = 0.5 * (self.brace * (force - self.rest) ** 2)[:, :m]
+        self.elastic = 0.5 * (self.brace * pulled**2)[:, :m]
 
-    def _take_in(self, pieces: Sequence[Piece]) -> None:
-        """Peaks, work and residual drift of steps of one length; those of a draw together."""
-        n, m, building, size = self.building.freedoms, self.dampers, self.building, pieces[0].size
-        rows = np.concatenate([piece.rows for piece in pieces])
-        order = np.argsort(rows, kind="stable")
-        rows, counts = rows[order], [piece.rows.size for piece in pieces]
-        starts = np.flatnonzero(np.diff(rows, prepend=-1))
-        draws = rows[starts]
-        begin, end = (
-            np.concatenate([getattr(piece, name) for piece in pieces])[order]
-            for name in ("begin", "end")
-        )
-        first, half, last = (
-            np.concatenate([piece.forces[i] for piece in pieces])[order] for i in range(3)
-        )
-        ground, time = (
-            np.repeat([getattr(piece, name) for piece in pieces], counts, axis=0)[order]
-            for name in ("shaking", "time")
-        )
-        # (5, P, ...): at the begin, after ¼, ½ and ¾, and at the end of every step
-        share = np.linspace(0.0, 1.0, 5)[:, None, None]
-        state = np.concatenate(
-            [begin[None], pieces[0].inner(begin, ground, (first, half, last)), end[None]]
-        )
+    def step(
+        self, rows: Rows, time: float, size: float, shaking: Array, state: Array, forces: Array
+    ) -> None:
+        """Take in a step of some draws, from `time`: peaks, work and residual drift.
+
+        `shaking` is the ground's acceleration at both ends, (2,), in/s²; `state` is (5, r, 2N), at
+        the begin, after ¼, ½ and ¾, and at the end; `forces` are those of the devices beyond those
+        at rest, (3, r, m), at the begin, in the middle and at the end.
+        """
+        n, m, building = self.building.freedoms, self.dampers, self.building
+        (first, half, last), share = forces, np.linspace(0.0, 1.0, 5)[:, None, None]
         pulled = (1.0 - share) * first + share * last
         pulled += 4.0 * share * (1.0 - share) * (half - 0.5 * (first + last))
         x, v = state[..., :n], state[..., n:]
@@ -176,22 +126,21 @@ class Recorder:
             "drift": drift,
             "acceleration": acceleration,
             "base_shear": (acceleration @ weights)[..., None],
-            "force": pulled[::2, :, :m] + self.rest[rows, :m],
+            "force": forces[..., :m] + self.rest[rows, :m],
             "travel": x @ self.places[:m].T - pulled[..., :m] * self.brace[:m],
         }
         for name, values in peaks.items():
-            most = np.maximum.reduceat(np.abs(values).max(axis=0), starts, axis=0)
-            self.peaks[name][draws] = np.maximum(self.peaks[name][draws], most)
-        shaking = (1.0 - share[..., 0]) * ground[:, 0] + share[..., 0] * ground[:, 1]
-        given = -shaking * (v @ weights)
+            self.peaks[name][rows] = np.maximum(self.peaks[name][rows], np.abs(values).max(axis=0))
+        along = (1.0 - share[..., 0]) * shaking[0] + share[..., 0] * shaking[1]
+        given = -along * (v @ weights)
         damped = ((v @ building.damping) * v).sum(axis=-1)
-        taken = pulled * (v @ self.places.T)
-        power = np.concatenate([given[..., None], damped[..., None], taken], axis=2)
-        work = size * np.tensordot(BOOLE, power, axes=1)
-        self.work[draws] += np.add.reduceat(work, starts, axis=0)
-        late = size * (time + size > self.late)[:, None]
-        self.residual[draws] += np.add.reduceat(late * drift[2], starts, axis=0)
-        self.late_time[draws] += np.add.reduceat(late, starts, axis=0)
+        power = np.concatenate(
+            [given[..., None], damped[..., None], pulled * (v @ self.places.T)], axis=2
+        )
+        self.work[rows] += size * np.tensordot(BOOLE, power, axes=1)
+        if time + size > self.late:
+            self.residual[rows] += size * drift[2]
+            self.late_time[rows] += size
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What was found of n draws, by the names of a response."""
@@ -338,10 +287,10 @@ class Propagator:
         forced[m:, 8 * n :] -= np.concatenate([loss, none, none, -4.0 * rate], axis=1)
         return cls(size, free, shaken, forced)
 
-    def inner(self, state: Array, shaking: Array, forces: Sequence[Array]) -> Array:
+    def inner(self, state: Array, shaking: Array, forces: Array) -> Array:
         """States after ¼, ½ and ¾ of the step, (3, r, 2N).
 
-        `state` is (r, 2N), `shaking` (r, 2), and `forces` are three of (r, m), kip: at the begin,
+        `state` is (r, 2N), `shaking` (2,), and `forces` are (3, r, m), kip: at the begin,
         in the middle and at the end.
         """
         first, middle, last = forces
@@ -419,7 +368,9 @@ def _solved(slope: Array, flexibility: Array, off: Array) -> Array:
 class _Draws:
     """Draws of a building under one ground motion, each stepped as its forces bend."""
 
-    def __init__(self, building: Building, ground: Ground, dampers: Dampers, bend: float) -> None:
+    def __init__(
+        self, building: Building, ground: Ground, dampers: Dampers, bend: float, kept: int
+    ) -> None:
         self.building, self.ground, self.bend = building, ground, bend
         strong = np.isfinite(building.yields)
         self.places = np.concatenate([building.travels, building.drifts[strong]])
@@ -440,7 +391,7 @@ class _Draws:
         self.change, self.open = np.zeros((2, n))
         self.unstable = np.zeros(n, dtype=bool)
         self.steps: dict[int, Propagator] = {}
-        self.pieces: list[Piece] = []
+        self.recorder = Recorder(building, ground, self.places, self.brace, self.rest, kept)
 
     def advance(self, rows: Rows, begin: float, level: int) -> None:
         """Move draws by a step of a level, from `begin`, in samples; or by two of the next one."""
@@ -514,10 +465,10 @@ class _Draws:
             (self.change, np.maximum(self.change[rows], off)),
         ):
             column[taken] = new[good]
-        forces = [each[good] for each in (first, 0.5 * (first + last) + bump, last)]
-        self.pieces.append(
-            Piece(linear.inner, size, taken, time, shaking, state[good], end[good], forces)
-        )
+        forces = np.stack([first, 0.5 * (first + last) + bump, last])[:, good]
+        inner = linear.inner(state[good], shaking, forces)
+        states = np.concatenate([state[None, good], inner, end[None, good]])
+        self.recorder.step(taken, time, size, shaking, states, forces)
         if every and good.all():
             self.devices = after
         else:
@@ -541,13 +492,12 @@ def integrate(
     the dampers are kept of the first draws, `kept` of them. `tick` is called with the share of the
     motion that is done.
     """
-    draws = _Draws(building, ground, dampers, bend)
-    recorder = Recorder(building, ground, draws.places, draws.brace, draws.rest, kept)
+    draws = _Draws(building, ground, dampers, bend, kept)
+    recorder = draws.recorder
     samples = ground.acceleration.size
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(samples):
-            recorder.include(draws.pieces, draws.state, draws.devices.force, last=k == samples - 1)
-            draws.pieces = []
+            recorder.sample(k, draws.state, draws.devices.force)
             for part in range(draws.parts if k < samples - 1 else 0):
                 draws.advance(np.flatnonzero(~draws.unstable), k + part / draws.parts, 0)
             if not k % 100:

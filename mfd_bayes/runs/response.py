@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import chain
 from os import PathLike, fspath
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfd_bayes.errors import BuildingError, path_of, real_number, whole_number
+from mfd_bayes.errors import MOST_DRAWS, BuildingError, path_of, real_number, whole_number
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.device_draws import Choice, bound_dampers, draw_dampers
+from mfd_bayes.response.device_draws import FEWEST, KINDS, bound_dampers, draw_dampers
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.time_integration import response_of
-from mfd_bayes.runs.tested_range import MARGIN, Departure, Span
+from mfd_bayes.runs.tested_range import MARGIN, Span, departures
 from mfd_bayes.units import actuation_kind
 
 if TYPE_CHECKING:
@@ -30,12 +30,18 @@ def respond(
     run: Run,
     building: Building | str | PathLike[str],
     grounds: Grounds,
-    choice: Choice,
+    kind: str,
+    draws: int,
+    seed: int,
     tolerance: float,
     jobs: int,
     observe: Callable[[Step], None],
 ) -> Response:
     """Response of a building with the device of a run as its dampers; see `Run.respond`."""
+    if kind not in KINDS:
+        raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
+    whole_number("draws", draws, FEWEST, BuildingError, MOST_DRAWS)
+    whole_number("seed", seed, 0, BuildingError)
     whole_number("jobs", jobs, 0, BuildingError)
     tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
     built = building if isinstance(building, Building) else read_building(building)
@@ -44,9 +50,9 @@ def respond(
         where = f"the actuation of the damper at {device.name}"
         check_kind(where, device.unit, run.actuation_unit)
     model, bounds = run.predictor.model, {}
-    dampers = draw_dampers(run.population, model, built, choice)
+    dampers = draw_dampers(run.population, model, built, kind, draws, seed)
     if dampers.count and (model.slip_forces or model.laws):
-        bounds = bound_dampers(run.population, model, built, dampers, choice)
+        bounds = bound_dampers(run.population, model, built, dampers, seed)
     if not model.slip_forces:  # by which forces are judged to be in equilibrium
         typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
         dampers, *few = (
@@ -68,14 +74,8 @@ def respond(
 
 def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list[Ground]:
     """Ground motions of what is given; `unit` and `meant` are as in `read_ground`."""
-    if isinstance(grounds, Ground | str | PathLike):
-        grounds = [grounds]
-    elif isinstance(grounds, bytes | Mapping) or not isinstance(grounds, Iterable):
-        raise BuildingError(
-            f"grounds must be a Ground or a path, or several of them, got {type(grounds).__name__}"
-        )
     motions = []
-    for given in grounds:
+    for given in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
         if isinstance(given, Ground):
             motions.append(given)
             continue
@@ -99,7 +99,7 @@ def _short_histories(building: Building, grounds: Sequence[Ground]) -> list[str]
     for device in building.devices:
         if device.history is None:
             continue
-        begin, end = (float(device.history[0][i]) for i in (0, -1))
+        begin, end = device.history[0][[0, -1]].tolist()
         for ground in grounds:
             last = float(ground.time[-1])
             if begin > MARGIN * last or end < (1 - MARGIN) * last:
@@ -116,16 +116,10 @@ def beyond_tests(run: Run, response: Response) -> list[list[str]]:
 
     The stroke is that of the damper which travels most, in the median draw.
     """
-    tested = {span.name: span for span in run.tested}
 
-    def sentences(reached: Span, name: str = "") -> list[str]:
-        own = tested.get(reached.name)
-        if own is None or (
-            own.lowest * (1 - MARGIN) <= reached.lowest
-            and reached.highest <= own.highest * (1 + MARGIN)
-        ):
-            return []
-        return [f"{name}beyond the tests: {Departure(reached, own).sentence(run.system)}"]
+    def sentences(name: str, unit: str, low: float, high: float, of: str = "") -> list[str]:
+        outside = departures(run.tested, [Span(name, unit, low, high)])
+        return [f"{of}beyond the tests: {each.sentence(run.system)}" for each in outside]
 
     if not response.dampers.count:
         return [[]]
@@ -133,13 +127,11 @@ def beyond_tests(run: Run, response: Response) -> list[list[str]]:
     for g, ground in enumerate(response.grounds):
         travel = response.travel[response.usable(g), g]
         stroke = 2.0 * float(np.median(travel.max(axis=1))) if len(travel) else np.nan
-        span = Span("stroke", "in", stroke, stroke)
-        beyond.append(sentences(span, f"{ground.name}: ") if len(travel) else [])
+        beyond.append(sentences("stroke", "in", stroke, stroke, f"{ground.name}: "))
     levels = np.concatenate(
         [
-            np.atleast_1d(device.actuation if device.history is None else device.history[1])
+            [device.actuation] if device.history is None else device.history[1]
             for device in response.building.devices
         ]
     )
-    ends = float(levels.min()), float(levels.max())
-    return [*beyond, sentences(Span("actuation", run.actuation_unit, *ends))]
+    return [*beyond, sentences("actuation", run.actuation_unit, levels.min(), levels.max())]

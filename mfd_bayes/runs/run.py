@@ -631,10 +631,9 @@ class Run:
             When the building or a ground motion cannot be used, or the actuation is of another
             kind than the run's.
         """
-        from mfd_bayes.response.device_draws import Choice
         from mfd_bayes.runs.response import respond
 
-        return respond(self, building, grounds, Choice(kind, draws, seed), tolerance, jobs, observe)
+        return respond(self, building, grounds, kind, draws, seed, tolerance, jobs, observe)
 
     def follow(
         self,

@@ -55,11 +55,8 @@ def test_a_help_says_what_is_written_with_examples_that_are_valid_and_what_is_ne
             assert "mfd-bayes" not in example[1:]  # two are not joined
             _, name, *words = shlex.split(example.partition(" && ")[0])
             COMMANDS[name].make_context(name, words)
-        texts = [
-            COMMANDS[command].help,
-            *(getattr(p, "help", "") for p in COMMANDS[command].params),
-        ]
-        assert [text for text in texts if re.search(r"\[[a-z\[/]", text or "")] == []  # as markup
+        for part in (COMMANDS[command], *COMMANDS[command].params):
+            assert not re.search(r"\[[a-z\[/]", getattr(part, "help", None) or "")  # as markup
 
 
 def test_commands_are_listed_in_the_order_of_work():

@@ -2,7 +2,6 @@
 
 import os
 import re
-import select
 import struct
 import subprocess
 import sys
@@ -78,84 +77,42 @@ from mfd_bayes.cli.console import show_progress
 from mfd_bayes.jobs.job import Progress, Step
 from mfd_bayes.jobs.signals import end_on_signals
 
-TESTS, PAUSE, LAST = {tests}, {pause}, {last}
 settle_environment()
 hint, quiet = mistakes("mfd-bayes go on"), "--quiet" in sys.argv
 with end_on_signals(), hint, show_progress(quiet=quiet) as observe:
-    names = [f"p{{500 + k}}[red]_f0.25" for k in range(TESTS)]
+    names = [f"p{{500 + k}}[red]_f0.25" for k in range(3)]
     for name in names:
         observe(Step(name, "waiting"))
     for name in names:
         observe(Step(name, "finding modes"))
-        time.sleep(PAUSE)
+        time.sleep({pause})
         observe(Step(name, "sampling", Progress(100, 2400, 1.05, 50.0, 1.0, 0.3, "more ESS")))
-        time.sleep(LAST if name == names[-1] else PAUSE)
+        time.sleep({pause})
         observe(Step(name, "done", Progress(300, 300, 1.0123, 432.1, 3.0)))
 print("over")
 """
 
 
-class Terminal:
-    """A command in its own terminal, and its output so far."""
-
-    def __init__(self, folder, tests=3, pause=0.05, last=0.05, options=(), term="xterm-256color"):
-        driver = folder / "driver.py"
-        driver.write_text(DRIVER.format(tests=tests, pause=pause, last=last))
-        self._ours, theirs = pty.openpty()
-        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-
-        def take():
-            os.setsid()
-            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-
-        plain = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
-        self.process = subprocess.Popen(
-            [sys.executable, str(driver), *options],
-            stdin=theirs,
-            stdout=theirs,
-            stderr=theirs,
-            env=plain | {"TERM": term, "PYTHONPATH": os.pathsep.join(sys.path)},
-            preexec_fn=take,
-        )
+def on_terminal(folder, *options, pause=0.05, term="xterm-256color"):
+    """What a command of three tests writes to a terminal of its own of 80 columns."""
+    driver = folder / "driver.py"
+    driver.write_text(DRIVER.format(pause=pause))
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    plain = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
+    plain |= {"TERM": term, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, str(driver), *options]
+    streams = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
+    with subprocess.Popen(command, **streams, env=plain, start_new_session=True) as process:
         os.close(theirs)
-        self.written = ""
-
-    def read(self, until=None, seconds=30.0):
-        """Output so far; reads on until a text comes or the output ends."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end and (until is None or until not in self.written):
-            if not select.select([self._ours], [], [], 0.1)[0]:
-                continue
-            try:
-                data = os.read(self._ours, 65536)
-            except OSError:  # Linux says so where the other side is closed
-                break
-            if not data:
-                break
-            self.written += data.decode()
-        return self.written
-
-    def type(self, text):
-        os.write(self._ours, text.encode())
-
-    def close(self):
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
-        os.close(self._ours)
-
-
-@pytest.fixture
-def terminal(tmp_path):
-    opened = []
-
-    def start(**how):
-        opened.append(Terminal(tmp_path, **how))
-        return opened[-1]
-
-    yield start
-    for each in opened:
-        each.close()
+        written = b""
+        try:
+            while data := os.read(ours, 65536):
+                written += data
+        except OSError:  # Linux says so where the other side is closed
+            os.close(ours)
+    assert process.returncode == 0, written
+    return written.decode()
 
 
 def lines_of(written):
@@ -164,37 +121,21 @@ def lines_of(written):
     return [line.rstrip() for line in re.split(r"[\r\n]+", text) if line.strip()]
 
 
-def test_a_terminal_shows_bars_and_keeps_a_line_of_each_test(terminal):
-    tests = 3
-    calibration = terminal(tests=tests, pause=0.3)
-    written = calibration.read()
-    assert calibration.process.wait(timeout=10) == 0
+def test_a_terminal_shows_bars_and_keeps_a_line_of_each_test(tmp_path):
+    written = on_terminal(tmp_path, pause=0.15)
     lines = lines_of(written)
-    for k in range(tests):
+    for k in range(3):
         done = f"p{500 + k}[red]_f0.25: done, 300 steps, R-hat 1.012, ESS 432, 100 steps/s"
         assert lines.count(done) == 1
     assert any("sampling, R-hat 1.050, ESS 50, needs" in line for line in lines)
-    assert any(re.match(rf"all .* {tests} of {tests} done", line) for line in lines)
+    assert any(re.match("all .* 3 of 3 done", line) for line in lines)
     assert lines[-1] == "over"
     assert all(len(line) <= 80 for line in lines if "━" in line)
     assert written.rindex("\x1b[?25h") > written.rindex("\x1b[?25l")  # the cursor is back
 
 
-def test_ctrl_c_leaves_the_bars_and_says_how_to_resume(terminal):
-    calibration = terminal(last=60.0)
-    calibration.read(until="sampling")
-    calibration.type("\x03")
-    written = calibration.read()
-    assert calibration.process.wait(timeout=10) == 130
-    bars, _, words = written.rpartition("\x1b[0m\x1b[?25h")
-    assert "sampling" in bars
-    assert re.sub(r"\s+", " ", words).strip() == (
-        "mfd-bayes: interrupted; what is finished is kept, go on with: mfd-bayes go on"
-    )
-
-
-def test_quiet_draws_nothing_and_a_terminal_without_a_cursor_gets_lines(terminal):
-    assert terminal(options=["--quiet"]).read() == "over\r\n"
-    written = terminal(term="dumb").read()
+def test_quiet_draws_nothing_and_a_terminal_without_a_cursor_gets_lines(tmp_path):
+    assert on_terminal(tmp_path, "--quiet") == "over\r\n"
+    written = on_terminal(tmp_path, term="dumb")
     assert "\x1b" not in written
     assert "p500[red]_f0.25: done, 300 steps" in written

@@ -273,19 +273,6 @@ def test_a_block_that_moves_the_posterior_far_has_a_large_k():
     assert np.mean(found) == pytest.approx(exact[2], abs=0.05)
 
 
-def test_differences_are_paired_over_cycles():
-    rng = np.random.default_rng(4)
-    shared = rng.normal(0, 100, 50)  # what is hard for one model is hard for the other
-    model = pd.DataFrame({"elpd": shared + 1.0, "test": "a"})
-    other = model.assign(elpd=shared + rng.normal(0, 0.1, 50))
-    more, error = difference(model, other)
-    assert more == pytest.approx(50.0, abs=3.0)
-    alone = standard_error(model["elpd"], model["test"])
-    assert error < 2.0 < 300.0 < alone
-    assert alone == pytest.approx(np.sqrt(50) * shared.std(ddof=1))
-    assert np.isnan(standard_error(np.ones(1), np.zeros(1)))
-
-
 def test_the_error_of_a_sum_is_that_of_tests_whose_cycles_resemble_each_other():
     rng = np.random.default_rng(6)
     test = np.repeat(np.arange(12), 30)

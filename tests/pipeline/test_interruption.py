@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -224,20 +223,6 @@ def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(start,
         assert [name for name in differing(out, whole) if name not in TIMED] == []
     disk("-o", "remount,size=64m")
     assert_finished(start, out, whole)
-
-
-def test_a_disk_that_becomes_read_only_is_said_in_a_sentence(start, whole, out, disk):
-    disk("-o", "remount,size=64m")
-    with start(out, "--jobs", 2) as run:
-        assert run.until(lambda: any(out.glob("tests/*/posterior.nc")))
-        disk("--bind", str(out.parent))
-        disk("-o", "remount,bind,ro")
-        code, complaint = run.end()
-    assert code == 2
-    assert re.fullmatch(r"mfd-bayes: cannot .*Read-only file system\n", complaint)
-    assert [name for name in differing(out, whole) if name not in TIMED] == []
-    subprocess.run(["umount", str(out.parent)], check=True)
-    assert_finished(start, out, whole, "--jobs", 1)
 
 
 # --- what is left behind

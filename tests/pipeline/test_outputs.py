@@ -60,16 +60,12 @@ def test_a_prediction_is_not_written_over_inputs_or_a_run(home):
     assert before.items() <= contents(home).items()
 
 
-@pytest.mark.parametrize("kind", ["pipe", "device", "link"])
+@pytest.mark.parametrize("kind", ["pipe", "link"])
 def test_a_prediction_is_not_written_over_what_is_no_file(home, kind):
-    if kind == "device" and os.geteuid() != 0:
-        pytest.skip("only root makes a device")
     place = home / "there" / "band_design.csv"
     place.parent.mkdir()
     if kind == "pipe":
         os.mkfifo(place)
-    elif kind == "device":
-        os.mknod(place, 0o20666, os.makedev(1, 3))  # as /dev/null
     else:
         place.symlink_to(home / "mine.csv")
     words = "link out of its folder" if kind == "link" else "a device or a pipe"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.evaluation.next_test import goal_words
+from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.planning.candidate import (
     SETUP,
     Candidate,
@@ -94,7 +94,7 @@ def test_the_goals_words_name_its_motions():
         ("band at 0.2 in", f"band at 5 places from 500 psi, {there} to 1500 psi, {there}"),
     ):
         advice = SimpleNamespace(goal=parse_goal(text, "ksi"), tests=tests)
-        assert goal_words(advice, US, "ksi").endswith(words)
+        assert AdviceInWords(advice, US, "ksi").goal.endswith(words)
 
 
 # --- a campaign's own grid

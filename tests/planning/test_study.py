@@ -164,9 +164,7 @@ def test_cycles_average_noise(make_situation):
     assert one / nine == pytest.approx(3.0, rel=0.1)
 
 
-# --- the loop of a candidate, and what is read from it
-
-THETA = np.array([[80, 0.02, 0.015, 1.5, 1.3, 1.9, 1.65, 0.6, 20, 0.09, 0.07, 1, 0.02, 0.4]])
+# --- the loop of a candidate
 
 
 @pytest.mark.parametrize("waveform", ["sine", "triangle"])

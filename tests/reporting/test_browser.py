@@ -164,15 +164,6 @@ def test_a_sample_is_read_by_pointing_at_it(chromium, report):
         assert any(value.endswith("kip") for value in values)
 
 
-def test_a_picture_can_be_taken_from_the_page_alone(chromium, report, tmp_path):
-    alone = tmp_path / "mailed.html"
-    shutil.copy(report, alone)
-    with Watched(chromium, alone) as found:
-        with found.page.expect_download() as waited:
-            found.page.click('a[download="overview.png"]')
-        assert Path(waited.value.path()).read_bytes().startswith(b"\x89PNG")
-
-
 def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, report):
     context = chromium.new_context(java_script_enabled=False)
     page = context.new_page()

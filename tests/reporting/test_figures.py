@@ -1,16 +1,12 @@
 """The figures of a report, of a record that is inspected, and of a prediction."""
 
-import io
 import re
 from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from PIL import Image
 
-from mfd_bayes.evaluation.views import Marginal
 from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
@@ -20,13 +16,12 @@ from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_ove
 from mfd_bayes.reporting.figures.report import (
     draw_corner,
     draw_laws,
-    draw_marginals,
     draw_ranks,
     draw_residuals,
     draw_truth,
     spread,
 )
-from mfd_bayes.reporting.symbols import BANDS, Symbols
+from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.runs.unit_system import SI, US
 
 NAMES = Symbols()
@@ -103,14 +98,6 @@ def test_ranks_show_a_chain_that_differs(campaign):
     draws[:1000] += 1.0  # the first of four chains
     assert highest() > 2.0
     assert draw_ranks("ranks", [marginal], 1, NAMES) is None
-
-
-def test_wide_positive_priors_are_logarithmic_and_uniform_ones_are_not():
-    rng = np.random.default_rng(1)
-    wide, uniform = np.exp(rng.normal(size=500)), rng.uniform(size=500)
-    marginals = [Marginal("k3", "kip/in", p, p[:60], 0.9) for p in (wide, uniform)]
-    figure = draw_marginals("priors", marginals, NAMES)
-    assert [axes.get_xscale() for axes in figure.axes] == ["log", "linear"]
 
 
 def test_what_cannot_be_drawn_is_left_out(campaign):
@@ -233,21 +220,3 @@ def test_a_record_without_force_or_full_loop_is_drawn(panels):
     assert len(figure.axes) == panels
     assert not figure.legends
     assert to_png(figure).startswith(b"\x89PNG")
-
-
-def test_colours_have_one_meaning_and_stay_what_they_are_in_a_png():
-    """A pale surface, grey lines on white, and one small red dot, with soft edges."""
-    all_bands = [colour for kind in BANDS.values() for colour in kind]
-    assert len(set(all_bands)) == len(all_bands)
-    pale, grey, red = (255, 243, 214), (230, 230, 230), (213, 94, 0)
-    figure = Figure(figsize=(4, 3), dpi=100)
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.set_axis_off()
-    axes.axvspan(0.0, 0.3, color=np.divide(pale, 255))
-    for height in np.linspace(0.0, 1.0, 23):
-        axes.plot([0.0, 1.0], [height, 1.0 - 0.7 * height], color=np.divide(grey, 255))
-    axes.plot([0.8], [0.05], "o", color=np.divide(red, 255), markersize=4)
-    picture = np.asarray(Image.open(io.BytesIO(to_png(figure))).convert("RGB"))
-    assert np.count_nonzero(np.all(picture == 255, axis=2)) > 10_000
-    assert np.count_nonzero(np.all(picture == pale, axis=2)) > 5_000
-    assert np.count_nonzero(np.abs(picture.astype(int) - red).max(axis=2) < 20) > 4

@@ -7,7 +7,7 @@ from mfd_bayes.population.joint_fit import KNOTS, TravelBasis
 from mfd_bayes.population.population import Starts
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import read_building
-from mfd_bayes.response.device_draws import SETTLE, Choice, Leftover, draw_dampers
+from mfd_bayes.response.device_draws import SETTLE, Leftover, draw_dampers
 from tests.friction.backlash_cases import loads
 from tests.population.made import make_predictor
 
@@ -15,7 +15,7 @@ STOREY = '[[storey]]\nweight = "20 kip"\nheight = "144 in"\nstiffness = "8 kip/i
 CHANGING = '{{ file = "{}.csv", column = "pressure_ksi", unit = "ksi" }}'
 VALVE, SLOWER = CHANGING.format("valve"), CHANGING.format("slower")
 SD = 0.3
-CHOICE = Choice(kind="device", draws=2000, session="another")
+CHOICE = {"kind": "device", "draws": 2000, "seed": 1, "session": "another"}
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def dampers(predictor, folder, last, *actuations, choice=CHOICE):
         rows = f"0,{first}\n1,{first}\n1.01,{last}\n2.01,{last}\n"
         (folder / f"{name}.csv").write_text("time_s,pressure_ksi\n" + rows)
     building = building_of(folder, *actuations)
-    return draw_dampers(predictor.population, predictor.model, building, choice)
+    return draw_dampers(predictor.population, predictor.model, building, **choice)
 
 
 def column_of(predictor, name):
@@ -73,8 +73,8 @@ def test_dampers_of_a_building_deviate_from_the_laws_alike(predictor, tmp_path):
     np.testing.assert_array_equal(found.scales["Fc_fwd"][:, 0], found.scales["Fc_fwd"][:, 1])
     # what the laws say of each draw is known; the sd of the rest falls with the actuation, and
     # levels one octave apart are related
-    population, rng = predictor.population, np.random.default_rng([CHOICE.seed, 0])
-    index = population.draw_index(CHOICE.draws, 1.0, rng)
+    population, rng = predictor.population, np.random.default_rng([CHOICE["seed"], 0])
+    index = population.draw_index(CHOICE["draws"], 1.0, rng)
     law = population.median("Fc_fwd", np.array([1.0, 2.0])).reshape(-1, 2)[index]
     slip = np.stack([slip_of(predictor, found, at)[:, 0] for at in (0, -1)], axis=1)
     away = np.log(slip / law)
@@ -98,7 +98,7 @@ def test_random_numbers_are_the_same_at_tested_levels_and_between(predictor, tmp
     assert (1.0 in tested, 1.2 in tested) == (True, False)
 
     def gaps(level, seed=1):
-        choice = Choice("new_test", 400, seed)
+        choice = {"draws": 400, "seed": seed}
         found = dampers(predictor, tmp_path, 1, f'"{level} ksi"', choice=choice)
         return np.log(found.theta[:, 0, column_of(predictor, "d2")])
 
@@ -111,7 +111,7 @@ def test_dampers_at_one_place_have_a_history_each(predictor, tmp_path):
         (tmp_path / f"{name}.csv").write_text(f"time_s,pressure_ksi\n0,1\n2,{level}\n")
     building = building_of(tmp_path, VALVE, '"1000 psi"', SLOWER)
     assert [float(level[-1]) for level in building.actuations[1]] == [2.0, 1.0, 0.5]
-    found = draw_dampers(predictor.population, predictor.model, building, CHOICE)
+    found = draw_dampers(predictor.population, predictor.model, building, **CHOICE)
     last = np.median(found.scales["Fc_fwd"][:, :, -1] * found.slip, axis=0)
     assert last[0] > last[1] > last[2]
 

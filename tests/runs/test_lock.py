@@ -1,7 +1,5 @@
 """One process at a time in a run folder: a second one is refused with the name of the owner."""
 
-import errno
-import fcntl
 import json
 import os
 import shutil
@@ -101,18 +99,6 @@ def test_an_owners_file_that_cannot_be_read_or_of_a_dead_one_is_no_lock(out):
         with alone_in(out):
             pass
     (out / OWNER).write_text("[]")
-    with alone_in(out):
-        pass
-
-
-def test_without_locks_only_a_living_owner_is_refused(out, monkeypatch):
-    def fail(handle, operation):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", fail)
-    leave(out, pid=os.getppid())
-    assert f"process {os.getppid()} on" in refused(out)
-    leave(out)
     with alone_in(out):
         pass
 

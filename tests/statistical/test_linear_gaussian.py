@@ -23,8 +23,8 @@ class Linear(Model):
 
     name = "linear"
     quantities = (
-        Quantity("sigma2", "damping", "c", "c", "dashpot", least=-np.inf),
-        Quantity("k2", "stiffness", "k", "k", "spring", least=-np.inf),
+        Quantity("sigma2", "damping", "c", "dashpot", least=-np.inf),
+        Quantity("k2", "stiffness", "k", "spring", least=-np.inf),
     )
 
     def force(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
@@ -41,27 +41,26 @@ def draw_building(building: Building, system: System) -> Figure:
         weight = building.mass[i, i] * GRAVITY * system.factor("kip")
         note = f"{weight:.3g} {system.force}"
         axes.text(1.06 * width, level[i + 1], note, va="center", fontsize=8)
-    places: dict[tuple[int, int], int] = {}
-    for device in building.devices:
-        key = device.lower, device.upper
-        places[key] = places.get(key, 0) + 1
-    for (low, high), count in places.items():
-        _draw_damper(axes, width, float(level[low]), float(level[high]), count)
+    for place, count in Counter((d.lower, d.upper) for d in building.devices).items():
+        low, high = (float(level[floor]) for floor in place)
+        axes.plot([0, width], [low, high], color=_MIDDLE, lw=1.4)
+        x, y, size = 0.5 * width, 0.5 * (low + high), 0.12 * width
+        axes.add_patch(
+            Rectangle((x - size, y - size / 2), 2 * size, size, facecolor=_WIDE, edgecolor=_MIDDLE)
+        )
+        text = "damper" if count == 1 else f"{count} dampers"
+        axes.text(x, y + 0.8 * size, text, ha="center", va="bottom", fontsize=8, color=_MIDDLE)
     axes.set_aspect("equal")
     axes.set_xlim(-0.25 * width, 1.6 * width)
     axes.axis("off")
     return figure
 
 
-def _draw_damper(axes: Axes, width: float, low: float, high: float, count: int) -> None:
-    """A diagonal with a box: the damper in its brace."""
-    axes.plot([0, width], [low, high], color=_MIDDLE, lw=1.4)
-    x, y = 0.5 * width, 0.5 * (low + high)
-    size = 0.12 * width
-    box = Rectangle((x - size, y - size / 2), 2 * size, size, facecolor=_WIDE, edgecolor=_MIDDLE)
-    axes.add_patch(box)
-    text = "damper" if count == 1 else f"{count} dampers"
-    axes.text(x, y + 0.8 * size, text, ha="center", va="bottom", fontsize=8, color=_MIDDLE)
+def _quantiles(values: Array) -> Array:
+    """2.5, 25, 50, 75 and 97.5 % quantile of draws (n, …); NaN where every draw ran away."""
+    if not len(values):
+        return np.full((5, *values.shape[1:]), np.nan)
+    return np.asarray(np.quantile(values, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0))
 
 
 @look.style()
@@ -82,11 +81,8 @@ def draw_profile(response: Response, system: System) -> Figure:
     )
     for g, pair in enumerate(grid):
         for axes, (name, by, label, limit) in zip(pair, measures, strict=True):
-            values = by * getattr(response, name)[response.usable(g), g]
-            if not len(values):  # every draw ran away
-                values = np.full((1, values.shape[1]), np.nan)
-            quantiles = np.quantile(values, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
-            at = np.arange(1, values.shape[1] + 1)
+            quantiles = _quantiles(by * getattr(response, name)[response.usable(g), g])
+            at = np.arange(1, quantiles.shape[1] + 1)
             for low, high, colour in ((0, 4, _WIDE), (1, 3, _NARROW)):
                 size = quantiles[high] - quantiles[low]
                 axes.barh(at, size, left=quantiles[low], height=0.86, color=colour)
@@ -111,19 +107,15 @@ def draw_profile(response: Response, system: System) -> Figure:
 def draw_histories(response: Response, ground: int, system: System) -> Figure:
     """Drift of every storey against time, with bands, and that without dampers behind."""
     values = response.histories[ground][response.usable(ground)]
-    if not len(values):  # every draw ran away
-        values = np.full((1, *values.shape[1:]), np.nan)
-    storeys = values.shape[2]
+    storeys, time = values.shape[2], response.grounds[ground].time
     figure = look.new_figure(10, 0.8 + 1.5 * storeys)
     grid = figure.subplots(storeys, 1, squeeze=False, sharex=True)[:, 0]
-    time = response.grounds[ground].time
     pick = slice(None, None, max(1, time.size // 2500))
     by = system.factor("in")
     for i, axes in enumerate(grid[::-1]):
-        low, middle, high = by * np.quantile(values[:, pick, i], [0.025, 0.5, 0.975], axis=0)
-        axes.plot(
-            time[pick], by * response.bare.histories[ground][0, pick, i], color="#bbbbbb", lw=0.7
-        )
+        low, _, middle, _, high = by * _quantiles(values[:, pick, i])
+        bare = by * response.bare.histories[ground][0, pick, i]
+        axes.plot(time[pick], bare, color="#bbbbbb", lw=0.7)
         axes.fill_between(time[pick], low, high, color=_NARROW, lw=0.4)
         axes.plot(time[pick], middle, color=_MIDDLE, lw=0.8)
         axes.set_ylabel(f"storey {i + 1}, {system.length}")
@@ -168,10 +160,10 @@ def draw_sweep(sweep: Sweep, system: System) -> Figure:
     names = {"drift": (system.factor("in"), system.length), "acceleration": (1.0, "g")}
     for axes, (name, (factor, of)) in zip(figure.subplots(1, 2), names.items(), strict=True):
         flat = factor * sweep.values[name].reshape(len(sweep.levels), -1)
-        q = np.quantile(flat, [0.025, 0.25, 0.5, 0.75, 0.975], axis=1)
-        axes.fill_between(by * sweep.levels, q[0], q[4], color=_WIDE)
-        axes.fill_between(by * sweep.levels, q[1], q[3], color=_NARROW)
-        axes.plot(by * sweep.levels, q[2], color=_MIDDLE)
+        q, levels = _quantiles(flat.T), by * sweep.levels
+        axes.fill_between(levels, q[0], q[4], color=_WIDE)
+        axes.fill_between(levels, q[1], q[3], color=_NARROW)
+        axes.plot(levels, q[2], color=_MIDDLE)
         axes.set(xlabel=f"actuation, {unit}", ylabel=f"largest {name}, {of}")
         if name == sweep.quantity:
             axes.axvspan(by * sweep.interval[0], by * sweep.interval[1], color="#f6e3c0", zorder=0)
