@@ -298,11 +298,10 @@ def _draw_bands(
     axes: Axes, time: Array, fan: Fan, at: slice = slice(None), base: Array | float = 0.0
 ) -> None:
     """Fill the bands of a fan, less a base, (T,), over a window of time."""
-    edges = np.arange(0, time.size, max(1, time.size // POINTS))
     for interval, colour in look.shades(fan):
-        lower = np.minimum.reduceat((interval.lower - base)[at], edges)
-        upper = np.maximum.reduceat((interval.upper - base)[at], edges)
-        axes.fill_between(time[edges], lower, upper, facecolor=colour, edgecolor=colour, lw=0.6)
+        there, lower = thinned(time, (interval.lower - base)[at])
+        _, upper = thinned(time, (interval.upper - base)[at])
+        axes.fill_between(there, lower, upper, facecolor=colour, edgecolor=colour, lw=0.6)
 
 
 def thinned(time: Array, values: Array) -> tuple[Array, Array]:
