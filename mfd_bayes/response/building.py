@@ -33,7 +33,7 @@ from mfd_bayes.errors import (
     why_no_file,
 )
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.record import header_unit
+from mfd_bayes.records.table import header_unit
 from mfd_bayes.response.ground import parse_acceleration
 from mfd_bayes.store.files import TomlError, faults_text, read_toml
 from mfd_bayes.units import (
