@@ -44,6 +44,15 @@ def fan_of(kind: str, draws: Array) -> Fan:
     return Fan(kind, median, tuple(intervals))
 
 
+def fan_of_band(band: Band) -> Fan:
+    """Median and bounds of a prediction, with those of the whole history if it has them."""
+    intervals = [Interval(band.probability, band.lower, band.upper)]
+    if band.whole_lower is not None and band.whole_upper is not None:
+        whole = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
+        intervals.append(Interval(band.probability, *whole, whole=True))
+    return Fan(band.kind, band.median, tuple(intervals))
+
+
 def spread_of(draws: Array, tail: float = 0.025) -> dict[str, float]:
     """Mean, sd, median, and the bounds that leave `tail` of the draws (n,) on either side."""
     lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail]).tolist()

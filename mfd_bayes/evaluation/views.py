@@ -55,22 +55,12 @@ _LIMITS = {
 
 @dataclass(frozen=True)
 class Check:
-    """One comparison of a value with what is expected of it.
+    """One comparison of a value with what is expected of it, in `unit`.
 
-    Attributes
-    ----------
-    test : str
-        A test's id, or "population".
-    check, feature : str
-        Such as "R-hat" of the parameter, or "posterior predictive" of the feature of a record.
-    observed, expected : float, in `unit`
-        `expected` is the limit of a diagnostic, or the value of the model.
-    difference : float
-        Expected less observed, as a share of what is measured.
-    tolerance : float
-        The difference up to which nobody minds; NaN where there is none.
-    p_value : float
-        Posterior predictive; NaN where there is none.
+    `test` is an id, or "population"; `check` and `feature` are such as "R-hat" of a parameter, or
+    "posterior predictive" of a feature of a record. `expected` is the limit of a diagnostic, or
+    the value of the model; `difference` expected less observed, as a share of what is measured;
+    `tolerance` the difference up to which nobody minds. A figure that there is not is NaN.
     """
 
     test: str
@@ -108,16 +98,9 @@ class Check:
 class Judgement:
     """What a test may be used for, and why.
 
-    Attributes
-    ----------
-    reasons : tuple of Message
-        The worst first; empty where there are none.
-    misfit : float
-        By which tests are ranked, the largest first; 1 is a miss as large as its tolerance.
-    wrong : bool
-        Whether something is wrong with its record or its fit, and not only with its sampling.
-    notes : tuple of Message
-        What a reader must know besides, which is no reason for distrust.
+    `reasons` have the worst first. Tests are ranked by `misfit`, in tolerances. `wrong` says if
+    something is wrong with its record or its fit, and not only with its sampling; `notes` are what
+    a reader must know besides, no reason for distrust.
     """
 
     subject: str
@@ -176,40 +159,17 @@ class Marginal:
 class TestView:
     """One test in the report; a test that was held out has no parameters.
 
-    Attributes
-    ----------
-    role : {"calibrate", "validate"}
-    trace : Trace
-        With its force.
-    first : int
-        First sample that was fitted.
-    device : Fan or None
-        Of this very test, without noise.
-    score : record
-        Coverage of the 50, 90 and 95 % bands; width, interval score and CRPS, kip; RRSE.
-    rows : records
-        Posterior of each quantity, with R-hat, ESS, contraction and its joint posterior with all
-        tests.
-    chains : int
-        Number of chains.
-    corner : tuple of str
-        Quantities of the corner plot, in its order: those that the data inform.
-    derived : records
-        Properties, with those of the record as recorded; `missed`: outside, extreme, and farther
-        from the median than the tolerance.
-    loop_estimates : records
-        What a plain rule reads off the loop, beside what it reads off replicated records.
-    noises : records
-        Every quantity under other noises; `decides`: the choice of the noise decides the value.
-    modes : tuple of mapping
-        Median of each quantity, and "share" of the draws, of each mode where there are several.
-    stage, travel : (T,) or None
-        Stage at each sample for the posterior medians (1 slip, 2 stick, 3 build-up, 4 gap), and
-        the travel in the gap since the last slip, in; None where the model has no gap.
-    shares : mapping of str to float
-        What makes the band of a predicted test wide: share of each source in the variance.
-    begun : str
-        In words, where in its gap a predicted test begins; "" where that is unknown.
+    `role` is "calibrate" or "validate"; `first` the first fitted sample; `device` the fan of this
+    very test, without noise. Scores are those of a table. `rows` are posteriors of each
+    quantity with R-hat, ESS, contraction and its joint posterior with all tests; `corner` the
+    quantities of the corner plot, in its order; `derived` the properties, with those of the record
+    as recorded; `loop_estimates` what a plain rule reads off the loop and off replicated records;
+    `noises` every quantity under other noises, and whether that choice `decides` it. Each of
+    `modes` has the median of each quantity and its "share" of the draws. `stage` (1 slip, 2 stick,
+    3 build-up, 4 gap) and `travel` in the gap since the last slip, in, are those of the posterior
+    medians at each sample, (T,); None where the model has no gap. `shares` of each source in the
+    variance say what makes the band of a predicted test wide, and `begun` where in its gap that
+    begins, in words.
     """
 
     __test__ = False
@@ -239,18 +199,11 @@ class TestView:
 
 @dataclass(frozen=True, eq=False)
 class LawView:
-    """A quantity against actuation: its law with bands, and the tests' own posteriors.
+    """A quantity against actuation, (m,), ksi or kip: its law's bands, and the tests' posteriors.
 
-    Attributes
-    ----------
-    law : str
-        The law's name, or the weights of several laws.
-    actuation : (m,), ksi or kip
-    device, new_test : Fan
-        Of the mean property, by law and level effect without scatter from test to test; and of one
-        more test, with it.
-    tested : tuple of (str, float, float, float, float)
-        Id, actuation, and 2.5 %, 50 % and 97.5 % quantile of each test's posterior.
+    `law` is its name, or the weights of several; `device` the fan of the mean property, by law and
+    level effect without scatter from test to test, `new_test` that of one more test, with it.
+    `tested` has id, actuation, and 2.5 %, 50 % and 97.5 % quantile of each test.
     """
 
     name: str
@@ -279,36 +232,14 @@ class LeftOutView:
 class CampaignView:
     """The whole report.
 
-    Attributes
-    ----------
-    verdict : Use
-        What the run may be used for.
-    sentences : tuple of Message
-        The verdict with its reasons, the worst first.
-    failures : mapping of str to str
-        Tests without a result, and why.
-    law_rows : records
-        Constants of the laws, their shapes, and the scatter of each quantity.
-    common : tuple of str
-        Quantities that have one value for all tests.
-    truth : records
-        True value of each quantity of a synthetic test, `inside` its interval, `informed` by data.
-    remarks : tuple of Message
-        What a reader must know besides.
-    law_scores : records
-        How well each law predicts levels that were left out, by quantity, the best first.
-    law_choices : mapping of str to str
-        Which law predicts each quantity best, in a sentence.
-    judgements : tuple of Judgement
-        What each calibrated test may be used for, the one to believe least first.
-    metric : bool
-        Which of both `systems` of units the report begins with.
-    tested : tuple of Span
-        Smallest and largest stroke, speed, frequency and actuation of the calibrated tests.
-    next_test : Advice or None
-        Which test to make next, where it was asked for.
-    drifts : tuple of DriftRow
-        What follows a date, a count of cycles or a temperature.
+    `verdict` and `sentences`, the worst first, say what the run may be used for, and `judgements`
+    what each calibrated test, the one to believe least first. `failures` are tests without a
+    result, and why. `law_rows` are constants of the laws, their shapes, and the scatter of each
+    quantity; `common` the quantities with one value for all tests; `law_scores` how well each law
+    predicts levels that were left out, the best first, and `law_choices` that in sentences. `truth`
+    are the true values of a synthetic campaign: whether `inside` the interval, and `informed` by
+    data. `metric` says which of both `systems` the report begins with, `tested` what the
+    calibrated tests cover, `drifts` what follows a date, a count of cycles or a temperature.
     """
 
     title: str

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
-from mfd_bayes.evaluation.scores import Compared, compare
-from mfd_bayes.evaluation.views import Fan, Interval, Rows
+from mfd_bayes.evaluation.scores import Compared, compare, fan_of_band
+from mfd_bayes.evaluation.views import Rows
 from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
@@ -124,24 +124,23 @@ def predict(out: Path, question: Question) -> Answer:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
     drawn = measured if question.compare else trace
     design: Rows = ()
-    with run.unchanged():
-        asked = measured if question.given else trace, question.kind, question.probability
-        how: dict[str, Any] = {
-            "whole": question.whole,
-            "given": question.window,
-            "after": question.after,
-        }
-        if not others:
-            how |= {"test": question.test, "explain": question.explain, "device": question.device}
-            # without sessions the tables of --design are then of the same draws
-            how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
-        band = source.predict(*asked, **how)
-        compared_with = record if question.compare else None
-        about = question.after, measured, question.device
-        rows = predicted_rows(source, trace, band, compared_with, *about)
-        if question.design:
-            remarks += design_warnings(run)
-            design = design_rows(run, trace, question.probability)
+    asked = measured if question.given else trace, question.kind, question.probability
+    how: dict[str, Any] = {
+        "whole": question.whole,
+        "given": question.window,
+        "after": question.after,
+    }
+    if not others:
+        how |= {"test": question.test, "explain": question.explain, "device": question.device}
+        # without sessions the tables of --design are then of the same draws
+        how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
+    band = source.predict(*asked, **how)
+    compared_with = record if question.compare else None
+    about = question.after, measured, question.device
+    rows = predicted_rows(source, trace, band, compared_with, *about)
+    if question.design:
+        remarks += design_warnings(run)
+        design = design_rows(run, trace, question.probability)
     band = replace(band, remarks=(*band.remarks, *remarks))
     compared, judged, disagrees = None, "", False
     if drawn.force is not None:
@@ -292,11 +291,7 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
         return
     from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
-    intervals = [Interval(band.probability, band.lower, band.upper)]
-    if band.whole_lower is not None and band.whole_upper is not None:
-        bounds = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
-        intervals.append(Interval(band.probability, *bounds, whole=True))
-    fan = Fan(band.kind, band.median, tuple(intervals))
+    fan = fan_of_band(band)
     given = band.given.window if band.given else None
     history = drawn
     if band.given is not None:

@@ -39,13 +39,11 @@ class Notebook:
 
     def plot_band(self, band: Band, axes: Any, displacement: Any) -> Any:
         """Axes with a band over time, or over a displacement, in."""
-        from mfd_bayes.evaluation.views import Fan, Interval
+        from mfd_bayes.evaluation.scores import fan_of_band
         from mfd_bayes.reporting.figures import loops
 
-        interval = Interval(band.probability, band.lower, band.upper)
-        fan = Fan(band.kind, band.median, (interval,))
         along = None if displacement is None else _along(band, displacement)
-        return loops.draw_band(axes, fan, band.time, along, self.system)
+        return loops.draw_band(axes, fan_of_band(band), band.time, along, self.system)
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""

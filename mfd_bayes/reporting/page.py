@@ -39,13 +39,295 @@ from mfd_bayes.reporting.tables import (
     score_sheet,
     table_of,
 )
-from mfd_bayes.runs.manifest import Use
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:
     from mfd_bayes.evaluation.properties import Datasheet
 
+
+Pair = tuple[System, System]
+"""Customary and metric system of units."""
+
+ELSEWHERE = frozenset(
+    {
+        *("gamma1", "gamma2", "start", "offset", "static_excess_fwd", "static_excess_bwd"),
+        *(q.name for noise in NOISES.values() for q in noise.quantities),
+    }
+)
+"""Quantities that the tests' own pages show: those of a record, and those without a meaning."""
+
+WORDS = (
+    *("95\N{NO-BREAK SPACE}% interval", "Mean property (band of kind device)", "Coverage", "CRPS"),
+    "This device tested again (band of kind new_test)",
+    "A measurement of it (band of kind observation)",
+    "This very test (band of kind this_test)",
+    "Bounding properties, λ",
+)
+"""Words of the glossary that the page explains."""
+
+CONDITIONS = 12
+"""Most columns of the data sheet side by side on its page."""
+
+
+def picture(key: str, png: bytes, *, embedded: bool = True) -> dict[str, Any]:
+    """A PNG as a page shows it, part of a page in the run folder or beside its page.
+
+    `uri` is the embedded PNG, or its path; `width` and `height` are in pixels; `png` and `csv` are
+    the paths from the page to the picture and to the table behind it.
+    """
+    path, table = key if "/" in key else f"figures/{key}", table_of(key)
+    if not embedded:
+        path, table = path.rpartition("/")[2], table.rpartition("/")[2]
+    path = quote(f"{path}.png")
+    uri = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}" if embedded else path
+    # width and height are in the first chunk of a PNG
+    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+    return {"uri": uri, "width": width, "height": height, "png": path, "csv": quote(table)}
+
+
+def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
+    if unit.startswith(ACTUATION):
+        return system.of_actuation(unit.removeprefix(ACTUATION))
+    return system.factor(unit), symbols.unit_text(system.unit(unit))
+
+
+@dataclass
+class Units:
+    """Numbers and units of one page, as its script can change them.
+
+    The page begins with the second of its systems, customary and metric, where it is `metric`.
+    `convert` gives factor and name of an internal unit in a system, `words` is how quantities are
+    written, and `used` has factor and name in each system of every unit on the page so far.
+    """
+
+    systems: Pair
+    metric: bool = False
+    convert: Callable[[str, System], tuple[float, str]] = _factor_and_name
+    words: symbols.Symbols = field(default_factory=symbols.Symbols)
+    used: dict[str, dict[str, tuple[float, str]]] = field(default_factory=dict)
+
+    def _own(self, unit: str) -> tuple[float, str]:
+        of = {system.name: self.convert(unit, system) for system in self.systems}
+        self.used[unit] = of
+        return of[self.systems[self.metric].name]
+
+    def number(self, value: float, unit: str, digits: int = 3, *, short: bool = False) -> Markup:
+        """A number that is stored in an internal unit; a short one without zeros at its end."""
+        by, _ = self._own(unit)
+        text = symbols.number(value * by, digits)
+        if not math.isfinite(value):
+            return Markup(escape(text))
+        if short:
+            text = in_digits(value * by, digits).replace("-", "−")
+        span = Markup('<span data-value="{:.7g}" data-unit="{}" data-digits="{}"{}>{}</span>')
+        return span.format(value, unit, digits, Markup(" data-short" * short), text)
+
+    def name(self, unit: str) -> Markup:
+        """The name of an internal unit; empty for none."""
+        _, text = self._own(unit)
+        return Markup('<span data-unit="{}">{}</span>').format(unit, text) if text else Markup()
+
+    def values(self, values: Sequence[float], unit: str, digits: int = 3) -> Markup:
+        """One value, or the ends of a range, with their unit: "500 to 1500 psi"."""
+        by, _ = self._own(unit)
+        texts = {
+            in_digits(v * by, digits): self.number(v, unit, digits, short=True) for v in values
+        }
+        shown = Markup(" to ").join(texts.values())
+        return Markup("{} {}").format(shown, self.name(unit)) if self._own(unit)[1] else shown
+
+    def line(self, line: Line, unit: str) -> Markup:
+        """A line of a cell of a sheet."""
+        digits = [self.number(value, "1" if line.ratio else unit) for value in line.numbers]
+        return Markup(escape(line.template)).format(*digits)
+
+    def level(self, test: TestView, unit: str) -> Markup:
+        """Actuation of a test, "" of none; `unit` is its internal one."""
+        if not self.systems[0].axes.actuated:
+            return Markup()
+        text = self.values([test.trace.reference_actuation], ACTUATION + unit, 4)
+        return text + Markup(" (mean of a history)" if test.trace.varying else "")
+
+    def sentence(self, sentence: Message | str) -> Markup:
+        """A sentence with its quantities."""
+        if isinstance(sentence, str):
+            return self.words.sentence(sentence)
+        shown = {
+            name: self.values(value.values, value.unit, value.digits)
+            if isinstance(value, Quantity)
+            else self.words.sentence(value)
+            for name, value in sentence.values.items()
+        }
+        template = self.systems[0].text(sentence.template)
+        return Markup(escape(template)).format(**shown)
+
+    @property
+    def table(self) -> Markup:
+        """JSON for the script: factor and name of each unit in each system."""
+        return Markup(script_json(self.used))
+
+
+def render(
+    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None = None
+) -> dict[str, str]:
+    """HTML of the whole report, by the pages' paths from the run folder.
+
+    `report.html` holds the pictures of all tests together; `tests/ID/page.html`, of each test,
+    shows the PNGs beside it; `datasheet.html` is the data sheet alone, for printing.
+
+    `images` are PNGs by the keys of `figures.draw_shared` and `draw_test`; of those of tests the
+    first 24 bytes are enough. A picture that is not given is left out.
+    """
+    words = symbols.Symbols(view.model)
+
+    def units() -> Units:
+        return Units(view.systems, view.metric, words=words)
+
+    pages = {"report.html": _summary(view, images, sheet, units())}
+    if sheet is not None:
+        values = _datasheet(sheet, view, words)
+        pages["datasheet.html"] = render_page("datasheet.html.j2", units(), view=view, **values)
+    judged = {judgement.subject: judgement for judgement in view.judgements}
+    for test in view.tests:
+        own = {key: png for key, png in images.items() if key.startswith(f"tests/{test.id}/")}
+        pages[f"tests/{test.id}/page.html"] = render_page(
+            "test.html.j2",
+            units(),
+            view=view,
+            test=test,
+            judged=judged.get(test.id),
+            pictures={key: picture(key, png, embedded=False) for key, png in own.items()},
+        )
+    return pages
+
+
+def _summary(
+    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None, units: Units
+) -> str:
+    held_out = [test for test in view.tests if test.role == "validate"]
+    explained = [test.shares for test in held_out if test.shares]
+    sources = dict.fromkeys(name for shares in explained for name in shares)
+    shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
+    explorer = explore(view) if view.tests else None
+    parameters, laws = paper_sheets(view, units.words)
+    own = set(view.model.parameters) - view.model.standard_names if view.model else set()
+    elsewhere = ELSEWHERE - own
+    columns = [test for test in view.tests if test.rows]
+    left_out = None
+    if view.left_out:
+        left_out = score_sheet(
+            [*view.left_out.rows, view.left_out.mean], "Scores, held out in turn"
+        )
+    advice = None
+    if view.next_test is not None:
+        advice = AdviceInWords(view.next_test, view.system, view.actuation_unit)
+    terms = (term for subject in read_glossary().values() for term in subject.items())
+    return render_page(
+        "report.html.j2",
+        units,
+        *([explorer["library"]] if explorer else []),
+        view=view,
+        held_out=held_out,
+        links={test.id: f"tests/{quote(test.id)}/page.html" for test in view.tests},
+        pictures={
+            key: picture(key, png) for key, png in images.items() if not key.startswith("tests/")
+        },
+        explorer=explorer,
+        parameters=replace(
+            parameters,
+            heads=tuple(test.id for test in columns),
+            rows=tuple(row for row in parameters.rows if row.name not in elsewhere),
+        ),
+        levels={test.id: units.level(test, view.actuation_unit) for test in columns},
+        laws=laws,
+        scores=score_sheet([test.score for test in held_out]),
+        left_out=left_out,
+        width=width_sentence(shares),
+        exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
+        advice=advice,
+        words={name: text for name, text in terms if name in WORDS},
+        **_datasheet(sheet, view, units.words),
+    )
+
+
+def _datasheet(
+    sheet: Datasheet | None, view: CampaignView, words: symbols.Symbols
+) -> dict[str, Any]:
+    if sheet is None:
+        return {"datasheet": None}
+    properties = datasheet_sheet(sheet.rows, view.title, words, view.system.axes)
+    noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
+    return {
+        "datasheet": sheet,
+        "properties": properties.blocks(CONDITIONS),
+        "property_notes": [f"{row.condition}: {row.note}" for row in noted.itertuples()],
+    }
+
+
+def render_page(template: str, units: Units, *scripts: str, **values: Any) -> str:
+    """A page from its template; `scripts` are those that it may run besides the report's own."""
+    script = files("mfd_bayes.reporting").joinpath("templates", "report.js").read_text("utf-8")
+    made = environment().get_template(template)
+    page = made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
+    axes = units.systems[0].axes
+    if axes == DAMPER:
+        return page
+    parts = _TEXT.split(page)  # what is between tags, but for scripts and styles
+    return "".join(axes.text(part) if at % 2 == 0 else part for at, part in enumerate(parts))
+
+
+_TEXT = re.compile(
+    r"(<(?:script|style)\b.*?</(?:script|style)>|<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>)", re.DOTALL
+)
+
+
+def policy_of(*scripts: str) -> str:
+    """Content security policy that allows these scripts and pictures of the page, nothing else."""
+    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
+    return (
+        "default-src 'none'; img-src data: blob: file: 'self'; style-src 'unsafe-inline'; "
+        f"script-src {allowed}; base-uri 'none'; form-action 'none'"
+    )
+
+
+@cache
+def environment() -> Environment:
+    """Environment of all templates, which are compiled once."""
+    made = Environment(
+        loader=PackageLoader("mfd_bayes.reporting"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_finalize,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters |= {
+        "digits": symbols.number,
+        "count": symbols.count,
+        "percent": symbols.percent,
+    }
+    made.tests["finite"] = math.isfinite
+    return made
+
+
+def _finalize(value: object) -> object:
+    """Value as a page shows it: without controls, which could hide or reverse text."""
+    is_text = isinstance(value, str) and not isinstance(value, Markup)
+    return symbols.printable(str(value)) if is_text else value
+
+
+def read_glossary() -> dict[str, dict[str, Markup]]:
+    """The words of the project with their meanings, as HTML, by subject."""
+    text = files("mfd_bayes.reporting").joinpath("glossary.toml").read_text(encoding="utf-8")
+    return {
+        subject: {name: Markup(meaning) for name, meaning in terms.items()}
+        for subject, terms in tomllib.loads(text).items()
+    }
+
+
+# --- the interactive plot of the loops, drawn by bokeh in the browser
 
 FEWEST, MOST, ALL = 300, 1500, 250_000
 """Fewest and most samples of a test in the plot, and of all together, some 8 MB."""
@@ -165,299 +447,3 @@ def _plot(along: str, height: int, source: Any) -> Any:
     plot.add_tools(HoverTool(renderers=[dots], name=f"hover-{along}", mode="mouse"))
     plot.toolbar.logo = None
     return plot
-
-
-Pair = tuple[System, System]
-"""Customary and metric system of units."""
-
-ELSEWHERE = frozenset(
-    {
-        *("gamma1", "gamma2", "start", "offset", "static_excess_fwd", "static_excess_bwd"),
-        *(q.name for noise in NOISES.values() for q in noise.quantities),
-    }
-)
-"""Quantities that the tests' own pages show: those of a record, and those without a meaning."""
-
-WORDS = (
-    *("95\N{NO-BREAK SPACE}% interval", "Mean property (band of kind device)", "Coverage", "CRPS"),
-    "This device tested again (band of kind new_test)",
-    "A measurement of it (band of kind observation)",
-    "This very test (band of kind this_test)",
-    "Bounding properties, λ",
-)
-"""Words of the glossary that the page explains."""
-
-CONDITIONS = 12
-"""Most columns of the data sheet side by side on its page."""
-
-
-def picture(key: str, png: bytes, *, embedded: bool = True) -> dict[str, Any]:
-    """A PNG as a page shows it, part of a page in the run folder or beside its page.
-
-    `uri` is the embedded PNG, or its path; `width` and `height` are in pixels; `png` and `csv` are
-    the paths from the page to the picture and to the table behind it.
-    """
-    path, table = key if "/" in key else f"figures/{key}", table_of(key)
-    if not embedded:
-        path, table = path.rpartition("/")[2], table.rpartition("/")[2]
-    path = quote(f"{path}.png")
-    uri = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}" if embedded else path
-    # width and height are in the first chunk of a PNG
-    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
-    return {"uri": uri, "width": width, "height": height, "png": path, "csv": quote(table)}
-
-
-def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
-    if unit.startswith(ACTUATION):
-        return system.of_actuation(unit.removeprefix(ACTUATION))
-    return system.factor(unit), symbols.unit_text(system.unit(unit))
-
-
-@dataclass
-class Units:
-    """Numbers and units of one page, as its script can change them.
-
-    Attributes
-    ----------
-    systems : pair of System
-    metric : bool
-        Whether the page begins with the second of them.
-    convert : callable
-        Factor and name of an internal unit in a system.
-    words : Symbols
-        How quantities are written.
-    used : dict
-        Factor and name in each system, of every internal unit on the page so far.
-    """
-
-    systems: Pair
-    metric: bool = False
-    convert: Callable[[str, System], tuple[float, str]] = _factor_and_name
-    words: symbols.Symbols = field(default_factory=symbols.Symbols)
-    used: dict[str, dict[str, tuple[float, str]]] = field(default_factory=dict)
-
-    def _own(self, unit: str) -> tuple[float, str]:
-        of = {system.name: self.convert(unit, system) for system in self.systems}
-        self.used[unit] = of
-        return of[self.systems[self.metric].name]
-
-    def number(self, value: float, unit: str, digits: int = 3, *, short: bool = False) -> Markup:
-        """A number that is stored in an internal unit; a short one without zeros at its end."""
-        by, _ = self._own(unit)
-        text = symbols.number(value * by, digits)
-        if not math.isfinite(value):
-            return Markup(escape(text))
-        if short:
-            text = in_digits(value * by, digits).replace("-", "−")
-        span = Markup('<span data-value="{:.7g}" data-unit="{}" data-digits="{}"{}>{}</span>')
-        return span.format(value, unit, digits, Markup(" data-short" * short), text)
-
-    def name(self, unit: str) -> Markup:
-        """The name of an internal unit; empty for none."""
-        _, text = self._own(unit)
-        return Markup('<span data-unit="{}">{}</span>').format(unit, text) if text else Markup()
-
-    def values(self, values: Sequence[float], unit: str, digits: int = 3) -> Markup:
-        """One value, or the ends of a range, with their unit: "500 to 1500 psi"."""
-        by, _ = self._own(unit)
-        texts = {
-            in_digits(v * by, digits): self.number(v, unit, digits, short=True) for v in values
-        }
-        shown = Markup(" to ").join(texts.values())
-        return Markup("{} {}").format(shown, self.name(unit)) if self._own(unit)[1] else shown
-
-    def line(self, line: Line, unit: str) -> Markup:
-        """A line of a cell of a sheet."""
-        digits = [self.number(value, "1" if line.ratio else unit) for value in line.numbers]
-        return Markup(escape(line.template)).format(*digits)
-
-    def level(self, test: TestView, unit: str) -> Markup:
-        """Actuation of a test, "" of none; `unit` is its internal one."""
-        if not self.systems[0].axes.actuated:
-            return Markup()
-        text = self.values([test.trace.reference_actuation], ACTUATION + unit, 4)
-        return text + Markup(" (mean of a history)" if test.trace.varying else "")
-
-    def sentence(self, sentence: Message | str) -> Markup:
-        """A sentence with its quantities."""
-        if isinstance(sentence, str):
-            return self.words.sentence(sentence)
-        shown = {
-            name: self.values(value.values, value.unit, value.digits)
-            if isinstance(value, Quantity)
-            else self.words.sentence(value)
-            for name, value in sentence.values.items()
-        }
-        template = self.systems[0].text(sentence.template)
-        return Markup(escape(template)).format(**shown)
-
-    @property
-    def table(self) -> Markup:
-        """JSON for the script: factor and name of each unit in each system."""
-        return Markup(script_json(self.used))
-
-
-def render(
-    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None = None
-) -> dict[str, str]:
-    """HTML of the whole report, by the pages' paths from the run folder.
-
-    `report.html` holds the pictures of all tests together; `tests/ID/page.html`, of each test,
-    shows the PNGs beside it; `datasheet.html` is the data sheet alone, for printing.
-
-    Parameters
-    ----------
-    view : CampaignView
-    images : mapping of str to bytes
-        PNGs by the keys of `figures.draw_shared` and `draw_test`; of those of tests the first 24
-        bytes are enough. A picture that is not given is left out.
-    sheet : Datasheet, optional
-    """
-    words = symbols.Symbols(view.model)
-
-    def units() -> Units:
-        return Units(view.systems, view.metric, words=words)
-
-    pages = {"report.html": _summary(view, images, sheet, units())}
-    if sheet is not None:
-        values = _datasheet(sheet, view, words)
-        pages["datasheet.html"] = render_page("datasheet.html.j2", units(), view=view, **values)
-    judged = {judgement.subject: judgement for judgement in view.judgements}
-    for test in view.tests:
-        own = {key: png for key, png in images.items() if key.startswith(f"tests/{test.id}/")}
-        pages[f"tests/{test.id}/page.html"] = render_page(
-            "test.html.j2",
-            units(),
-            view=view,
-            test=test,
-            judged=judged.get(test.id),
-            pictures={key: picture(key, png, embedded=False) for key, png in own.items()},
-        )
-    return pages
-
-
-def _summary(
-    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None, units: Units
-) -> str:
-    held_out = [test for test in view.tests if test.role == "validate"]
-    explained = [test.shares for test in held_out if test.shares]
-    sources = dict.fromkeys(name for shares in explained for name in shares)
-    shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
-    explorer = explore(view) if view.tests else None
-    parameters, laws = paper_sheets(view, units.words)
-    own = set(view.model.parameters) - view.model.standard_names if view.model else set()
-    elsewhere = ELSEWHERE - own
-    columns = [test for test in view.tests if test.rows]
-    left_out = None
-    if view.left_out:
-        left_out = score_sheet(
-            [*view.left_out.rows, view.left_out.mean], "Scores, held out in turn"
-        )
-    advice = None
-    if view.next_test is not None:
-        advice = AdviceInWords(view.next_test, view.system, view.actuation_unit)
-    terms = (term for subject in read_glossary().values() for term in subject.items())
-    return render_page(
-        "report.html.j2",
-        units,
-        *([explorer["library"]] if explorer else []),
-        view=view,
-        calibrated=[test for test in view.tests if test.role != "validate"],
-        held_out=held_out,
-        missed=[judged for judged in view.judgements if judged.use != Use.USABLE],
-        links={test.id: f"tests/{quote(test.id)}/page.html" for test in view.tests},
-        pictures={
-            key: picture(key, png) for key, png in images.items() if not key.startswith("tests/")
-        },
-        explorer=explorer,
-        parameters=replace(
-            parameters,
-            heads=tuple(test.id for test in columns),
-            rows=tuple(row for row in parameters.rows if row.name not in elsewhere),
-        ),
-        levels={test.id: units.level(test, view.actuation_unit) for test in columns},
-        laws=laws,
-        scores=score_sheet([test.score for test in held_out]),
-        left_out=left_out,
-        width=width_sentence(shares),
-        exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
-        advice=advice,
-        words={name: text for name, text in terms if name in WORDS},
-        **_datasheet(sheet, view, units.words),
-    )
-
-
-def _datasheet(
-    sheet: Datasheet | None, view: CampaignView, words: symbols.Symbols
-) -> dict[str, Any]:
-    if sheet is None:
-        return {"datasheet": None}
-    properties = datasheet_sheet(sheet.rows, view.title, words, view.system.axes)
-    noted = sheet.rows[sheet.rows["note"] != ""].drop_duplicates(["condition", "note"])
-    return {
-        "datasheet": sheet,
-        "properties": properties.blocks(CONDITIONS),
-        "property_notes": [f"{row.condition}: {row.note}" for row in noted.itertuples()],
-    }
-
-
-def render_page(template: str, units: Units, *scripts: str, **values: Any) -> str:
-    """A page from its template; `scripts` are those that it may run besides the report's own."""
-    script = files("mfd_bayes.reporting").joinpath("templates", "report.js").read_text("utf-8")
-    made = environment().get_template(template)
-    page = made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
-    axes = units.systems[0].axes
-    if axes == DAMPER:
-        return page
-    parts = _TEXT.split(page)  # what is between tags, but for scripts and styles
-    return "".join(axes.text(part) if at % 2 == 0 else part for at, part in enumerate(parts))
-
-
-_TEXT = re.compile(
-    r"(<(?:script|style)\b.*?</(?:script|style)>|<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>)", re.DOTALL
-)
-
-
-def policy_of(*scripts: str) -> str:
-    """Content security policy that allows these scripts and pictures of the page, nothing else."""
-    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
-    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
-    return (
-        "default-src 'none'; img-src data: blob: file: 'self'; style-src 'unsafe-inline'; "
-        f"script-src {allowed}; base-uri 'none'; form-action 'none'"
-    )
-
-
-@cache
-def environment() -> Environment:
-    """Environment of all templates, which are compiled once."""
-    made = Environment(
-        loader=PackageLoader("mfd_bayes.reporting"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_finalize,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    made.filters |= {
-        "digits": symbols.number,
-        "count": symbols.count,
-        "percent": symbols.percent,
-    }
-    made.tests["finite"] = math.isfinite
-    return made
-
-
-def _finalize(value: object) -> object:
-    """Value as a page shows it: without controls, which could hide or reverse text."""
-    is_text = isinstance(value, str) and not isinstance(value, Markup)
-    return symbols.printable(str(value)) if is_text else value
-
-
-def read_glossary() -> dict[str, dict[str, Markup]]:
-    """The words of the project with their meanings, as HTML, by subject."""
-    text = files("mfd_bayes.reporting").joinpath("glossary.toml").read_text(encoding="utf-8")
-    return {
-        subject: {name: Markup(meaning) for name, meaning in terms.items()}
-        for subject, terms in tomllib.loads(text).items()
-    }

@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import autocorrelation_time, measure
+from mfd_bayes.calibration.diagnostics import (
+    autocorrelation_time,
+    find_directions,
+    find_pairs,
+    identify,
+    measure,
+)
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.records.trace import Trace
 
 
 def autoregressive(phi, steps=3000, seed=0, shape=(4, 20)):
@@ -54,3 +62,80 @@ def test_a_shifted_ensemble_and_a_drift_in_time_raise_r_hat():
     assert found.r_hat[0] < 1.01
     assert np.all(found.r_hat[1:] > 1.1)
     assert not found.reached(1.01, 1)
+
+
+# --- which directions and pairs the data inform
+
+PRIOR_SD = np.array([1.0, 0.5, 2.0])
+DESIGN = np.array([[3.0, 1.0, 0.0], [0.5, -2.0, 0.0], [1.0, 1.0, 0.0], [2.0, 0.0, 0.0]])
+NOISE = 0.4
+NAMES = ("a", "b", "c")
+
+
+def exact_draws(covariance, n=4000, seed=0):
+    """Draws (n, dim) whose covariance is exactly the given one."""
+    draws = np.random.default_rng(seed).normal(size=(n, len(covariance)))
+    draws -= draws.mean(axis=0)
+    root = np.linalg.cholesky(np.cov(draws, rowvar=False))
+    return np.linalg.solve(root, draws.T).T @ np.linalg.cholesky(covariance).T
+
+
+def linear_posterior(design=DESIGN):
+    """Covariance of a linear model's posterior."""
+    precision = np.diag(PRIOR_SD**-2.0) + design.T @ design / NOISE**2
+    return np.linalg.inv(precision)
+
+
+def test_directions_of_a_linear_model_are_those_of_its_curvature():
+    curvature = (DESIGN * PRIOR_SD).T @ (DESIGN * PRIOR_SD) / NOISE**2
+    values, vectors = np.linalg.eigh(curvature)
+    found = find_directions(NAMES, PRIOR_SD, exact_draws(linear_posterior()))
+    np.testing.assert_allclose(found.curvature, values[::-1], rtol=1e-6, atol=1e-9)
+    alignment = np.abs(np.sum(found.axes * vectors[:, ::-1], axis=0))
+    np.testing.assert_allclose(alignment, 1.0, atol=1e-9)
+    assert found.informed == 2
+    assert found.carriers(2) == ("c",)  # which the data do not see
+
+
+@pytest.mark.parametrize(("draws", "dim"), [(100, 20), (60, 20), (100, 5)])
+def test_few_draws_without_information_inform_no_direction(draws, dim):
+    rng, names = np.random.default_rng(2), tuple("x" * dim)
+    found = [
+        find_directions(names, np.ones(dim), rng.normal(size=(draws, dim))).informed
+        for _ in range(200)
+    ]
+    assert np.mean(found) < 0.05  # 3 without the limit, of 100 draws in 20 dimensions
+
+
+def test_draws_that_follow_each_other_count_as_fewer():
+    rng = np.random.default_rng(4)
+    held = np.repeat(rng.normal(size=(100, 20)), 30, axis=0)
+    names = tuple("x" * 20)
+    assert find_directions(names, np.ones(20), held, 100.0).informed == 0
+    assert find_directions(names, np.ones(20), held).informed > 0  # the control
+    assert find_directions(names, np.ones(20), held, 15.0).informed == 0  # fewer than dimensions
+
+
+def test_pairs_that_trade_off_are_named():
+    r = -0.85
+    normal = exact_draws(np.array([[1.0, r, 0.0], [r, 1.0, 0.0], [0.0, 0.0, 1.0]]), 20000)
+    (pair,) = find_pairs(NAMES, np.exp(3 * normal))  # ranks are the same on any scale
+    assert (pair.first, pair.second) == ("a", "b")
+    assert pair.correlation == pytest.approx(6 / np.pi * np.arcsin(r / 2), abs=0.01)
+    # independent parameters do not
+    assert find_pairs(NAMES, np.random.default_rng(2).normal(size=(4000, 3))) == ()
+    assert find_pairs(("a",), np.random.default_rng(2).normal(size=(4000, 1))) == ()
+
+
+def test_draws_of_the_prior_say_that_the_data_tell_nothing():
+    time = np.arange(0, 2, 1 / 32)
+    motion = np.sin(np.pi * time)
+    trace = Trace.from_arrays(time, motion, actuation=0.8, force=np.cos(np.pi * time))
+    posterior = Posterior(trace, "mfd")
+    rng = np.random.default_rng(8)
+    flat = posterior.draw_prior(rng, 8000)
+    values = {name: column.reshape(4, -1) for name, column in flat.items()}
+    found = identify(posterior, values, posterior.draw_prior(rng, 8000))
+    assert found.directions.names == posterior.names
+    assert found.directions.informed == 0
+    assert found.pairs == ()

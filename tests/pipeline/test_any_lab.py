@@ -5,14 +5,13 @@ import tomllib
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.guesses import by_loop
 from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
 from mfd_bayes.records.loops import scales_of
 from mfd_bayes.records.record import read_record
-from tests.command_line import refusal, said, write_csv
+from tests.command_line import refusal, said
 from tests.pipeline import devices
 
 SEAL, DAMPER, _, ISOLATOR = devices.DEVICES
@@ -90,22 +89,6 @@ def test_priors_of_another_device_are_found_wrong_with_what_would_mend_them(tmp_
     assert "the prior most wrong is that of Fc_" in words
     assert "kN, and the plateau of the loop is" in words
     assert "give it a median of about" in words
-
-
-def test_one_campaign_in_two_units_has_the_same_density(tmp_path):
-    devices.write_device(tmp_path, DAMPER)
-    rows, traces = np.loadtxt(tmp_path / "3bar_0.5Hz.txt", skiprows=1), []
-    for length, force, by in (("mm", "kN", (1.0, 1.0)), ("in", "kip", (25.4, 4.4482216152605))):
-        other = write_csv(tmp_path / f"{force}.csv", *(rows / [1.0, *by]).T, names="txf")
-        columns = {"time": "t", "displacement": "x", "force": "f"}
-        units = {"time": "s", "displacement": length, "force": force}
-        traces.append(read_record(other, columns, units, "3 bar").trace(gap=0.2))
-    one, two = (Posterior(trace, "mfd") for trace in traces)
-    q = one.coordinates(one.draw_prior(np.random.default_rng(1), 20))
-    np.testing.assert_allclose(one.log_prob(q), two.log_prob(q), rtol=1e-6)
-    assert np.all(np.isfinite(one.log_prob(q)))
-    wrong = Posterior(traces[0], "brfd")  # the negative control: other priors, another density
-    assert not np.allclose(one.log_prob(q), wrong.log_prob(q), rtol=1e-3)
 
 
 def test_a_loop_is_told_from_its_force_and_a_pressure_and_has_the_scales_of_the_device(tmp_path):

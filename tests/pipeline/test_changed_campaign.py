@@ -1,11 +1,7 @@
-"""A run that is resumed after its campaign has changed, or on another machine: by the command."""
+"""A run that is resumed by the command after its campaign has changed."""
 
-import json
-import os
-import platform
 import re
 import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,7 +36,7 @@ def entry(name, psi, role="calibrate", more=""):
 
 
 A, B, C = entry("a", 500), entry("b", 1000), entry("c", 1500)
-HELD_OUT, NEW = entry("v", 800, "validate"), entry("n", 1200)
+HELD_OUT = entry("v", 800, "validate")
 SHORTER = entry("b", 1000, more='fit = "0 s to 1.9 s"')
 USUAL = (A, B, C, HELD_OUT)
 
@@ -74,10 +70,6 @@ class Lab:
     @property
     def posteriors(self):
         return {p.parent.name: p.read_bytes() for p in self.out.glob("tests/*/posterior.nc")}
-
-    @property
-    def manifest(self):
-        return json.loads((self.out / "manifest.json").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -158,34 +150,3 @@ def test_what_is_unchanged_is_kept_and_all_is_as_in_a_fresh_run(
     assert ("population: done" in printed) == again
     if again:
         assert differing(lab) == []
-
-
-# --- another machine
-
-
-def on_machine(lab, without_figures, **environment):
-    """What the command says of a resumption in a process with this environment."""
-    ended = subprocess.run(
-        [*without_figures, *lab.words("--resume", "--quiet")],
-        capture_output=True,
-        text=True,
-        env=os.environ | environment,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
-    return [line for line in ended.stderr.splitlines() if "machine" in line]
-
-
-def test_a_run_knows_every_machine_that_has_computed_a_part_of_it(lab, without_figures):
-    (machine,) = lab.manifest["machines"]
-    if "openblas" not in str(machine) or platform.machine() != "x86_64":
-        pytest.skip("needs OpenBLAS on a processor of x86-64")
-    before = lab.posteriors
-    lab.write(*USUAL, NEW)
-    assert len(on_machine(lab, without_figures, OPENBLAS_CORETYPE="Nehalem")) == 1
-    first, second = lab.manifest["machines"]
-    assert first == machine
-    assert "Nehalem" in str(second)
-    assert {name: lab.posteriors[name] for name in before} == before
-    assert len(on_machine(lab, without_figures)) == 1  # still of two machines
-    assert "machine 2" in (lab.out / "report.html").read_text()

@@ -123,6 +123,9 @@ def test_every_file_of_the_contract_is_there(finished_run, out):
         assert (out / "tests" / test / "posterior.nc").is_file()
         pictures = {p.stem for p in (out / "tests" / test).glob("*.png")}
         assert {"loops", "history", "corner", "ranks"} <= pictures
+    page = (out / "report.html").read_text()
+    head = page[: page.index('<nav aria-label="Contents">')]  # which says the tested range
+    assert 'data-value="1.5" data-unit="actuation in ksi"' in head
     assert not list(out.rglob("*.part"))
     assert not list(out.rglob(".*"))
 

@@ -225,14 +225,6 @@ def test_samples_of_another_actuation_do_not_stay_beside_new_ones(small_run, sam
     assert "misfit" not in about
 
 
-def test_files_beside_anothers_about_stay(small_run, samples):
-    for content in ["[]", '{"variables": {"mine": "1"}}']:
-        (samples / "about.json").write_text(content)
-        before = names(samples)
-        export(small_run, Export("csv", samples, "800 psi", 10, force=True))
-        assert names(samples) == before | {"samples.csv"}
-
-
 def test_an_actuation_outside_is_warned_of_and_one_far_outside_refused(small_run, samples):
     before = contents(samples)
     far = Export("csv", samples, "50000 psi", 10, force=True)

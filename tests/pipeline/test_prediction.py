@@ -118,16 +118,20 @@ def test_a_harmonic_motion_needs_no_file_and_starts_without_a_jump(ask, table):
 
 
 def test_a_prediction_is_given_in_the_other_system_of_units(ask, table):
-    tables = {}
+    tables = []
     for units in ("us", "si"):
-        ask(*SINE, "--units", units, "--no-figures")
-        tables[units] = table(), table("_derived").set_index("quantity")
-    (us, us_derived), (si, si_derived) = tables.values()
+        ask(*SINE, "--units", units, "--design", "--no-figures")
+        design = table("_design").set_index(["property", "basis"]).loc["peak_fwd"]
+        tables.append((table(), table("_derived").set_index("quantity"), design.loc["new_test"]))
+    (us, us_derived, us_design), (si, si_derived, si_design) = tables
     np.testing.assert_allclose(si["displacement_mm"], 25.4 * us["displacement_in"], atol=1e-6)
     np.testing.assert_allclose(si["median_kN"], 4.4482216 * us["median_kip"], rtol=1e-6)
     assert si_derived.loc["energy_per_cycle", "unit"] == "kN*mm"
-    ratio = si_derived.loc["peak_fwd", "upper"] / us_derived.loc["peak_fwd", "upper"]
-    assert ratio == pytest.approx(4.4482216, rel=1e-5)
+    peaks = (table.loc["peak_fwd"] for table in (si_derived, us_derived))
+    for metric, other in (peaks, (si_design, us_design)):
+        assert metric["unit"] == "kN"
+        assert metric["upper"] == pytest.approx(4.4482216 * other["upper"], rel=1e-5)
+    assert si_design["lambda_max"] == us_design["lambda_max"]
 
 
 def test_with_another_run_both_give_half_of_the_draws(ask, table, out, tmp_path):
@@ -158,15 +162,6 @@ def test_a_sine_in_customary_units_needs_no_library_that_is_slow_to_load(words):
 
 
 # --- what was tested, and what cannot be asked
-
-
-def test_the_tested_range_is_in_the_report(out):
-    table = pd.read_csv(out / "tested_range.csv").set_index("condition")
-    assert list(table.index) == ["stroke", "speed", "frequency", "actuation"]
-    assert table.loc["actuation", ["smallest", "largest"]].tolist() == [0.5, 1.5]
-    page = (out / "report.html").read_text()
-    head = page[: page.index('<nav aria-label="Contents">')]
-    assert 'data-value="1.5" data-unit="actuation in ksi"' in head
 
 
 def test_far_outside_what_was_tested_it_refuses_without_extrapolate(words, ask, tested, tmp_path):

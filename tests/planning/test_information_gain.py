@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.planning.study import Goals, directions_of, fit_left_out, gain_of, greedy
+from mfd_bayes.planning.study import Goals, directions_of, fit_left_out, gain_of
 
 DRAWS = 20_000
 
@@ -48,32 +48,3 @@ def test_a_test_that_tells_nothing_has_no_gain():
         gain, _ = judged(goals, rng.standard_normal((1000, 8)))
         assert 0.0 <= gain.reduction < 0.004
         assert 0.0 <= gain.information < 0.01
-
-
-def test_a_curved_dependence_is_found():
-    rng = np.random.default_rng(4)
-    x = rng.standard_normal((2000, 2))
-    goals = (x[:, 0] ** 2 + 0.1 * rng.standard_normal(2000))[:, None]
-    directions = directions_of(x)
-    curved, straight = (
-        fit_left_out(goals, directions, curved=c).var() / goals.var() for c in (True, False)
-    )
-    assert curved < 0.05
-    assert straight > 0.9
-
-
-ROWS = [(2.0, 0.0), (2.0, 0.0), (0.0, 1.5), (0.3, 0.3)]
-"""A test, its copy, one about the other goal, and a weak one."""
-
-
-def test_the_second_best_test_is_not_the_copy_of_the_best():
-    rng = np.random.default_rng(0)
-    u = rng.standard_normal((4000, 2))
-    tests = [(u @ row + rng.standard_normal(4000))[:, None] for row in np.array(ROWS)]
-    sets = greedy(Goals(u), [test - test.mean(axis=0) for test in tests], 3)
-    assert [len(chosen) for chosen in sets] == [1, 2, 3]
-    assert sets[0][0] in (0, 1)
-    assert sets[1] == (*sets[0], 2)
-    assert set(sets[2]) == {0, 1, 2}
-    alone = greedy(Goals(u[:, :1]), [test - test.mean(axis=0) for test in tests], 2)
-    assert set(alone[1]) == {0, 1}  # the control: of one goal the copy tells more

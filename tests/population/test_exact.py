@@ -13,7 +13,7 @@ from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import MixedModel
 
 CHAINS = 32
-SWEEPS = 700
+SWEEPS = 1200
 
 
 class Campaign:
@@ -116,7 +116,7 @@ def skewed(priors):
 
     With smaller k the tails are so long that chains of this length seldom see them.
     """
-    shapes = (6.0, 4.0, 8.0)
+    shapes = (12.0, 8.0, 16.0)
     functions = [
         lambda x, y=y, s=6.0 * s, k=k: k * ((x - y) / s - np.exp((x - y) / s))
         for y, s, k in zip(Y, SD, shapes, strict=True)

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from mfd_bayes import ThreeStage, Trace, read_record
-from mfd_bayes.calibration.posterior import cycle_energies
+from mfd_bayes import Trace, read_record
 from mfd_bayes.cli.commands import app
 from mfd_bayes.records.loops import MeasuredCycles, find_loops, loop_estimate, measured_cycles
 
@@ -42,13 +41,12 @@ def drawn_loop(cycles=5, ramp=0):
 
 
 def test_a_loop_has_its_amplitude_its_period_and_the_energy_of_its_ellipse():
-    loops = find_loops(trace := ellipse())
+    loops = find_loops(ellipse())
     assert loops.bounds.size == loops.period.size + 1 == 6
     np.testing.assert_allclose(loops.period, 2.0)
     np.testing.assert_allclose(loops.amplitude, 1.0)
     np.testing.assert_allclose(loops.energy, np.pi, rtol=1e-3)
     np.testing.assert_allclose(loops.offset, 0.2, atol=1e-3)
-    np.testing.assert_allclose(loops.energy, cycle_energies(trace.force[None], trace)[0])
 
 
 def test_drifts_compare_the_first_strong_loops_with_the_last():
@@ -88,15 +86,6 @@ def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
     assert read.gap == pytest.approx(GAP, rel=0.02)
     loops = find_loops(trace)
     assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
-
-
-def test_the_model_reads_as_its_parameters():
-    trace = drawn_loop()
-    theta = np.array([[200, 0, 0, 2.0, 2.0, 2.4, 2.4, 0.1, 20, 0.15, 0.1, 1, 0.001, 0.5]])
-    force = ThreeStage().force(theta, trace)[0]
-    read = loop_estimate(Trace.from_arrays(trace.time, trace.displacement, 0.03, force))
-    assert (read.plateau_fwd, read.plateau_bwd) == pytest.approx((2.0, 2.4), rel=0.02)
-    assert read.gap == pytest.approx(0.25, rel=0.1)
 
 
 @given(

@@ -92,7 +92,9 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
     )
     if role == "validate":
         return replace(view, device=None, rows=(), marginals=(), chains=0, corner=(), checks=())
-    return replace(view, identifiability=make_identifiability())
+    names, axes = ("Fc_fwd", "k3"), np.array([[0.8, 0.6], [0.6, -0.8]])
+    directions = Directions(names, np.array([399.0, 0.1]), axes)
+    return replace(view, identifiability=Identifiability(directions, (Pair(*names, -0.84),)))
 
 
 def make_derived(identity: str, role: str) -> tuple[dict, ...]:
@@ -105,15 +107,6 @@ def make_derived(identity: str, role: str) -> tuple[dict, ...]:
     if role == "validate":
         return (make_row(*of_cycle, NAN, NAN, NAN, **none), peak)
     return (make_row(*of_cycle, 3.0, 3.21, 3.4, **energy), peak, gap)
-
-
-def make_identifiability() -> Identifiability:
-    names = ("Fc_fwd", "k3")
-    axes = np.array([[0.8, 0.6], [0.6, -0.8]])
-    return Identifiability(
-        directions=Directions(names, np.array([399.0, 0.1]), axes),
-        pairs=(Pair(*names, -0.84),),
-    )
 
 
 def make_law() -> LawView:
@@ -137,10 +130,6 @@ def make_left_out() -> LeftOutView:
     return LeftOutView("level", (row,), mean, "Of 1 tests the bands hold 95 %.")
 
 
-def make_truth(name: str, unit: str, truth: float, *bounds: float, **is_it: bool) -> dict:
-    return make_row("a", name, unit, *bounds) | {"truth": truth} | is_it
-
-
 def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     row = make_row("population", "K_c_fwd", "in**2", 1.0, 1.2, 1.4)
     return CampaignView(
@@ -154,9 +143,9 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         law_rows=(row,),
         checks=tuple(check for test in tests for check in test.checks),
         truth=(
-            make_truth("k3", "kip/in", 1.0, 0.8, 1.0, 1.2, inside=True, informed=True),
-            make_truth("gamma1", "1", 1.0, 2.0, 3.0, 4.0, inside=False, informed=False),
-            make_truth("offset", "kip", 0.0, -1.0, 0.0, 1.0, inside=True, informed=True),
+            make_row("a", "k3", "kip/in", truth=1.0, inside=True, informed=True),
+            make_row("a", "gamma1", "1", 2.0, 3.0, 4.0, truth=1.0, inside=False, informed=False),
+            make_row("a", "offset", "kip", -1, 0.0, 1.0, truth=0.0, inside=True, informed=True),
         ),
         provenance={"seed": "1"},
         remarks=(Message("The data are synthetic."),),

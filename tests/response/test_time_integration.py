@@ -10,7 +10,6 @@ from scipy import signal
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import Content, building_of
 from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
@@ -50,18 +49,6 @@ def bouc_wen(n, m, slip=8.0, spread=0.1, seed=2):
     return Dampers(BoucWen(), theta, np.full((n, m), 0.5), theta[..., 2])
 
 
-def three_stages(starts):
-    """Dampers that begin at places (n, m); those of the first draw are alike in both directions."""
-    known = dict.fromkeys(("Fs_fwd", "Fs_bwd"), 6.0) | dict.fromkeys(("Fc_fwd", "Fc_bwd"), 5.0)
-    known |= {"sigma0": 100.0, "sigma1": 0.1, "sigma2": 0.02, "v_s": 1.0, "k2": 1.0, "k3": 30.0}
-    known |= {"d2": 0.1, "d3": 0.1, "gamma1": 1.0, "gamma2": 0.02}
-    start, model = np.array(starts), ThreeStage()
-    row = np.array([known[name] for name in model.parameters])
-    theta = np.broadcast_to(row, (*start.shape, row.size)).copy()
-    theta[1:, :, model.parameters.index("Fc_bwd")] = 3.0  # but for the others
-    return Dampers(model, theta, start, np.full(start.shape, 5.0))
-
-
 @pytest.mark.parametrize("step", [0.02, 0.05])
 def test_a_linear_building_follows_the_closed_form_of_its_modes(step):
     building = shear_building(dampers=False)
@@ -96,15 +83,6 @@ def test_a_storey_that_yields_holds_no_more_than_its_strength():
     )
     # inertia and damping alone balance the spring's force
     assert weak.base_shear[0, 0] < 21.0 < 0.6 * strong.base_shear[0, 0]
-
-
-def test_a_stiff_brace_is_a_rigid_one():
-    rigid, stiff, soft = (
-        integrate(shear_building(2, brace=brace), shaking(), bouc_wen(2, 2), FINE)
-        for brace in ("rigid", "1e7 kip/in", "40 kip/in")
-    )
-    assert np.allclose(stiff.drift, rigid.drift, rtol=1e-4)
-    assert np.all(soft.travel < rigid.travel)
 
 
 def test_plain_friction_slips_at_its_force():
@@ -176,17 +154,6 @@ def test_a_draw_that_runs_away_is_named():
     found = settle(building, shaking(peak=1e9), drive)
     assert found.unstable[0, 0]
     assert np.all(np.isfinite(found.drift[~found.unstable]))
-
-
-def test_the_mirrored_earthquake_has_the_mirrored_response():
-    building, ground = shear_building(2), shaking()
-    mirrored = replace(ground, acceleration=-ground.acceleration)
-    one, other = (
-        integrate(building, g, three_stages(np.full((2, 2), 0.5)), FINE).histories[0]
-        for g in (ground, mirrored)
-    )
-    assert np.allclose(one[0], -other[0], atol=1e-5)
-    assert not np.allclose(one[1], -other[1], atol=1e-2)  # the control
 
 
 class Dashpot(Model):
