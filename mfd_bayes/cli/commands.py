@@ -6,7 +6,6 @@ import atexit
 import os
 import shutil
 import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -21,7 +20,7 @@ from mfd_bayes.cli.calibration import (
     prior_check,
     report,
 )
-from mfd_bayes.cli.options import Command, Commands, checked_streams
+from mfd_bayes.cli.options import Command, Commands, checked_output
 from mfd_bayes.cli.use import (
     accept,
     compare,
@@ -103,7 +102,7 @@ def _main(
 def main() -> None:
     """Run the command line."""
     settle_environment()
-    with end_on_signals(), checked_streams():
+    with end_on_signals(), checked_output():
         app(prog_name="mfd-bayes")
 
 
@@ -117,20 +116,8 @@ def settle_environment() -> None:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before numpy is imported
     os.environ["MPLBACKEND"] = "agg"
-    caches = {"MPLCONFIGDIR": ".config/matplotlib", "XDG_CACHE_HOME": ".cache"}
-    needed = [name for name, default in caches.items() if not _is_writable(name, default)]
-    if needed:
+    if not os.access(os.environ.get("HOME", ""), os.W_OK):
         own = tempfile.mkdtemp(prefix="mfd-bayes-")
         atexit.register(shutil.rmtree, own, ignore_errors=True)
-        os.environ.update(dict.fromkeys(needed, own))
-
-
-def _is_writable(name: str, default: str) -> bool:
-    """Whether the folder of a variable, or the nearest above it that is there, can be written."""
-    try:
-        folder = Path(os.environ.get(name) or Path.home() / default)
-        there = next(path for path in (folder, *folder.parents) if path.exists())
-        kernels = str(there.resolve()).startswith(("/proc", "/sys"))  # where nothing can be made
-        return there.is_dir() and os.access(there, os.W_OK) and not kernels
-    except (OSError, RuntimeError, StopIteration):  # no home is known
-        return False
+        for name in ("MPLCONFIGDIR", "XDG_CACHE_HOME"):
+            os.environ.setdefault(name, own)

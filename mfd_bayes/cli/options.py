@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 import shlex
@@ -77,8 +76,6 @@ def mistakes(resume: str | Callable[[], str] = "") -> Iterator[None]:
         _fail(str(error))
     except MemoryError as error:
         _fail(f"memory is too short{f': {error}' if str(error) else ''}{hint()}")
-    except CannotPrintError:
-        raise
     except OSError as error:
         _fail(f"cannot write {error.filename or 'the output'}: {error.strerror or error}")
 
@@ -86,12 +83,7 @@ def mistakes(resume: str | Callable[[], str] = "") -> Iterator[None]:
 def _fail(sentence: str) -> NoReturn:
     """End with a sentence, in which words that no one reads to their end are cut."""
     sentence = re.sub(r"\S{500,}", lambda word: f"{word[0][:60]}…", sentence)
-    try:
-        say(f"mfd-bayes: {sentence}", err=True)
-        sys.stderr.flush()
-    except CannotPrintError as error:  # there may still be the output
-        _drop(error.number)
-        say(f"mfd-bayes: {sentence}")
+    say(f"mfd-bayes: {sentence}", err=True)
     raise typer.Exit(2)
 
 
@@ -106,78 +98,55 @@ def resumption() -> str:
     return shlex.join(["mfd-bayes", *words, "--resume"])
 
 
-class CannotPrintError(OSError):
-    """A standard stream takes nothing more."""
+class _Output:
+    """The standard output, of which a reader that has seen enough, such as `head`, is no error."""
 
-    def __init__(self, number: int, error: Exception) -> None:
-        name = "the output" if number == 1 else "the messages"
-        reason = getattr(error, "strerror", None) or str(error)
-        super().__init__(f"cannot write {name}: {reason}")
-        self.number = number
-
-
-class _Stream:
-    """A standard stream, whose errors say that they are its own."""
-
-    def __init__(self, stream: TextIO | None, number: int) -> None:
-        self._closed = stream is None
-        self._stream = stream or Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
-        self._number = number
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
 
     def write(self, text: str) -> int:
-        self._try(self._stream.write, text)
-        return len(text)
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            forget_output()
+            return len(text)
 
     def flush(self) -> None:
-        if not self._closed:
-            self._try(self._stream.flush)
-
-    def _try(self, act: Callable[..., Any], *words: str) -> None:
         try:
-            if self._closed:
-                raise OSError(errno.EBADF, "it is closed")
-            act(*words)
-        except (OSError, ValueError) as error:  # ValueError: closed in between
-            if not (isinstance(error, BrokenPipeError) and self._number == 1):
-                raise CannotPrintError(self._number, error) from error
-            _drop(1)  # its reader has seen enough
+            self._stream.flush()
+        except BrokenPipeError:
+            forget_output()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
 
 @contextmanager
-def checked_streams() -> Iterator[None]:
-    """End with exit code 2 and a sentence where what is printed cannot be written.
-
-    The sentence goes to the other stream, where that takes it. A reader that has seen enough, such
-    as `head`, is no error.
-    """
+def checked_output() -> Iterator[None]:
+    """End with exit code 2 and a sentence where what is printed cannot be written."""
     for number in (0, 1, 2):  # else the next file that is opened would get what is printed
         try:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-    sys.stdout, sys.stderr = _Stream(sys.stdout, 1), _Stream(sys.stderr, 2)
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+    sys.stdout = _Output(sys.stdout)
     try:
         try:
             yield
         finally:
             sys.stdout.flush()
-            sys.stderr.flush()
-    except CannotPrintError as error:
+    except OSError as error:
+        forget_output()
         with suppress(OSError):
-            os.write(3 - error.number, f"mfd-bayes: {error}\n".encode())
-        _drop(error.number)
+            say(f"mfd-bayes: cannot write the output: {error.strerror or error}", err=True)
         sys.exit(2)
 
 
-def _drop(number: int) -> None:
-    """Let a standard stream that takes nothing more forget what it holds."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), number)  # Python writes the rest at its end
-
-
-Settings = TypeVar("Settings")
+def forget_output() -> None:
+    """Let the standard output forget what it holds and gets; Python writes it at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def path(text: str) -> Path:
@@ -226,6 +195,9 @@ Date = Annotated[str, Option(help="The day of the test, as 2024-03-05.")]
 Cycles = Annotated[float | None, Option(min=0, help="Cycles that the device had made before.")]
 Temperature = Annotated[str, Option(help='Of the device, such as "20 °C".')]
 Quiet = Annotated[bool, Option("-q", "--quiet", help="Print only warnings and the verdict.")]
+
+
+Settings = TypeVar("Settings")
 
 
 def settings(kind: type[Settings], context: typer.Context, **changed: Any) -> Settings:

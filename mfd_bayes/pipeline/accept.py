@@ -121,16 +121,15 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
     run.level_of(wish.actuation)
     records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
     device = wish.device[0] if len(wish.device) == 1 else wish.device or ""
-    with run.unchanged():
-        devices = accept(
-            *(run, records),
-            device=device,
-            limits=limits or None,
-            session=wish.session,
-            conditions=stated_conditions(wish),
-            draws=wish.draws,
-            seed=wish.seed,
-        )
+    devices = accept(
+        *(run, records),
+        device=device,
+        limits=limits or None,
+        session=wish.session,
+        conditions=stated_conditions(wish),
+        draws=wish.draws,
+        seed=wish.seed,
+    )
     pages = _write(run, wish, devices)
     return Accepted(devices, run.system, wish.folder / "acceptance.csv", pages)
 

@@ -50,14 +50,13 @@ def next_test(out: Path, wish: Wish) -> tuple[AdviceInWords, list[Path]]:
     check_outputs([*own, *drafts], inputs, force=wish.force)
     candidates = _candidates(wish.candidates)
     run = replace(open_run(out), units=wish.units)
-    with run.unchanged():
-        advice = run.next_test(
-            wish.goal or None,
-            candidates,
-            limits=wish.limits or None,
-            draws=wish.draws,
-            seed=wish.seed,
-        )
+    advice = run.next_test(
+        wish.goal or None,
+        candidates,
+        limits=wish.limits or None,
+        draws=wish.draws,
+        seed=wish.seed,
+    )
     words = AdviceInWords(advice, run.system, run.actuation_unit)
     if wish.table is None:
         with alone_in(out):

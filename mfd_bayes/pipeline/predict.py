@@ -124,24 +124,23 @@ def predict(out: Path, question: Question) -> Answer:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
     drawn = measured if question.compare else trace
     design: Rows = ()
-    with run.unchanged():
-        asked = measured if question.given else trace, question.kind, question.probability
-        how: dict[str, Any] = {
-            "whole": question.whole,
-            "given": question.window,
-            "after": question.after,
-        }
-        if not others:
-            how |= {"test": question.test, "explain": question.explain, "device": question.device}
-            # without sessions the tables of --design are then of the same draws
-            how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
-        band = source.predict(*asked, **how)
-        compared_with = record if question.compare else None
-        about = question.after, measured, question.device
-        rows = predicted_rows(source, trace, band, compared_with, *about)
-        if question.design:
-            remarks += design_warnings(run)
-            design = design_rows(run, trace, question.probability)
+    asked = measured if question.given else trace, question.kind, question.probability
+    how: dict[str, Any] = {
+        "whole": question.whole,
+        "given": question.window,
+        "after": question.after,
+    }
+    if not others:
+        how |= {"test": question.test, "explain": question.explain, "device": question.device}
+        # without sessions the tables of --design are then of the same draws
+        how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
+    band = source.predict(*asked, **how)
+    compared_with = record if question.compare else None
+    about = question.after, measured, question.device
+    rows = predicted_rows(source, trace, band, compared_with, *about)
+    if question.design:
+        remarks += design_warnings(run)
+        design = design_rows(run, trace, question.probability)
     band = replace(band, remarks=(*band.remarks, *remarks))
     compared, judged, disagrees = None, "", False
     if drawn.force is not None:

@@ -132,22 +132,21 @@ def respond(prepared: Prepared, observe: Callable[[Step], None]) -> ResponseView
         )
 
     sweep, remarks = None, tuple[str, ...]()
-    with run.unchanged():
-        response = response_of(prepared.building)
-        if prepared.levels is not None:
-            levels, unit = prepared.levels
-            each = [
-                response_of(
-                    prepared.building.at_level(level),
-                    f"{system.words([level], unit, actuation=True)}, ",
-                )
-                for level in levels.tolist()
-            ]
-            try:
-                sweep = sweep_of(prepared.levels, each, query.quantity, query.goal, query.seed)
-                remarks = sweep.remarks
-            except BuildingError as error:  # the response at the file's own actuation is there
-                remarks = (str(error),)
+    response = response_of(prepared.building)
+    if prepared.levels is not None:
+        levels, unit = prepared.levels
+        each = [
+            response_of(
+                prepared.building.at_level(level),
+                f"{system.words([level], unit, actuation=True)}, ",
+            )
+            for level in levels.tolist()
+        ]
+        try:
+            sweep = sweep_of(prepared.levels, each, query.quantity, query.goal, query.seed)
+            remarks = sweep.remarks
+        except BuildingError as error:  # the response at the file's own actuation is there
+            remarks = (str(error),)
     response = replace(response, remarks=(*response.remarks, *remarks))
     view = view_of(run, response, sweep, query, system)
     write_response(query.folder, response, sweep, view, system)

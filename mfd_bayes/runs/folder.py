@@ -5,7 +5,6 @@ And what a command may write where its user says: nothing is replaced without --
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 import shlex
@@ -15,24 +14,19 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from io import FileIO
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import Any
 
 from mfd_bayes.errors import StoreError, hash_file
 from mfd_bayes.jobs.signals import before_end
 from mfd_bayes.store.files import (
     PART,
-    Part,
     cannot_remove,
-    check,
     check_place,
     is_part,
-    read_json,
     remove_file,
-    write_json,
 )
 
 MANIFEST = "manifest.json"
@@ -46,8 +40,8 @@ CROSSVALIDATION = "crossvalidation"
 DISCARDED = f".{MANIFEST}.discarded"
 """The manifest of a run while it is removed: if that is interrupted, it can be repeated."""
 
-OWNER = ".owner.json"
-"""The process that works in the folder."""
+OWNER = ".owner"
+"""The lock of the folder, which names the process that works in it."""
 
 FOLDERS = ("tests", "figures", CROSSVALIDATION)
 """Folders in a run folder."""
@@ -105,109 +99,52 @@ def is_file_of_a_run(path: Path) -> bool:
 # --- the lock
 
 
-class Owner(Part):
-    """A process that works in a run folder; `boot` is the id of the running system, or ""."""
-
-    host: str
-    boot: str
-    pid: Annotated[int, Field(gt=0, lt=2**31)]
-    command: str
-    since: str
-
-    def __str__(self) -> str:
-        """Its name in messages."""
-        return f"{self.command!r}, process {self.pid} on {self.host} since {self.since}"
-
-    @classmethod
-    def here(cls) -> Owner:
-        """The process that asks."""
-        boot = Path("/proc/sys/kernel/random/boot_id")  # the same in each container of a machine
-        return cls(
-            host=socket.gethostname(),
-            boot=boot.read_text(encoding="ascii").strip() if boot.is_file() else "",
-            pid=os.getpid(),
-            command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-            since=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
-        )
-
-    @property
-    def alive(self) -> bool:
-        """Whether this machine has a process with its number."""
-        try:
-            os.kill(self.pid, 0)
-        except ProcessLookupError:
-            return False
-        except PermissionError:  # another user's
-            pass
-        return True
-
-
 @contextmanager
 def alone_in(out: Path) -> Iterator[None]:
     """Make the folder and keep other processes from working in it until the end.
 
-    The lock is the operating system's, on the folder itself, and ends with its owner. The owner
-    also writes its name: a process that is refused reports it, and where machines share the
-    folder, the system's lock may not reach from one to another, but the name does.
+    The lock is the operating system's, on a file in the folder, and ends with its owner. The file
+    names the owner to a process that is refused.
     """
+    path = out / OWNER
     try:
         out.mkdir(parents=True, exist_ok=True)
+        file = path.open("ab+", buffering=0)
     except OSError as error:
-        raise StoreError(f"cannot make the run folder {out}: {error.strerror}") from error
-    here = Owner.here()
+        raise StoreError(f"cannot write in the run folder {out}: {error.strerror}") from error
 
     def leave() -> None:
-        with suppress(OSError):  # a read-only disk: a name that is left behind is no lock
-            (out / OWNER).unlink(missing_ok=True)
+        with suppress(OSError):  # a name that is left behind is no lock
+            path.unlink(missing_ok=True)
 
-    handle = os.open(out, os.O_RDONLY)
-    try:
-        _take(handle, out, here)
-        try:
-            with suppress(StoreError):  # a full disk: the first result reports it
-                write_json(out / OWNER, here.model_dump())
-            with before_end(leave):
+    with file:
+        if not _has_lock(file, path):
+            file.seek(0)
+            owner = file.read(1000).decode(errors="replace").strip()
+            name = f": {owner}" if owner else ""
+            raise StoreError(f"another process is working in {out}{name}: let it end")
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        where = f"process {os.getpid()} on {socket.gethostname()}"
+        owner = f"{command!r}, {where} since {datetime.now(UTC):%Y-%m-%d %H:%M:%S UTC}"
+        with before_end(leave):
+            try:
+                with suppress(OSError):  # a full disk: the first result reports it
+                    file.truncate(0)
+                    file.write(owner.encode(errors="backslashreplace"))
                 yield
-        finally:
-            leave()
-    finally:
-        os.close(handle)
+            finally:
+                leave()
 
 
-def _take(handle: int, out: Path, here: Owner) -> None:
-    """Take the system's lock; refuse a folder that another process may hold."""
-    owner = _owner_of(out)
-    elsewhere = (
-        owner is not None
-        and owner.host != here.host
-        and not (owner.boot and owner.boot == here.boot)
-    )
-    lives = owner is not None and (elsewhere or owner.alive)
+def _has_lock(file: FileIO, path: Path) -> bool:
+    """Whether this process has the lock of a file now, which no other has removed meanwhile."""
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:  # held, or a file system without locks
-        other = owner is not None and lives and not elsewhere and owner.pid != here.pid
-        if error.errno == errno.EWOULDBLOCK or other:
-            name = f": {owner}" if lives else ""
-            raise StoreError(f"another process is working in {out}{name}: let it end") from None
-    if elsewhere:
-        raise StoreError(
-            f"{out} may be in use: its owner is {owner}, and this machine cannot see whether "
-            f"that still runs; let it end, or, if it has ended, remove {out / OWNER}"
-        )
-
-
-def other_owner(out: Path) -> str:
-    """Words that name another process which works in a folder: ": …"; "" where none is known."""
-    owner = _owner_of(out)
-    return "" if owner is None or owner.pid == os.getpid() else f": {owner}"
-
-
-def _owner_of(out: Path) -> Owner | None:
-    """Owner that a folder names; None where it names none, or the name cannot be read."""
-    with suppress(StoreError):
-        return check(Owner, read_json(out / OWNER), OWNER)
-    return None
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat())
 
 
 # --- what lies in a folder
@@ -216,10 +153,7 @@ def _owner_of(out: Path) -> Owner | None:
 def is_free(out: Path, home: Path) -> bool:
     """Whether a folder holds nothing but the campaign, a lock's owner or an unfinished manifest."""
     return not out.is_dir() or all(
-        entry.resolve() == home
-        or entry.name == OWNER
-        or is_part(entry, MANIFEST)
-        or is_part(entry, OWNER)
+        entry.resolve() == home or entry.name == OWNER or is_part(entry, MANIFEST)
         for entry in out.iterdir()
     )
 
@@ -253,7 +187,8 @@ def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
             raise StoreError(f"{path} is a link to outside of the run folder")
         if name in digests and hash_file(path) != digests[name]:
             raise StoreError(
-                f"{path} is not what this run wrote: its SHA-256 is not that in {MANIFEST}"
+                f"{path} is not what this run wrote: its SHA-256 is not that in {MANIFEST}; or "
+                "another process has changed the run meanwhile"
             )
     except (OSError, RuntimeError) as error:
         raise StoreError(f"cannot read {path}: {error}") from error

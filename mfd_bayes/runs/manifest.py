@@ -7,8 +7,8 @@ import json
 import platform
 import re
 import reprlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -37,7 +37,6 @@ from mfd_bayes.runs.folder import (
     discard,
     folder_of,
     is_free,
-    other_owner,
     posterior_of,
     remove_folder,
 )
@@ -428,30 +427,6 @@ def _checked(path: Path, content: dict[str, Any]) -> Manifest:
             f"({reprlib.repr(writer)}), or calibrate again"
         )
     return check(Manifest, content, path)
-
-
-@contextmanager
-def unchanged(folder: Path, manifest: Manifest) -> Iterator[None]:
-    """Raise StoreError where a run changes while it is read: it may be of two runs then."""
-
-    def check_same(cause: StoreError | None = None) -> None:
-        try:
-            now = read_json(folder / MANIFEST)
-        except StoreError:
-            now = {}
-        same = manifest.model_dump(include={"status", "started", "finished", "seed", "files"})
-        if any(now.get(key) != value for key, value in same.items()):
-            raise StoreError(
-                f"the run in {folder} was changed by another process while it was read"
-                f"{other_owner(folder)}; wait until that has ended, and try again"
-            ) from cause
-
-    try:
-        yield
-    except StoreError as error:
-        check_same(error)
-        raise
-    check_same()
 
 
 def this_machine() -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -46,7 +45,7 @@ from mfd_bayes.planning.candidate import (
     parse_tests,
     typical_of,
 )
-from mfd_bayes.planning.study import Advice, Effort, Situation, advise
+from mfd_bayes.planning.study import Advice, advise
 from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
@@ -63,7 +62,7 @@ from mfd_bayes.runs.folder import (
     posterior_of,
     record_of,
 )
-from mfd_bayes.runs.manifest import Manifest, Use, read_manifest, unchanged
+from mfd_bayes.runs.manifest import Manifest, Use, read_manifest
 from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
@@ -237,10 +236,6 @@ class ByName(Mapping[str, Item]):
         """Whether there is an item of a name; it is not read."""
         return name in self._names
 
-    def __repr__(self) -> str:
-        """Names of the items."""
-        return f"<{self._what}s: {', '.join(self._names)}>"
-
 
 def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None = None) -> Run:
     """Finished calibration of a run folder; posteriors and records are read when asked for.
@@ -248,16 +243,14 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     Raises
     ------
     StoreError
-        When the folder is no finished run, a file in it is not what the run wrote, or another
-        process changes it meanwhile.
+        When the folder is no finished run, or a file in it is not what the run wrote.
     """
     folder = path_of("folder", folder, StoreError)
     check_links(folder)
     manifest = read_manifest(folder)
-    with unchanged(folder, manifest):
-        model = model_of(folder, manifest)
-        stored = check_stored(folder, PRIORS, manifest.files).name
-        priors = load_priors(stored, folder, model, of_others=True)
+    model = model_of(folder, manifest)
+    stored = check_stored(folder, PRIORS, manifest.files).name
+    priors = load_priors(stored, folder, model, of_others=True)
     extras = None if make_extras is None else make_extras(manifest.system)
     done = [name for name in manifest.fitted if manifest.tests[name].status == State.DONE]
     held_out = [name for name in manifest.tests if name not in manifest.fitted]
@@ -266,9 +259,8 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     for name in (*map(posterior_of, done), *map(record_of, held_out)):
         if not (folder / name).is_file():
             raise StoreError(f"{folder / name} is missing from the run")
-    tests = ByName(
-        "calibrated test", done, partial(_read_test, folder, manifest, (priors, model), extras)
-    )
+    read_test = partial(_read_test, folder, manifest, priors, model, extras)
+    tests = ByName("calibrated test", done, read_test)
     traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
     return Run(folder, manifest, priors, tests, traces, extras)
 
@@ -287,19 +279,18 @@ def model_of(folder: Path, manifest: Manifest) -> Model:
 def _read_test(
     folder: Path,
     manifest: Manifest,
-    under: tuple[PriorFile, Model],
+    priors: PriorFile,
+    model: Model,
     extras: Extras | None,
     name: str,
 ) -> TestResult:
     file = posterior_of(name)
-    with unchanged(folder, manifest):
-        result = load_result(name, check_stored(folder, file, manifest.files), *under)
+    result = load_result(name, check_stored(folder, file, manifest.files), priors, model)
     return replace(result, sha256=manifest.files.get(file, ""), extras=extras)
 
 
 def _read_trace(folder: Path, manifest: Manifest, name: str) -> Trace:
-    with unchanged(folder, manifest):
-        return load_trace(check_stored(folder, record_of(name), manifest.files))[0]
+    return load_trace(check_stored(folder, record_of(name), manifest.files))[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,13 +328,8 @@ class Run:
         """Laws and scatter across tests."""
         from mfd_bayes.population.population import load_population
 
-        with self.unchanged():
-            path = check_stored(self.folder, POPULATION, self.manifest.files)
-            return load_population(path, self.priors, self.model)
-
-    def unchanged(self) -> AbstractContextManager[None]:
-        """Context that raises StoreError where another process changes the run meanwhile."""
-        return unchanged(self.folder, self.manifest)
+        path = check_stored(self.folder, POPULATION, self.manifest.files)
+        return load_population(path, self.priors, self.model)
 
     def rewrite(self, **parts: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""
@@ -749,8 +735,7 @@ class Run:
             replace(harmonic_of(test.trace, shown), actuation=setting.actuation)
             for test, setting in zip(self.tests.values(), design.settings, strict=True)
         )
-        sessions = tuple(self.session(name) for name in self.tests)
-        check_session(settings.goal.session, sessions)
+        check_session(settings.goal.session, design.sessions)
         typical = [test for test in typical_of(done) if test.actuation > 0.0]
         # without an actuation of its own a test is one at each of the campaign's range
         tests = [
@@ -766,9 +751,8 @@ class Run:
             tests = [
                 replace(c, device=d) for c in tests for d in ([c.device] if c.device else among)
             ]
-        model, noise = self.predictor.model, self.predictor.noise
-        situation = Situation(self.population, model, noise, done, sessions)
-        advice = advise(situation, settings.goal, tests, settings.limits, Effort(draws, seed))
+        question = settings.goal, tests, settings.limits
+        advice = advise(self.predictor, done, *question, draws=draws, seed=seed)
         if not settings.candidates:
             return advice
         reached = []

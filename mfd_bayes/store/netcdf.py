@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import re
 import sys
 import tempfile
 import warnings
@@ -13,7 +12,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -275,7 +273,6 @@ def _opened(path: Path, *names: str) -> Iterator[dict[str, Group]]:
         raise StoreError(f"{path} does not exist")
     try:
         with h5py.File(path, "r") as file:
-            _check_heaps(path)
             members = {name: _member(file, name) for name in names}
             most = path.stat().st_size
             groups = {name: _read_group(group, most) for name, group in members.items()}
@@ -318,24 +315,3 @@ def _member(group: h5py.Group, name: str) -> Any:
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"it has no {name} of its own")
     return group[name]
-
-
-def _check_heaps(path: Path) -> None:
-    """Refuse a file with a heap of texts in which the HDF5 library would never stop reading.
-
-    A global heap is a header of 16 bytes, then one object after another, each behind its number
-    and size. The library steps from one to the next by these sizes alone, and does not move on
-    where one is 0 (HDF5 File Format Specification, III.E).
-    """
-    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
-        for header in re.finditer(rb"GCOL\x01\0\0\0", content):
-            begin = header.start()
-            end = begin + int.from_bytes(content[begin + 8 : begin + 16], "little")
-            at = begin + 16
-            while at + 16 <= end:
-                size = int.from_bytes(content[at + 8 : at + 16], "little")
-                is_object = content[at : at + 2] != b"\0\0"  # number 0 is free space
-                step = 16 + (size + 7) // 8 * 8 if is_object else size
-                if not 0 < step <= end - at or end > len(content):
-                    raise ValueError("it has a heap of texts whose sizes do not fit")
-                at += step

@@ -217,7 +217,7 @@ def test_a_demo_does_not_replace_what_is_not_its_own(tmp_path, name):
     (tmp_path / "campaign").mkdir()
     for own in ("p0_f0.05.csv", ".p500_f0.05.csv.ab12cd.part", "campaign.toml"):
         (tmp_path / "campaign" / own).write_text("time_s")
-    (tmp_path / ".owner.json").write_text("{}")
+    (tmp_path / ".owner").write_text("")
     (tmp_path / name).write_text("mine")
     before = contents(tmp_path / "campaign")
     assert "is not a run folder" in refusal("demo", tmp_path, "--quick", "--force")

@@ -68,7 +68,7 @@ def test_json_is_valid_though_a_figure_is_not_finite(tmp_path):
 
 def test_a_file_that_holds_no_json_object_is_named(tmp_path):
     path = tmp_path / "manifest.json"
-    for content in (None, b"{", b"[1, 2]", b"\xff\xfe", b"[" * 100_000, b'{"a": ["\\ud800"]}'):
+    for content in (None, b"{", b"[1, 2]", b"\xff\xfe", b"[" * 100_000):
         if content is not None:
             path.write_bytes(content)
         with pytest.raises(StoreError, match=r"manifest\.json"):
