@@ -67,21 +67,6 @@ class Inspection:
     force: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """Devices with their verdicts, and the files that say so."""
-
-    devices: tuple[Acceptance, ...]
-    system: System
-    table: Path
-    pages: tuple[Path, ...]
-
-    @property
-    def rejected(self) -> bool:
-        """Whether one device or more is rejected."""
-        return any(device.verdict == "rejected" for device in self.devices)
-
-
 def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
     """Limits of texts such as "slip=15 %"."""
     found = {}
@@ -104,8 +89,8 @@ def read_as_tests(run: Run, path: Path, actuation: str) -> Record:
     return read_record(path, columns if columns and there else None, actuation=actuation, axes=axes)
 
 
-def accept_records(out: Path, wish: Inspection) -> Accepted:
-    """Compare devices with those of a run; table, pages and picture are written.
+def accept_records(out: Path, wish: Inspection) -> tuple[tuple[Acceptance, ...], tuple[Path, ...]]:
+    """Compare devices with those of a run; table, pages (returned) and picture are written.
 
     Raises
     ------
@@ -114,9 +99,7 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
     """
     check_folder(wish.folder, force=wish.force)
     limits = parse_limits(wish.limit)
-    run = open_run(out)
-    if wish.units:
-        run = replace(run, units=wish.units)
+    run = replace(open_run(out), units=wish.units)
     wish = replace(wish, actuation=stated_actuation(run, wish.actuation))
     run.level_of(wish.actuation)
     records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
@@ -130,8 +113,7 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
         draws=wish.draws,
         seed=wish.seed,
     )
-    pages = _write(run, wish, devices)
-    return Accepted(devices, run.system, wish.folder / "acceptance.csv", pages)
+    return devices, _write(run, wish, devices)
 
 
 def _write(run: Run, wish: Inspection, devices: tuple[Acceptance, ...]) -> tuple[Path, ...]:
