@@ -14,9 +14,9 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate, Goal, Limits, harmonic_of, parse_goal
-from mfd_bayes.planning.study import Advice, Effort, Situation, advise, goals_of
+from mfd_bayes.planning.study import Advice, Study, advise
+from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.inference import InferenceSettings, infer_population
-from mfd_bayes.population.population import Population
 from mfd_bayes.records.trace import Harmonic, Trace
 
 BASE = (0.4, 0.5, 0.6)
@@ -98,8 +98,8 @@ class Campaign:
     """Tests of a device, and what was inferred of them."""
 
     traces: Mapping[str, Trace]
-    population: Population
-    situation: Situation
+    predictor: Predictor
+    tests: Sequence[Candidate]
 
 
 def calibrated(traces: Sequence[Trace], seed: int) -> Campaign:
@@ -114,8 +114,8 @@ def calibrated(traces: Sequence[Trace], seed: int) -> Campaign:
     population = infer_population(tests, priors, settings).population
     done = tuple(harmonic_of(trace) for trace in traces)
     some = next(iter(tests.values())).posterior
-    situation = Situation(population, some.model, some.noise, done, ("",) * len(done))
-    return Campaign(dict(zip(tests, traces, strict=True)), population, situation)
+    predictor = Predictor(population, some.model, some.noise)
+    return Campaign(dict(zip(tests, traces, strict=True)), predictor, done)
 
 
 def _test(trace: Trace, priors: PriorFile) -> Any:
@@ -140,9 +140,9 @@ def candidates() -> list[Candidate]:
 
 def advice_of(campaign: Campaign, goal: Goal = GOAL, seed: int = 0) -> Advice:
     """Advice on the next test of a campaign."""
-    return advise(campaign.situation, goal, candidates(), Limits(), Effort(2000, seed))
+    return advise(campaign.predictor, campaign.tests, goal, candidates(), Limits(), seed=seed)
 
 
 def width_of(campaign: Campaign, goal: Goal = GOAL) -> float:
     """Mean width of the goal's bands as a campaign knows it."""
-    return goals_of(campaign.situation, goal, Effort(4000, 1)).width
+    return Study(campaign.predictor, campaign.tests, goal, draws=4000, seed=1).goals.width

@@ -47,7 +47,7 @@ def campaign(seed: int) -> dict[str, Any]:
             "predicted": row.reduction,
             "error": row.error,
             "realised": 1.0 - width_of(again) / before,
-            "worst_r_hat": again.population.convergence.worst_r_hat,
+            "worst_r_hat": again.predictor.population.convergence.worst_r_hat,
         }
     return {"seed": seed, "scatter": truth.scatter, "width": before, "found": found}
 

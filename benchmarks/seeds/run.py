@@ -2,11 +2,11 @@
 
     nice python -m benchmarks.seeds.run 20 > benchmarks/seeds/seeds.txt
 
-runs TESTS, slow ones too, with the seeds 1 to 20 on each of three sets of instructions: an hour for
-each seed on one quiet core (--quick: one file with one seed). Each `default_rng(seed)` of tests and
-package becomes `default_rng([seed, number])`: what is the same for one seed stays the same.
-Processes that a test starts keep their own seeds. A failure is a tolerance that is too narrow, or a
-fault that the tests' own seeds hide. Exit status 1: a test failed.
+runs TESTS with the seeds 1 to 20 on each of three sets of instructions: two minutes for each seed
+on a quiet core (--slow: the slow ones too, an hour for each; --quick: one file with one seed). Each
+`default_rng(seed)` of tests and package becomes `default_rng([seed, number])`: what is the same for
+one seed stays the same. Processes that a test starts keep their own seeds. A failure is a tolerance
+that is too narrow, or a fault that the tests' own seeds hide. Exit status 1: a test failed.
 """
 
 import os
@@ -51,12 +51,13 @@ def main():
     parser = common.parser_of(__doc__)
     parser.add_argument("seeds", type=int, nargs="?", default=20)
     parser.add_argument("tests", nargs="*", default=TESTS)
+    parser.add_argument("--slow", action="store_true", help="the slow tests too")
     options = parser.parse_args()
     seeds = 1 if options.quick else options.seeds
     tests = TESTS[7:8] if options.quick else options.tests
     common.heading(__doc__.splitlines()[0])
     print(f"{'':14}{'seed':>5}{'passed':>8}{'failed':>8}{'minutes':>9}", flush=True)
-    command = [sys.executable, "-m", "pytest", "-q", "-m", "not slow" if options.quick else ""]
+    command = [sys.executable, "-m", "pytest", "-q", "-m", "" if options.slow else "not slow"]
     command += ["-p", "benchmarks.seeds.run", "-p", "no:cacheprovider", *tests]
     failed = []
     for seed in range(1, seeds + 1):

@@ -22,7 +22,6 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior, replicate
 from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.calibration.proposal import Evidence, find_modes, log_evidence, nearest_modes
-from mfd_bayes.calibration.sampling import Draws, sample, sample_density
 from mfd_bayes.errors import FitError, MfdError, StoreError, hash_file
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
@@ -33,6 +32,7 @@ from mfd_bayes.store.netcdf import CalibratedTest, StoredTest, load_test, save_t
 if TYPE_CHECKING:
     import xarray as xr
 
+    from mfd_bayes.calibration.sampling import Draws
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float]
@@ -88,6 +88,8 @@ class Task:
 
     def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Sample the test's posterior and store it in a run folder."""
+        from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
+
         began = time.perf_counter()
         observe(Step(self.id, "finding modes"))
         try:
@@ -141,6 +143,8 @@ def moves(own: Sequence[float], other: Sequence[float]) -> bool:
 
 def fit_other(task: Task) -> OtherFit:
     """Parameters of a test under another noise; a fit that fails is a result too."""
+    from mfd_bayes.calibration.sampling import sample_density  # emcee takes long to import
+
     began = time.process_time()
     rng = np.random.default_rng((*task.seed, 17, *task.noise.encode()))
     try:

@@ -1,4 +1,7 @@
-"""Posterior draws of one test, by independent ensembles of walkers that run until they converge."""
+"""Posterior draws of one test, by independent ensembles of walkers that run until they converge.
+
+emcee takes long to import: other files import this one where a test is sampled.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import emcee
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,7 +54,6 @@ LEAST = 16.0  # least autocorrelation time that is used: far tails are visited m
 PARTS = 6  # largest number of Student-t components of a learned proposal, besides the wide one
 REQUIRED = 200  # correlated draws per dimension that each component needs
 JUMPS = 0.7  # share of independence proposals; the other steps are differential evolution
-FULL = 0.2  # share of those that go by the full difference of two walkers
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +104,7 @@ def sample_density(
     `derived` gives other quantities that must converge too, (n, dim) -> (n, m).
     """
     began = time.perf_counter()
-    walk = Walkers(density, modes, effort, rng)
+    walk = _Walk(density, modes, effort, rng)
     walk.warm_up()
     wait = min(FIRST, math.ceil(effort.length * LEAST))
     while True:
@@ -132,75 +135,35 @@ def sample_density(
         wait = max(ROUND, walk.kept // 4, math.ceil(min(1.1 * left, longest)))
 
 
-class Walkers:
-    """The walkers of all ensembles, which move together, their proposal and stored steps.
-
-    Attributes
-    ----------
-    q, log_prob : (ensembles · walkers, dim), (ensembles · walkers,)
-        Where they are, and the power of the density there.
-    source : Mixture or Proposal
-        From which independence proposals come. The target stays invariant as long as it is
-        unchanged: draws from which it was learned must be discarded.
-    """
+class _Walk:
+    """The walkers of all ensembles, which move together, their proposal and stored steps."""
 
     def __init__(
         self, density: Density, modes: Sequence[Mode], effort: Effort, rng: np.random.Generator
     ) -> None:
-        self._density, self._effort, self._rng, self._power = density, effort, rng, HEAT[0]
-        self._each = 2 * max(effort.walkers // 2, len(modes[0].q) + 3)
-        self.source: Mixture | Proposal = around_modes(modes, self._power)
-        self._anchors: Mixture | Proposal = self.source
-        self.q, self.log_prob = self._begin(effort.ensembles * self._each)
-        self.steps = self._learned = self._proposed = self._accepted = 0
+        dim = len(modes[0].q)
+        self._effort, self._rng = effort, rng
+        self._walkers = 2 * max(effort.walkers // 2, dim + 3)
+        self._power = HEAT[0]
+
+        def powered(q: Array) -> Array:
+            return self._power * density(q)
+
+        self._anchors: Mixture | Proposal = around_modes(modes, self._power)
+        self._independent = Independent(self._anchors, rng)
+        self._sampler = emcee.EnsembleSampler(
+            effort.ensembles * self._walkers,
+            dim,
+            powered,
+            moves=[(self._independent, JUMPS), *evolution(dim, effort.ensembles, 1.0 - JUMPS)],
+            vectorize=True,
+        )
+        # emcee takes a RandomState's state and silently ignores anything else
+        twister = np.random.RandomState(int(rng.integers(2**32))).get_state()
+        begin = disperse(powered, self._anchors, self._sampler.nwalkers, rng)
+        self._state = emcee.State(begin, random_state=twister)
+        self.steps = self._learned = 0
         self._freeze()
-
-    def _begin(self, walkers: int) -> tuple[Array, Array]:
-        """Starting points: draws around the modes, chosen by importance weights."""
-        draws = self.source.draw(self._rng, 4 * walkers)
-        log_prob = self._power * self._density(draws)
-        ratio = log_prob - self.source.log_density(draws)
-        top = np.sort(ratio)[-max(10, len(ratio) // 100)]
-        if not np.isfinite(top):
-            raise FitError("no density around the modes: the posterior cannot be sampled")
-        weights = np.exp(np.minimum(ratio - top, 0.0))
-        chosen = self._rng.choice(len(draws), size=walkers, p=weights / weights.sum())
-        return draws[chosen], log_prob[chosen]
-
-    def jump(self) -> None:
-        """Propose places from the source, which do not depend on where a walker is."""
-        new = self.source.draw(self._rng, len(self.q))
-        factor = self.source.log_density(self.q) - self.source.log_density(new)
-        self._proposed += len(new)
-        self._accepted += self._accept(np.arange(len(new)), new, factor)
-
-    def evolve(self) -> None:
-        """Move by differential evolution within each ensemble (ter Braak, 2006).
-
-        Each half of an ensemble moves by differences of two walkers of the other half. Those by the
-        full difference can jump between modes.
-        """
-        scale = 1.0 if self._rng.random() < FULL else 2.38 / np.sqrt(2 * self.q.shape[1])
-        ensembles = np.arange(len(self.q)).reshape(-1, self._each)
-        order, half = self._rng.permuted(ensembles, axis=1), self._each // 2
-        halves = order[:, :half], order[:, half:]
-        for moving, still in (halves, halves[::-1]):
-            first = self._rng.integers(half, size=moving.shape)
-            second = (first + self._rng.integers(1, half, size=moving.shape)) % half
-            here, there = (self.q[np.take_along_axis(still, k, axis=1)] for k in (first, second))
-            factor = scale + 1e-3 * self._rng.standard_normal((*moving.shape, 1))
-            new = self.q[moving] + factor * (there - here)
-            self._accept(moving.ravel(), new.reshape(-1, self.q.shape[1]))
-
-    def _accept(self, rows: Rows, new: Array, factor: Array | float = 0.0) -> int:
-        """Move walkers to their proposals by Metropolis and Hastings; how many did."""
-        log_prob = self._power * self._density(new)
-        gain = log_prob - self.log_prob[rows] + factor
-        taken = np.log(self._rng.random(rows.size)) < gain
-        self.q = self.q.copy()  # what is stored does not change
-        self.log_prob = self.log_prob.copy()
-        self.q[rows[taken]], self.log_prob[rows[taken]] = new[taken], log_prob[taken]
-        return int(taken.sum())
 
     def warm_up(self) -> None:
         """Learn the proposal in rounds, until another one would cost more than it saves.
@@ -211,27 +174,29 @@ class Walkers:
         for power in HEAT:
             if self.steps >= most:
                 break
-            self.heat(power)
+            self._raise(power)
             self.run(ROUND)
             self._learn(0.75)
             if power == BROAD:
-                self._anchors = Proposal((0.3, 0.7), (self._anchors, self.source))
-        self.heat(1.0)
+                self._anchors = Proposal((0.3, 0.7), (self._anchors, self._independent.source))
+        self._raise(1.0)
         worth, best = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0), 0.0
         for _ in range(ROUNDS):
-            self._proposed = self._accepted = 0
+            self._independent.proposed = self._independent.accepted = 0
             self.run(ROUND)
-            accepted = self._accepted / max(self._proposed, 1)
+            accepted = self._independent.accepted / max(self._independent.proposed, 1)
             self._learn(0.5)
             if accepted < worth * best or self.steps >= most:
                 break
             best = accepted
         self._freeze()
 
-    def heat(self, power: float) -> None:
+    def _raise(self, power: float) -> None:
         """Continue at a new power of the density, without the steps stored before."""
-        self.log_prob = self.log_prob * (power / self._power)
-        self._power = power
+        state = emcee.State(self._state, copy=True)
+        if state.log_prob is not None:  # None before the first step
+            state.log_prob *= power / self._power
+        self._state, self._power = state, power
         self._freeze()
 
     def learn_again(self) -> bool:
@@ -248,28 +213,26 @@ class Walkers:
         self._learned = len(late) * self._stride
         draws = np.concatenate(late)
         parts = int(np.clip(len(draws) // (REQUIRED * draws.shape[1]), 1, PARTS))
-        self.source = learn(draws, parts, self._rng, self._anchors)
+        self._independent.source = learn(draws, parts, self._rng, self._anchors)
 
     def _freeze(self) -> None:
         """Drop the stored steps: all kept draws must come from one proposal."""
         self.kept, self._stride = 0, 1
         self._coords: list[Array] = []
         self._log_prob: list[Array] = []
-        self._moved = np.zeros(len(self.q))
+        self._moved = np.zeros(self._sampler.nwalkers)
 
     def run(self, steps: int) -> None:
         """Continue for some steps, and store every stride-th of them."""
-        for _ in range(steps):
-            before = self.q
-            if self._rng.random() < JUMPS:
-                self.jump()
-            else:
-                self.evolve()
-            self._moved += np.any(self.q != before, axis=1)
+        for state in self._sampler.sample(
+            self._state, iterations=steps, store=False, skip_initial_state_check=True
+        ):
+            self._moved += np.any(state.coords != self._state.coords, axis=1)
+            self._state = emcee.State(state, copy=True)
             self.kept += 1
             if self.kept % self._stride == 0:
-                self._coords.append(self.q)
-                self._log_prob.append(self.log_prob)
+                self._coords.append(self._state.coords)
+                self._log_prob.append(self._state.log_prob)
             if len(self._coords) >= STORED:
                 self._coords, self._log_prob = self._coords[1::2], self._log_prob[1::2]
                 self._stride *= 2
@@ -277,7 +240,7 @@ class Walkers:
 
     def chains(self, derived: Callable[[Array], Array] | None) -> Chains:
         """Thinned draws since the proposal was frozen."""
-        ensembles, walkers = self._effort.ensembles, self._each
+        ensembles, walkers = self._effort.ensembles, self._walkers
         shape = (len(self._coords), ensembles, walkers)
         full = np.swapaxes(np.reshape(self._coords, (*shape, -1)), 0, 1)
         log_prob = np.swapaxes(np.reshape(self._log_prob, shape), 0, 1)
@@ -298,6 +261,102 @@ class Walkers:
             autocorrelation=self._stride * autocorrelation_time(full),
             watched=np.concatenate(watched, axis=-1),
         )
+
+
+# --- moves of the walkers -------------------------------------------------------------------------
+
+
+def accept(
+    model: emcee.model.Model, state: emcee.State, index: Rows, proposal: Array, factor: Array
+) -> Rows:
+    """Walkers of those at `index` that move to their proposals, by Metropolis and Hastings."""
+    log_prob = np.asarray(model.compute_log_prob_fn(proposal)[0])
+    gain = log_prob - state.log_prob[index] + factor
+    taken = np.log(model.random.rand(index.size)) < gain
+    moved: Rows = index[taken]
+    state.coords[moved], state.log_prob[moved] = proposal[taken], log_prob[taken]
+    return moved
+
+
+class WithinEnsembles(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
+    """A red–blue move of emcee, applied within each of several independent ensembles.
+
+    Each half of an ensemble moves by the other half of the same ensemble alone; the density is
+    evaluated for all ensembles in one batch.
+    """
+
+    def __init__(self, move: emcee.moves.RedBlueMove, ensembles: int) -> None:
+        self.move, self.ensembles = move, ensembles
+
+    def propose(
+        self, model: emcee.model.Model, state: emcee.State
+    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+        """New state, and which walkers moved, (ensembles · walkers,)."""
+        self.move.setup(state.coords)
+        total = len(state.coords)
+        walkers = total // self.ensembles
+        order = np.argsort(model.random.rand(self.ensembles, walkers), axis=1)
+        order += walkers * np.arange(self.ensembles)[:, None]
+        halves = order[:, : walkers // 2], order[:, walkers // 2 :]
+        accepted = np.zeros(total, dtype=bool)
+        for moving, still in (halves, halves[::-1]):
+            pairs = [
+                self.move.get_proposal(state.coords[m], [state.coords[s]], model.random)
+                for m, s in zip(moving, still, strict=True)
+            ]
+            proposal, factor = (np.concatenate(part) for part in zip(*pairs, strict=True))
+            accepted[accept(model, state, moving.reshape(-1), proposal, factor)] = True
+        return state, accepted
+
+
+class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
+    """Metropolis–Hastings with proposals that do not depend on a walker's position.
+
+    Walkers are independent here, so that all move in one batch. The target stays invariant
+    as long as the proposal is unchanged; draws from which it was learned must be discarded.
+    """
+
+    def __init__(self, proposal: Mixture | Proposal, rng: np.random.Generator) -> None:
+        self.source, self._rng = proposal, rng
+        self.proposed = self.accepted = 0
+
+    def propose(
+        self, model: emcee.model.Model, state: emcee.State
+    ) -> tuple[emcee.State, NDArray[np.bool_]]:
+        """New state, and which walkers moved, (walkers,)."""
+        total = len(state.coords)
+        proposal, accepted = self.source.draw(self._rng, total), np.zeros(total, dtype=bool)
+        factor = self.source.log_density(state.coords) - self.source.log_density(proposal)
+        accepted[accept(model, state, np.arange(total), proposal, factor)] = True
+        self.proposed += total
+        self.accepted += int(accepted.sum())
+        return state, accepted
+
+
+def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves.Move, float]]:
+    """Differential evolution moves within each ensemble, with their weights.
+
+    One step in five moves by the full difference of two walkers, so that it can jump between
+    modes. emcee 3.1.6's DESnookerMove does not sample the target and is not used.
+    """
+    usual = 2.38 / np.sqrt(2 * dim)
+    return [
+        (WithinEnsembles(emcee.moves.DEMove(sigma=1e-3, gamma0=usual), ensembles), 0.8 * weight),
+        (WithinEnsembles(emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), ensembles), 0.2 * weight),
+    ]
+
+
+def disperse(
+    density: Density, anchors: Mixture | Proposal, walkers: int, rng: np.random.Generator
+) -> Array:
+    """Starting points (walkers, dim): draws around the modes, chosen by importance weights."""
+    draws = anchors.draw(rng, 4 * walkers)
+    ratio = density(draws) - anchors.log_density(draws)
+    top = np.sort(ratio)[-max(10, len(ratio) // 100)]
+    if not np.isfinite(top):
+        raise FitError("no density around the modes: the posterior cannot be sampled")
+    weights = np.exp(np.minimum(ratio - top, 0.0))
+    return draws[rng.choice(len(draws), size=walkers, p=weights / weights.sum())]
 
 
 # --- draws of one test ----------------------------------------------------------------------------

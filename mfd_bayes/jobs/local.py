@@ -241,14 +241,14 @@ def in_turn(functions: Sequence[Callable[[Argument], Value]]) -> Evaluate[Argume
 @contextmanager
 def several_processes(
     functions: Sequence[Callable[[Argument], Value]], jobs: int
-) -> Iterator[Evaluate[Argument, Value] | None]:
-    """Function that computes values in several processes; None where one would be faster.
+) -> Iterator[Evaluate[Argument, Value]]:
+    """Function that computes values in several processes; in this one where that is faster.
 
     The figures are those of this process, bit for bit, and come in the order of the arguments.
     Where a process is lost, this one goes on alone.
     """
     if jobs < 2 or len(functions) < FEWEST:
-        yield None
+        yield in_turn(functions)
         return
     pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(functions,))
     size = max(1, min(MOST, len(functions) // (2 * jobs)))

@@ -37,7 +37,7 @@ from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.population import save_population, save_test_draws
+from mfd_bayes.population.population import save_population
 from mfd_bayes.reporting.tables import comparison_csv
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
@@ -69,7 +69,7 @@ from mfd_bayes.runs.manifest import (
 )
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write_text
-from mfd_bayes.store.netcdf import save_trace
+from mfd_bayes.store.netcdf import save_arrays, save_trace
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""
@@ -258,7 +258,7 @@ def _infer_population(
         lambda progress: observe(Step("population", "sampling", progress)),
     )
     for j, name in enumerate(results):
-        save_test_draws(out / pooled_of(name), inference.values(j), units(model), name)
+        save_arrays(out / pooled_of(name), inference.values(j), {"test": name}, units(model))
     save_population(out / POPULATION, inference.population)
     seconds, worst = time.perf_counter() - began, inference.population.convergence
     sweeps = inference.sweeps

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, UnitError, real_number
-from mfd_bayes.population.design import SAME_LEVEL, same_level, setting_of
+from mfd_bayes.population.design import SAME_LEVEL, Setting, levels_of, same_level, setting_of
 from mfd_bayes.population.laws import default_laws
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import MOST_CYCLES, Trace
@@ -327,17 +327,15 @@ def grid_of(tests: Sequence[Candidate], shown: Shown = Shown()) -> list[Candidat
     """Every test once more, and candidates from the campaign's range and a little beyond it."""
     cycles, scale = typical_of(tests)[0].cycles, shown.actuation
     # tested levels, one in the middle of each gap between them, and one beyond
-    own: list[float] = []
-    for level in sorted(test.actuation for test in tests):
-        if not own or not same_level(level, own[-1]):
-            own.append(level)
+    levels = levels_of([Setting(test.actuation) for test in tests])
+    own = [tests[group[0]].actuation for group in levels]
     if len(own) > (most := (LEVELS - 1) // 2):
         own = [own[k] for k in np.unique(np.linspace(0, len(own) - 1, most).round().astype(int))]
     others = [0.5 * (a + b) for a, b in pairwise(own)] + [BEYOND * own[-1]]
     others += [own[0] / BEYOND] if len(own) == 1 else []
     if not shown.actuated:
         others = []
-    levels = sorted({*own, *(_round(level, NEW, scale) for level in others)} - {0.0})
+    actuations = sorted({*own, *(_round(level, NEW, scale) for level in others)} - {0.0})
     # smallest and largest tested value, and one beyond
     motions = []
     for name, by in (("frequency", 1.0), ("amplitude", shown.length)):
@@ -350,7 +348,7 @@ def grid_of(tests: Sequence[Candidate], shown: Shown = Shown()) -> list[Candidat
     for test in tests:
         if test.actuation > 0.0 and not repeats(test, again, NEW):
             again.append(replace(test, cycles=cycles))
-    new = (Candidate(p, f, a, cycles) for p, f, a in product(levels, *motions))
+    new = (Candidate(p, f, a, cycles) for p, f, a in product(actuations, *motions))
     return [*again, *(c for c in new if not repeats(c, again))]
 
 

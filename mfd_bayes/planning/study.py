@@ -13,17 +13,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
+from scipy import special
 
-from mfd_bayes.calibration.noise import Noise
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import MOST_DRAWS, CampaignError, FitError, NotThereError, whole_number
-from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
 from mfd_bayes.population.bands import Drawn, Predictor
 from mfd_bayes.population.design import Setting, setting_of
 from mfd_bayes.population.joint_fit import slip_force_of
-from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.population import Numbers
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -49,7 +47,6 @@ FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
 # a direction of the summaries with less than this share of their variance is noise, or repeats
 # others
 SAME = 1e-3
-BENT = 6  # directions of the summaries, the widest first, whose squares and products are used too
 PENALTIES = (1e-6, 1e-2, 1e-1, 1.0, 1e1)  # of the ridge regression, over the number of draws
 RESAMPLES = 200  # number of bootstrap resamples of the draws
 # information is about the principal directions of the goals with this share of their variance, at
@@ -122,8 +119,7 @@ class Devices:
     @classmethod
     def draw(
         cls,
-        population: Population,
-        kinds: tuple[Model, Noise],
+        predictor: Predictor,
         settings: Sequence[Setting],
         draws: int,
         rng: np.random.Generator,
@@ -132,13 +128,14 @@ class Devices:
 
         No draw of the population is taken twice, so there may be fewer than asked for.
         """
+        population = predictor.population
         count = min(draws, population.size)
         index = np.sort(rng.choice(population.size, size=count, replace=False))
         grid = np.unique([setting.actuation for setting in settings])
         sessions = dict.fromkeys(["", *(setting.session for setting in settings)])
         numbers = {session: population.draw_numbers(count, grid.size, rng) for session in sessions}
         knots = population.residual.draw_knots(rng, count)
-        return cls(Predictor(population, *kinds), index, grid, numbers, knots)
+        return cls(predictor, index, grid, numbers, knots)
 
     def drawn(
         self, trace: Trace, setting: Setting, rng: np.random.Generator, *, scattered: bool = False
@@ -231,17 +228,17 @@ def directions_of(summaries: Array) -> Array:
     ranks = rankdata(summaries[:, varies], axis=0)
     scores = special.ndtri((ranks - 0.5) / len(summaries))
     scores -= scores.mean(axis=0)
-    left, sizes, _ = linalg.svd(scores, full_matrices=False)
+    left, sizes, _ = np.linalg.svd(scores, full_matrices=False)
     return np.asarray(left[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(len(summaries)))
 
 
-def fit_left_out(goals: Array, directions: Array, *, curved: bool = True) -> Array:
+def fit_left_out(goals: Array, directions: Array) -> Array:
     """Goals (n, m) less their prediction from directions of summaries (n, k), (n, m).
 
-    Each draw is predicted from all others, by ridge regression. Straight and curved forms (squares
-    and products) and several penalties are tried; the one with the least error on draws left out
-    one by one, in closed form (PRESS), summed over the goals in units of their variance, is taken.
-    Where summaries tell nothing the mean of the goals is as good, and is what is taken.
+    Each draw is predicted from all others, by ridge regression. Of several penalties the one with
+    the least error on draws left out one by one, in closed form (PRESS), summed over the goals in
+    units of their variance, is taken. Where summaries tell nothing the mean of the goals is as
+    good, and is what is taken.
 
     Source: Strong, Oakley and Brennan, Medical Decision Making 34 (2014) 311, with ridge
     regression instead of splines, since there are many summaries.
@@ -249,20 +246,14 @@ def fit_left_out(goals: Array, directions: Array, *, curved: bool = True) -> Arr
     n = len(goals)
     centred = goals - goals.mean(axis=0)
     scale = np.maximum(np.mean(centred**2, axis=0), 1e-300)
-    tried, designs = [centred * (n / (n - 1.0))], [directions]
-    if curved and directions.shape[1]:
-        one, other = np.triu_indices(min(directions.shape[1], BENT))
-        products = directions[:, one] * directions[:, other]
-        products = (products - products.mean(axis=0)) / np.sqrt(1.0 + (one == other))
-        designs.append(np.concatenate([directions, products], axis=1))
-    for design in designs if directions.shape[1] else ():
-        left, sizes, _ = linalg.svd(design, full_matrices=False)
-        told = left.T @ centred
-        for penalty in PENALTIES:
-            shrink = sizes**2 / (sizes**2 + penalty * n)
-            leverage = 1.0 / n + left**2 @ shrink
-            away = centred - left @ (shrink[:, None] * told)
-            tried.append(away / np.maximum(1.0 - leverage, 1e-6)[:, None])
+    tried = [centred * (n / (n - 1.0))]
+    left, sizes, _ = np.linalg.svd(directions, full_matrices=False)
+    told = left.T @ centred
+    for penalty in PENALTIES:
+        shrink = sizes**2 / (sizes**2 + penalty * n)
+        leverage = 1.0 / n + left**2 @ shrink
+        away = centred - left @ (shrink[:, None] * told)
+        tried.append(away / np.maximum(1.0 - leverage, 1e-6)[:, None])
     return min(tried, key=lambda away: float(np.sum(np.mean(away**2, axis=0) / scale)))
 
 
@@ -311,7 +302,7 @@ def greedy(goals: Goals, tests: Sequence[Array], size: int) -> list[tuple[int, .
             return 0.0
         matrix = gram[np.ix_(columns, columns)] + SMALL * n * np.eye(q)
         right = told[columns]
-        explained = np.sum(right * linalg.solve(matrix, right, assume_a="pos"), axis=0)
+        explained = np.sum(right * np.linalg.solve(matrix, right), axis=0)
         share = (whole - explained) / (n - 1.0 - q) * (n - 1.0) / np.maximum(whole, 1e-300)
         return float(goals.narrower(np.clip(share, 0.0, None)))
 
@@ -414,51 +405,37 @@ class Advice(Sequence[Row]):
             ) from error
 
 
-@dataclass(frozen=True)
-class Situation:
-    """What a campaign knows: its population, and the tests that were made, with their sessions."""
-
-    population: Population
-    model: Model
-    noise: Noise
-    tests: tuple[Candidate, ...]
-    sessions: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How much is simulated."""
-
-    draws: int = 2000
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
-        whole_number("seed", self.seed, 0, FitError)
-
-
-class _Study:
+class Study:
     """One question about a campaign: draws of the device and of the goal, and simulated tests."""
 
     def __init__(
-        self, situation: Situation, goal: Goal, candidates: Sequence[Candidate], effort: Effort
+        self,
+        predictor: Predictor,
+        tests: Sequence[Candidate],
+        goal: Goal,
+        candidates: Sequence[Candidate] = (),
+        *,
+        draws: int = 2000,
+        seed: int = 0,
     ) -> None:
-        self.candidates, self.seed, self.model = candidates, effort.seed, situation.model
-        population, known = situation.population, dict.fromkeys(situation.sessions)
+        whole_number("draws", draws, FEWEST, FitError, MOST_DRAWS)
+        whole_number("seed", seed, 0, FitError)
+        population, self.model = predictor.population, predictor.model
+        self.candidates, self.seed = candidates, seed
         levels = population.draws.z[..., : len(population.design.names)]
         gap = self.model.gap(population.values(levels.reshape(population.size, -1)))
         self.gap = NO_GAP if gap is None else float(np.median(gap))
         now, self.session = goal.session, NEXT
-        if len(known) == 1:
-            now = self.session = next(iter(known))
-        places = goal.places(typical_of(situation.tests))
+        if len(population.design.sessions) == 1:
+            now = self.session = population.design.sessions[0]
+        places = goal.places(typical_of(tests))
         settings = [
             setting_of(Loop.of(candidate, self.gap).trace, session)
             for session, those in ((now, places), (self.session, candidates))
             for candidate in those
         ]
-        kinds, rng = (self.model, situation.noise), np.random.default_rng([self.seed, DEVICES])
-        self.devices = Devices.draw(population, kinds, settings, effort.draws, rng)
+        rng = np.random.default_rng([seed, DEVICES])
+        self.devices = Devices.draw(predictor, settings, draws, rng)
         values = self._goal(goal, places, now)
         size = np.maximum(np.abs(values).max(axis=0, initial=0.0), 1e-300)
         varying = np.ptp(values, axis=0) > 1e-9 * size
@@ -522,11 +499,11 @@ class _Study:
         force = self.devices.measured(loop, self.session, candidate.device, candidate.cycles, seed)
         return np.abs(force).max(axis=1), directions_of(force[:, loop.first :])
 
-    def gain(self, *copies: Array, curved: bool = True) -> Gain:
+    def gain(self, *copies: Array) -> Gain:
         """Gain of tests whose summaries have these directions: the mean of several copies."""
         gains = []
         for directions in copies:
-            left = fit_left_out(self.goals.values, directions, curved=curved)
+            left = fit_left_out(self.goals.values, directions)
             rng = np.random.default_rng([self.seed, BOOTSTRAP])
             gains.append(list(vars(gain_of(self.goals, left, rng)).values()))
         return Gain(*np.mean(gains, axis=0).tolist())
@@ -542,22 +519,23 @@ class _Study:
             first = COPIES + 1 + again * CURVE
             tests = [self.simulated(n, first + place)[1] for place, n in enumerate(numbers)]
             sets.append(np.concatenate(tests, axis=1))
-        return self.gain(*sets, curved=False)
-
-
-def goals_of(situation: Situation, goal: Goal, effort: Effort) -> Goals:
-    """Draws of a goal as a campaign knows it now."""
-    return _Study(situation, goal, (), effort).goals
+        return self.gain(*sets)
 
 
 def advise(
-    situation: Situation,
+    predictor: Predictor,
+    tests: Sequence[Candidate],
     goal: Goal,
     candidates: Sequence[Candidate],
     limits: Limits,
-    effort: Effort,
+    *,
+    draws: int = 2000,
+    seed: int = 0,
 ) -> Advice:
-    """Candidates with what each is expected to tell of a goal, the best first."""
+    """Candidates with what each is expected to tell of a goal, the best first.
+
+    `tests` are those that were made.
+    """
     every = list(dict.fromkeys(candidates))
     ruled_out = {one: limit for one in every if (limit := limits.forbids(one))}
     allowed = [one for one in every if one not in ruled_out]
@@ -566,8 +544,8 @@ def advise(
             "the limits of velocity and stroke forbid every candidate: give other candidates, or "
             "check the limits' units"
         )
-    study = _Study(situation, goal, allowed, effort)
-    tests: list[tuple[int, Array]] = []
+    study = Study(predictor, tests, goal, allowed, draws=draws, seed=seed)
+    simulated: list[tuple[int, Array]] = []
     gains: dict[int, Gain] = {}
     for number, candidate in enumerate(allowed):
         peaks, directions = study.simulated(number, 0)
@@ -575,36 +553,35 @@ def advise(
             ruled_out[candidate] = "force"
             continue
         gains[number] = study.gain(directions)
-        tests.append((number, directions))
+        simulated.append((number, directions))
     if not gains:
         raise CampaignError(
             f"the limit of the force, {limits.force:.4g} kip, forbids every candidate: give "
             "candidates of less actuation, or check its unit"
         )
-    tests.sort(key=lambda test: -gains[test[0]].reduction)
-    for number, _ in tests[:SHORTLIST]:
+    simulated.sort(key=lambda test: -gains[test[0]].reduction)
+    for number, _ in simulated[:SHORTLIST]:
         # the first copy has put a candidate on the list: it must not judge it too
         copies = [study.simulated(number, copy)[1] for copy in range(1, COPIES + 1)]
         gains[number] = study.gain(*copies)
-        tests += [(number, directions) for directions in copies]
-    chosen = greedy(study.goals, [directions for _, directions in tests], CURVE)
+        simulated += [(number, directions) for directions in copies]
+    chosen = greedy(study.goals, [directions for _, directions in simulated], CURVE)
     together = []
     for one in chosen:
-        numbers = [tests[k][0] for k in one]
+        numbers = [simulated[k][0] for k in one]
         candidates_of = tuple(allowed[n] for n in numbers)
         together.append(Together(**vars(study.gain_of_set(numbers)), candidates=candidates_of))
-    tested = situation.tests
     rows = [
-        Row(**vars(gain), candidate=allowed[n], repeat=repeats(allowed[n], tested))
+        Row(**vars(gain), candidate=allowed[n], repeat=repeats(allowed[n], tests))
         for n, gain in gains.items()
     ]
     return Advice(
         goal=goal,
-        unit=goal.unit(situation.population.actuation_unit, units(situation.model)),
+        unit=goal.unit(predictor.population.actuation_unit, units(predictor.model)),
         width=study.goals.width,
         rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
         together=tuple(together),
         ruled_out=tuple((one, ruled_out[one]) for one in every if one in ruled_out),
-        tests=tested,
+        tests=tuple(tests),
         draws=study.devices.index.size,
     )

@@ -575,24 +575,25 @@ class Forecaster:
         return bool(noise > most or away > special.chdtri(active.size, 0.01))
 
     @cached_property
-    def _stopping(self) -> Stopping:
-        """What new tests of the device would have, with their scatter and without."""
-        own, typical = (
+    def _new(self) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Properties of new tests of the device, with their scatter and without."""
+        with_scatter, without = (
             properties(self._model, self._values_of(self._new_tests, scatter=scatter))
             for scatter in (True, False)
         )
-        return Stopping(own, typical, {**units(self._model), "gap_width": "in"})
+        return with_scatter, without
 
-    @property
+    @cached_property
     def scatter(self) -> dict[str, float]:
         """Scatter of each property from test to test: standard deviation of its logarithm."""
-        return self._stopping.scatter
+        new, typical = self._new
+        return {name: _log_sd(new[name] / values) for name, values in typical.items()}
 
     def estimates(self, cycles: int) -> dict[str, Estimate]:
         """What is known of the test after so many cycles of one motion, by name of the property.
 
         Slip forces and the width of the gap, beside what a new test of the device would have, and
-        what one more cycle is expected to tell; `stopping.is_enough` says when to stop. Where the
+        what one more cycle is expected to tell; `is_enough` says when to stop. Where the
         weights cannot be trusted, `refresh` comes first.
         """
         log_weights, _ = self._weights(trusted=True)
@@ -609,7 +610,14 @@ class Forecaster:
                     off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
                     draws[name] = draws[name] - side * off
         weights = np.exp(log_weights - log_weights.max())
-        return self._stopping.estimates(draws, weights, cycles)
+        unit_of, known = {**units(self._model), "gap_width": "in"}, {}
+        for name, drawn in draws.items():
+            lower, median, upper = quantiles(drawn, weights, (0.025, 0.5, 0.975))
+            new = self._new[0][name]
+            sds = _log_sd(drawn, weights), _log_sd(new), self.scatter[name]
+            below, narrowing = float(np.mean(new < median)), narrowing_of(*sds, cycles)
+            known[name] = Estimate(name, unit_of[name], median, lower, upper, below, narrowing)
+        return known
 
     def band(self, trace: Trace) -> Band:
         """Band of the force in the motion that follows, given all samples so far.
@@ -706,41 +714,16 @@ def properties(model: Model, values: Mapping[str, Array]) -> dict[str, Array]:
     return named if gap is None else {**named, "gap_width": gap}
 
 
-class Stopping:
-    """Judges a test by the draws of its quantities, with weights, after each cycle.
+def narrowing_of(sd: float, before: float, scatter: float, cycles: int) -> float:
+    """Expected narrowing of a property's interval by one more cycle, from sds of its logarithm.
 
-    `prior` are properties of new tests, above zero, `typical` the same draws without the scatter
-    from test to test.
+    They are what it is known to now, what it was before the test, and from test to test.
     """
-
-    def __init__(
-        self, prior: Mapping[str, Array], typical: Mapping[str, Array], units: Mapping[str, str]
-    ) -> None:
-        self.prior, self.units = prior, units
-        self.sd = {name: _log_sd(values) for name, values in prior.items()}
-        self.scatter = {name: _log_sd(prior[name] / values) for name, values in typical.items()}
-
-    def estimates(
-        self, draws: Mapping[str, Array], weights: Array, cycles: int
-    ) -> dict[str, Estimate]:
-        """What is known after so many cycles, from draws (m,) with weights (m,)."""
-        known = {}
-        for name, values in draws.items():
-            lower, median, upper = quantiles(values, weights, (0.025, 0.5, 0.975))
-            below = float(np.mean(self.prior[name] < median))
-            narrowing = self._narrowing(name, _log_sd(values, weights), cycles)
-            unit = self.units[name]
-            known[name] = Estimate(name, unit, median, lower, upper, below, narrowing)
-        return known
-
-    def _narrowing(self, name: str, sd: float, cycles: int) -> float:
-        """Expected narrowing of a property's interval by one more cycle."""
-        now, before, scatter = sd**2, self.sd[name] ** 2, self.scatter[name] ** 2
-        if now <= 0.0:
-            return 0.0
-        each = max(1.0 / now - 1.0 / before, 0.0) / cycles if before > 0.0 else 0.0
-        after = 1.0 / (1.0 / now + each)
-        return float(1.0 - np.sqrt((after + scatter) / (now + scatter)))
+    if sd <= 0.0:
+        return 0.0
+    each = max(sd**-2.0 - before**-2.0, 0.0) / cycles if before > 0.0 else 0.0
+    after = 1.0 / (sd**-2.0 + each)
+    return float(1.0 - np.sqrt((after + scatter**2) / (sd**2 + scatter**2)))
 
 
 def _log_sd(values: Array, weights: Array | None = None) -> float:

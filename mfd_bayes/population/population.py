@@ -601,21 +601,21 @@ def save_population(path: Path, population: Population) -> None:
     }
     facts = {
         "format": FORMAT,
-        "names": [*design.names, *design.coordinates.names[len(design.names) :]],
+        "names": design.coordinates.names,
         "settings": [asdict(setting) for setting in design.settings],
         "laws": design.laws,
         "dependence": design.dependence,
         "weights": population.law_weights,
-        "alternatives": {k: v.tolist() for k, v in vars(population.alternatives).items()},
-        "alternative_weight": population.alternative_weight.tolist(),
-        "start_weights": None if starts.weights is None else starts.weights.tolist(),
+        "alternatives": vars(population.alternatives),
+        "alternative_weight": population.alternative_weight,
+        "start_weights": starts.weights,
         "unloaded": starts.unloaded,
         "actuation_unit": population.actuation_unit,
         "walkers": population.walkers,
         "basis": asdict(residual.basis),
         "residual": {name: getattr(residual, name) for name in _FIGURES},
-        "discrepancy": {name: getattr(residual, name).tolist() for name in _RESIDUAL},
-        **{name: value.tolist() for name, value in vars(population.convergence).items()},
+        "discrepancy": {name: getattr(residual, name) for name in _RESIDUAL},
+        **vars(population.convergence),
     }
     save_arrays(path, arrays, json.loads(json_text(facts)))
 
@@ -667,10 +667,3 @@ def _population(
         walkers=int(facts["walkers"]),
         convergence=Convergence(*(np.array(facts[k]) for k in ("r_hat", "ess_bulk", "ess_tail"))),
     )
-
-
-def save_test_draws(
-    path: Path, values: Mapping[str, Array], units: Mapping[str, str], test: str
-) -> None:
-    """Write a test's posterior with the others: named variables (chain, draw) with units."""
-    save_arrays(path, values, {"test": test}, units)

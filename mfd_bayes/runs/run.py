@@ -45,7 +45,7 @@ from mfd_bayes.planning.candidate import (
     parse_tests,
     typical_of,
 )
-from mfd_bayes.planning.study import Advice, Effort, Situation, advise
+from mfd_bayes.planning.study import Advice, advise
 from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
@@ -723,8 +723,7 @@ class Run:
             replace(harmonic_of(test.trace, shown), actuation=setting.actuation)
             for test, setting in zip(self.tests.values(), design.settings, strict=True)
         )
-        sessions = tuple(self.session(name) for name in self.tests)
-        check_session(settings.goal.session, sessions)
+        check_session(settings.goal.session, design.sessions)
         typical = [test for test in typical_of(done) if test.actuation > 0.0]
         # without an actuation of its own a test is one at each of the campaign's range
         tests = [
@@ -740,9 +739,8 @@ class Run:
             tests = [
                 replace(c, device=d) for c in tests for d in ([c.device] if c.device else among)
             ]
-        model, noise = self.predictor.model, self.predictor.noise
-        situation = Situation(self.population, model, noise, done, sessions)
-        advice = advise(situation, settings.goal, tests, settings.limits, Effort(draws, seed))
+        question = settings.goal, tests, settings.limits
+        advice = advise(self.predictor, done, *question, draws=draws, seed=seed)
         if not settings.candidates:
             return advice
         reached = []

@@ -1,5 +1,6 @@
 """Modes, proposals, moves and draws of densities that are known, each with a control that fails."""
 
+import emcee
 import numpy as np
 import pytest
 from scipy import optimize, stats
@@ -8,14 +9,13 @@ from mfd_bayes.calibration.diagnostics import Effort, autocorrelation_time
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import (
     Mixture,
-    Mode,
     Proposal,
     climb,
     fit_mixture,
     learn,
     least_squares,
 )
-from mfd_bayes.calibration.sampling import Walkers, sample, sample_density
+from mfd_bayes.calibration.sampling import JUMPS, Independent, evolution, sample, sample_density
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
 
@@ -102,25 +102,24 @@ NARROW = Mixture(
 )
 
 
-class Forgetful(Mixture):
+class Forgetful(Independent):
     """The wrong way: proposals from a mixture, accepted as if they were symmetric."""
 
-    def log_density(self, q):
-        return np.zeros(len(q))
+    def propose(self, model, state):
+        proposal = self.source.draw(model.random, len(state.coords))
+        log_prob, _ = model.compute_log_prob_fn(proposal)
+        moved = np.log(model.random.rand(len(proposal))) < log_prob - state.log_prob
+        state.coords[moved], state.log_prob[moved] = proposal[moved], log_prob[moved]
+        return state, moved
 
 
-def run(source, steps, move=None):
+def run(moves, steps):
     """Chains (ensemble, step, walker, dim) of moves that begin with exact draws."""
-    effort = Effort(ess=1, limit=1, ensembles=ENSEMBLES, walkers=WALKERS)
-    mode = Mode(MEAN, 0.0, COVARIANCE)
-    walkers = Walkers(normal, [mode], effort, np.random.default_rng(0))
-    walkers.heat(1.0)
-    walkers.source, walkers.q = source, exact(ENSEMBLES * WALKERS, 100)
-    walkers.log_prob, stored = normal(walkers.q), []
-    for _ in range(steps):
-        getattr(walkers, move)() if move else walkers.run(1)
-        stored.append(walkers.q)
-    return np.swapaxes(np.reshape(stored, (steps, ENSEMBLES, WALKERS, DIM)), 0, 1)
+    total = ENSEMBLES * WALKERS
+    sampler = emcee.EnsembleSampler(total, DIM, normal, moves=moves, vectorize=True)
+    twister = np.random.RandomState(0).get_state()
+    sampler.run_mcmc(emcee.State(exact(total, 100), random_state=twister), steps)
+    return np.swapaxes(sampler.get_chain().reshape(steps, ENSEMBLES, WALKERS, DIM), 0, 1)
 
 
 def sampled(chains):
@@ -135,17 +134,23 @@ def sampled(chains):
 
 
 @pytest.mark.parametrize(
-    ("source", "move", "steps", "right"),
+    ("moves", "steps", "right"),
     [
-        (NARROW, "jump", 1500, True),
-        (NARROW, "evolve", 1500, True),
-        (LEARNED, None, 800, True),
-        (Forgetful(*vars(NARROW).values()), "jump", 400, False),
+        ([(Independent(NARROW, np.random.default_rng(1)), 1.0)], 1500, True),
+        (
+            [
+                (Independent(LEARNED, np.random.default_rng(1)), JUMPS),
+                *evolution(DIM, ENSEMBLES, 1.0 - JUMPS),
+            ],
+            800,
+            True,
+        ),
+        ([(Forgetful(NARROW, np.random.default_rng(1)), 1.0)], 400, False),
     ],
-    ids=["independent, badly placed", "differential evolution", "both", "without their density"],
+    ids=["independent, badly placed", "those of the sampler", "without the proposal's density"],
 )
-def test_a_move_samples_a_correlated_normal(source, move, steps, right):
-    assert sampled(run(source, steps, move)) is right
+def test_a_move_samples_a_correlated_normal(moves, steps, right):
+    assert sampled(run(moves, steps)) is right
 
 
 def test_the_harness_rejects_draws_that_are_slightly_too_wide_or_shifted():

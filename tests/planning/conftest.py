@@ -9,7 +9,7 @@ import pytest
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate
-from mfd_bayes.planning.study import Situation
+from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.design import Setting
 from tests.population.made import THREE_STAGE, make_population, no_residual
 
@@ -29,7 +29,7 @@ def make_situation(
     sessions=(),
     devices=(),
     noise=0.01,
-) -> Situation:
+) -> tuple[Predictor, tuple[Candidate, ...]]:
     """Slip forces known to `level` at 1 ksi, with a scatter, and an exponent known so well.
 
     Tests were made at `levels`, in `sessions`, of `devices`; an effect of this size on slip forces
@@ -55,9 +55,9 @@ def make_situation(
     design = replace(design, scatter_sd=np.zeros_like(design.scatter_sd))
     population = replace(population, design=design)
     tests = tuple(Candidate(p, 0.5, 1.0) for p in levels)
-    return Situation(population, ThreeStage(), find_noise("ou"), tests, tuple(made))
+    return Predictor(population, ThreeStage(), find_noise("ou")), tests
 
 
 @pytest.fixture(scope="session", name="make_situation")
-def _make_situation() -> Callable[..., Situation]:
+def _make_situation() -> Callable[..., tuple[Predictor, tuple[Candidate, ...]]]:
     return make_situation

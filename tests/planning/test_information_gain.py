@@ -48,15 +48,3 @@ def test_a_test_that_tells_nothing_has_no_gain():
         gain, _ = judged(goals, rng.standard_normal((1000, 8)))
         assert 0.0 <= gain.reduction < 0.004
         assert 0.0 <= gain.information < 0.01
-
-
-def test_a_curved_dependence_is_found():
-    rng = np.random.default_rng(4)
-    x = rng.standard_normal((2000, 2))
-    goals = (x[:, 0] ** 2 + 0.1 * rng.standard_normal(2000))[:, None]
-    directions = directions_of(x)
-    curved, straight = (
-        fit_left_out(goals, directions, curved=c).var() / goals.var() for c in (True, False)
-    )
-    assert curved < 0.05
-    assert straight > 0.9

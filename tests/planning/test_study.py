@@ -5,18 +5,18 @@ import pytest
 
 from mfd_bayes.errors import CampaignError, NotThereError
 from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
-from mfd_bayes.planning.study import Devices, Effort, Loop, advise
-from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.planning.study import Devices, Loop, advise
+from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import setting_of
 
 SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
 AT_ONE = Candidate(1.0, 0.5, 1.0)
 GAP = 0.16
-EFFORT, FEW = Effort(1600), Effort(200)
+FEW = 200
 
 
-def ask(situation, goal, *candidates, limits=None, effort=EFFORT):
-    return advise(situation, goal, candidates or (AT_ONE,), limits or Limits(), effort)
+def ask(situation, goal, *candidates, limits=None, draws=1600):
+    return advise(*situation, goal, candidates or (AT_ONE,), limits or Limits(), draws=draws)
 
 
 @pytest.mark.parametrize(("level", "scatter"), [(0.03, 0.09), (0.08, 0.04)])
@@ -64,20 +64,19 @@ def test_tests_that_tell_nothing_promise_nothing(make_situation):
     situation = make_situation(level=0.001, scatter=0.05, exponent=0.2)
     goal = parse_goal("exponent of Fc_fwd", "ksi")
     nothing = [Candidate(1.0, f, a) for f in (0.1, 1.0) for a in (0.3, 2.0)]
-    advice = ask(situation, goal, *nothing, effort=Effort(600))
+    advice = ask(situation, goal, *nothing, draws=600)
     assert max(t.reduction for t in advice.together) <= 0.005
     assert max(t.information for t in advice.together) <= 0.01
     assert advice[0].reduction <= 0.015
     tell = [*nothing, Candidate(1.5, 0.5, 1.0)]  # the control
-    assert ask(situation, goal, *tell, effort=Effort(600)).together[0].reduction > 0.3
+    assert ask(situation, goal, *tell, draws=600).together[0].reduction > 0.3
 
 
 def test_scatter_of_a_single_test_is_not_reduced(make_situation):
     situation = make_situation(level=0.03, scatter=0.09)
     at = parse_goal("band at 900|1000 psi", "ksi").at
     device, new_test = (
-        ask(situation, Goal(kind=kind, at=at), effort=Effort(800))[0]
-        for kind in ("device", "new_test")
+        ask(situation, Goal(kind=kind, at=at), draws=800)[0] for kind in ("device", "new_test")
     )
     assert new_test.reduction < 0.02  # of its variance only a tenth is the law's
     assert device.reduction > 0.025
@@ -87,9 +86,7 @@ def test_a_repeat_is_worth_little_where_the_exponent_is_unknown(make_situation):
     far = parse_goal("slip at 1500 psi, 0.5 Hz, 1 in", "ksi")
     elsewhere = Candidate(1.5, 0.5, 1.0)
     situation = make_situation(level=0.002, scatter=0.002, exponent=0.1)
-    rows = {
-        row.candidate: row for row in ask(situation, far, AT_ONE, elsewhere, effort=Effort(400))
-    }
+    rows = {row.candidate: row for row in ask(situation, far, AT_ONE, elsewhere, draws=400)}
     assert rows[AT_ONE].reduction < 0.01
     assert rows[AT_ONE].repeat
     assert rows[elsewhere].reduction > 0.8
@@ -99,7 +96,7 @@ def test_a_repeat_is_worth_little_where_the_exponent_is_unknown(make_situation):
 def test_every_gain_is_positive_and_the_table_is_in_order(make_situation):
     candidates = [Candidate(p, f, a) for p, f in ((0.5, 0.1), (2.0, 2.0)) for a in (0.02, 1.0)]
     candidates.append(Candidate(1.0, 0.5, 1.0, price=0.0))
-    advice = ask(make_situation(exponent=0.2), Goal(), *candidates, effort=FEW)
+    advice = ask(make_situation(exponent=0.2), Goal(), *candidates, draws=FEW)
     assert len(advice) == len(candidates)
     assert all(min(row.reduction, row.information, row.error) >= 0.0 for row in advice)
     assert advice["reduction"] == sorted(advice["reduction"], reverse=True)
@@ -118,12 +115,12 @@ def test_forbidden_candidates_are_never_proposed(make_situation):
     situation = make_situation(exponent=0.2)
     limits = Limits(velocity=8.0, stroke=6.0, force=8.0)
     every = AT_ONE, fast, long, strong
-    advice = ask(situation, Goal(), *every, limits=limits, effort=FEW)
+    advice = ask(situation, Goal(), *every, limits=limits, draws=FEW)
     assert dict(advice.ruled_out) == {fast: "velocity", long: "stroke", strong: "force"}
     proposed = {row.candidate for row in advice}
     proposed |= {c for together in advice.together for c in together.candidates}
     assert proposed == {AT_ONE}
-    free = ask(situation, Goal(), *every, effort=FEW)
+    free = ask(situation, Goal(), *every, draws=FEW)
     assert {row.candidate for row in free} == {AT_ONE, fast, long, strong}  # the control
 
 
@@ -138,13 +135,11 @@ def test_limits_that_leave_nothing_are_said(make_situation):
 
 def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
     """The same quantiles as `run.predict`, which draws parameters of its own."""
-    situation = make_situation(level=0.05, scatter=0.08)
+    predictor, _ = make_situation(level=0.05, scatter=0.08)
     loop = Loop.of(AT_ONE, GAP)
     rng = np.random.default_rng(0)
-    kinds = situation.model, situation.noise
     settings = [setting_of(loop.trace)]
-    devices = Devices.draw(situation.population, kinds, settings, 1600, rng)
-    predictor = Predictor(situation.population, *kinds)
+    devices = Devices.draw(predictor, settings, 1600, rng)
     for kind, scattered in (("device", False), ("new_test", True)):
         ours = devices.damper(loop, "", scattered=scattered, seed=(1,))
         band = predictor.predict(loop.trace, Forecast(kind, draws=1600))
@@ -155,11 +150,10 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
 
 def test_cycles_average_noise(make_situation):
     """With noise alone the energy of n cycles scatters by √n less."""
-    situation = make_situation(level=1e-9, scatter=1e-9, noise=0.3)
+    predictor, _ = make_situation(level=1e-9, scatter=1e-9, noise=0.3)
     loop = Loop.of(AT_ONE, GAP)
-    kinds = situation.model, situation.noise
     rng = np.random.default_rng(0)
-    devices = Devices.draw(situation.population, kinds, [setting_of(loop.trace)], 1600, rng)
+    devices = Devices.draw(predictor, [setting_of(loop.trace)], 1600, rng)
     one, nine = (loop.energy(devices.measured(loop, "", "", n, (1,))).std() for n in (1.0, 9.0))
     assert one / nine == pytest.approx(3.0, rel=0.1)
 
