@@ -42,11 +42,10 @@ from mfd_bayes.records.record import (
     Record,
     Source,
     Window,
-    header_unit,
     parse_window,
     read_record,
 )
-from mfd_bayes.records.table import own_name
+from mfd_bayes.records.table import header_unit
 from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, actuation_kind, measure
 
@@ -243,7 +242,7 @@ def _history_unit(path: Path, test: str, column: Column, file: Path) -> str:
     if column.unit is None and not (unit and measure(unit) != "ratio" and _is_actuation(unit)):
         table = read_table(file)
         name = table.name_of(column.key)
-        unit = table.units.get(name, unit or header_unit(own_name(name)))
+        unit = table.units.get(name, unit or header_unit(name))
     where = f"actuation of test {test!r} in {path}"
     if unit is None:
         given = f"name = {column.name!r}" if column.name else f"column = {column.column}"

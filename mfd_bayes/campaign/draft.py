@@ -10,6 +10,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from mfd_bayes.records.data_quality import contradictions, length_in_name, runs_
 from mfd_bayes.records.loops import Scales, middle, scales_of
 from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
+from mfd_bayes.records.table import listed
 from mfd_bayes.store.files import commented, quoted, read_toml
 from mfd_bayes.units import (
     DAMPER,
@@ -274,7 +276,7 @@ def campaign_text(draft: Draft) -> str:
             lines.append(f"actuation = {quoted(test.actuation)}  {commented(test.source)}")
         elif draft.axes.actuated:
             lines.append(commented(f"FIXME: {_no_actuation(test, draft)}"))
-        for role, guess in _own_columns(test, shared):
+        for role, guess in _own_columns(test, shared).items():
             line = _column_line(draft.axes.name(role), guess)
             lines.append(line if line.startswith("#") else f"columns.{line}")
         if test.earthquake:
@@ -323,7 +325,7 @@ def doubts(draft: Draft) -> list[str]:
     pairs = []
     quake = 'its name is that of an earthquake; role = "validate" is suggested'
     for name, test, columns in _parts(draft):
-        pairs += [(name, doubt) for _, guess in columns for doubt in guess.doubts]
+        pairs += [(name, doubt) for guess in columns.values() for doubt in guess.doubts]
         if test is not None:
             pairs += [(name, doubt) for doubt in (*test.doubts, *[quake] * test.earthquake)]
         elif draft.unit is None and _priors_of(draft)[0] != WRITTEN:
@@ -335,16 +337,18 @@ def gaps(draft: Draft) -> list[str]:
     """Sentences on what is missing and must be added, each with its columns or tests."""
     pairs = []
     for name, test, columns in _parts(draft):
-        pairs += [(name, _no_unit(role, guess)) for role, guess in columns if guess.unit is None]
+        pairs += [
+            (name, _no_unit(role, guess)) for role, guess in columns.items() if guess.unit is None
+        ]
         if test is not None and test.actuation is None and draft.axes.actuated:
             pairs.append((name, _no_actuation(test, draft)))
     return _grouped(pairs)
 
 
-def _parts(draft: Draft) -> Iterator[tuple[str, TestDraft | None, Iterable[tuple[str, Guess]]]]:
+def _parts(draft: Draft) -> Iterator[tuple[str, TestDraft | None, dict[str, Guess]]]:
     """The table of shared columns and each test, with its name and its columns."""
     shared = _shared_columns(draft.tests)
-    yield "columns", None, shared.items()
+    yield "columns", None, shared
     for test in draft.tests:
         yield test.id, test, _own_columns(test, shared)
 
@@ -354,16 +358,11 @@ def _grouped(pairs: Iterable[tuple[str, str]]) -> list[str]:
     subjects: dict[str, list[str]] = {}
     for subject, sentence in pairs:
         subjects.setdefault(sentence, []).append(subject)
-    sentences = []
-    for sentence, names in subjects.items():
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        sentences.append(f"{', '.join(names[:3])}{more}: {sentence}")
-    return sentences
+    return [f"{listed(names, 3, str)}: {sentence}" for sentence, names in subjects.items()]
 
 
-def _as_written(guess: Guess) -> tuple[object, ...]:
-    """What the campaign file says of a column."""
-    return guess.name, guess.unit, guess.number, guess.sign, guess.rate
+_as_written = attrgetter("name", "unit", "number", "sign", "rate")
+"""What the campaign file says of a column."""
 
 
 def _shared_columns(tests: Sequence[TestDraft]) -> dict[str, Guess]:
@@ -381,11 +380,10 @@ def _shared_columns(tests: Sequence[TestDraft]) -> dict[str, Guess]:
     return shared
 
 
-def _own_columns(test: TestDraft, shared: dict[str, Guess]) -> Iterator[tuple[str, Guess]]:
+def _own_columns(test: TestDraft, shared: dict[str, Guess]) -> dict[str, Guess]:
     """Columns of a test that are not the shared ones."""
-    for role, guess in test.columns.items():
-        if role not in shared or _as_written(guess) != _as_written(shared[role]):
-            yield role, guess
+    usual = {role: _as_written(guess) for role, guess in shared.items()}
+    return {role: g for role, g in test.columns.items() if usual.get(role) != _as_written(g)}
 
 
 def _table_of(guess: Guess) -> str:
@@ -480,7 +478,7 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
     forces = [own.force for own in scales.values()]
     ends = dict.fromkeys(quantity(f, "force") for f in (min(forces), max(forces)))
     spread = max(_WIDE, 0.5 * float(np.log(max(forces) / min(forces))) + 0.7)
-    where = f"the plateau of {_names(scales)}, {' to '.join(ends)}"
+    where = f"the plateau of {listed(list(scales), 2, str)}, {' to '.join(ends)}"
     slip = lognormal(usual.force, "force", spread, where)
     build_up = "the slope at which the force comes back"
     slope = lognormal(usual.build_up, "force/length", 1.5, build_up)
@@ -503,7 +501,7 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
         },
     }
     content, text = read_toml(find_priors("any")), f"{_PRIORS_HEAD}title = "
-    text += quoted(f"{SCALED}: {_names(scales)}") + "\n"
+    text += quoted(f"{SCALED}: {listed(list(scales), 2, str)}") + "\n"
     for section, own in (("parameters", read_off), ("scatter", {})):
         for name, table in (content[section] | own).items():
             text += f"\n[{section}.{name}]\n"
@@ -516,12 +514,6 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
                     size = float(match[1]) * sizes[over] / sizes.get(under, 1.0)
                     text += f"{key} = {quoted(quantity(size, match[2]))}  {commented(value)}\n"
     return text
-
-
-def _names(records: Iterable[str]) -> str:
-    first, *others = records
-    more = f" and {len(others)} more" if len(others) > 1 else f" and {others[0]}" if others else ""
-    return f"{first}{more}"
 
 
 def _toml(value: object) -> str:

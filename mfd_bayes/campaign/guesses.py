@@ -15,8 +15,8 @@ import numpy as np
 from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
-from mfd_bayes.records.record import Source, header_unit, stated_unit, step_of
-from mfd_bayes.records.table import Table, listed, own_name
+from mfd_bayes.records.record import Source, step_of
+from mfd_bayes.records.table import Table, header_unit, listed, own_name, stated_unit
 from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
     ActuationUnit,
@@ -272,7 +272,7 @@ def by_loop(signals: Mapping[str, Array]) -> list[str]:
 
 def _with_unit(table: Table, role: str, guess: Guess, guesses: Mapping[str, Guess]) -> Guess:
     """Guess without a unit: that which the other columns or the steps of time tell."""
-    stated = stated_unit(own_name(guess.name), table.units.get(guess.name, ""))
+    stated = stated_unit(guess.name, table.units.get(guess.name, ""))
     if stated:
         text = f"{stated!r}, as the file says, is no known unit of {role}{force_meant(stated)}"
         return replace(guess, lacking=text)

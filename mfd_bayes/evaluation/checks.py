@@ -124,10 +124,9 @@ def predictive_checks(
     gap = None if width is None else float(np.median(width))
     checks = []
     for check in check_predictive(posterior, replicas, gap):
-        if check.kind in ("residual", "correlation", "mid_gap"):
-            feature, _, unit = check.name.partition(", ")
-            sizes = check.observed, check.expected, check.size, check.p_value
-            checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
+        feature, _, unit = check.name.partition(", ")
+        sizes = check.observed, check.expected, check.size, check.p_value
+        checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
     seen = measured_properties(measured)
     axes = posterior.model.axes
     for name, (feature, check_name) in _FEATURES.items():

@@ -169,7 +169,7 @@ def laws_without(model: Model, laws: Mapping[str, str]) -> list[str]:
 def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:
     """Gap and slip force that no device of the priors has: a unit, or another priors file."""
     read = test.features
-    if read is None:
+    if not test.steady:
         return
     hint = "check its unit, or give priors that fit the device"
     if gap is not None and np.isfinite(read.gap) and not NARROW < read.gap / gap < WIDE:

@@ -59,7 +59,8 @@ class Tested:
 
     id: str
     trace: Trace  # every sample, without spikes
-    features: LoopFeatures | None  # None where the record has too few loops at full stroke
+    steady: bool  # whether it has enough loops at full stroke to be compared
+    features: LoopFeatures
     asymmetry: Array  # (P,), kip; difference of the two directions along a stroke
     work: float  # kip*in, of the loops; negative where one sign is swapped
     cycle: float  # s; median time of a full loop, 0 where there is none
@@ -72,12 +73,12 @@ class Tested:
         """A test of its record, whose trace has every sample and a force."""
         trace = without_spikes(trace)
         loops = find_loops(trace)
-        steady = bool(np.count_nonzero(loops.strong) >= STEADY)
         return cls(
             id=name,
             trace=trace,
-            features=loop_estimate(trace) if steady else None,
-            asymmetry=asymmetry(trace) if steady else np.full(1, np.nan),
+            steady=bool(np.count_nonzero(loops.strong) >= STEADY),
+            features=loop_estimate(trace),
+            asymmetry=asymmetry(trace),
             work=float(np.sum(np.asarray(loops.energy))),
             cycle=float(np.median(loops.period)) if loops.period.size else 0.0,
             actuation=actuation,
@@ -89,11 +90,6 @@ class Tested:
     def level(self) -> float:
         """Actuation, kip or ksi; NaN where it is not known."""
         return self.trace.reference_actuation
-
-    @property
-    def plateau(self) -> float:
-        """Slip force, kip; NaN where it cannot be read."""
-        return self.features.plateau if self.features else float("nan")
 
 
 def compare_tests(tests: Sequence[Tested]) -> list[tuple[str, Fault]]:
@@ -107,7 +103,7 @@ def _duplicates(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     for other, test in combinations(tests, 2):
         if test.id in twins:
             continue
-        if test.features is not None and other.features is not None:
+        if test.steady and other.steady:
             energies = abs(test.features.energy), abs(other.features.energy)
             if not min(energies) > 0.8 * max(energies):
                 continue
@@ -212,7 +208,7 @@ def _clocks(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
 
 def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose signs are not those of the others: which of two, or both."""
-    steady = [t for t in tests if t.features is not None and not t.swapped]
+    steady = [t for t in tests if t.steady and not t.swapped]
     for test in steady:
         others = [t for t in steady if t is not test]
         directions = {t.trace.direction for t in others}
@@ -241,7 +237,7 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
 
 def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose gap, build-up or slip force is not that of the others."""
-    steady = [t for t in tests if t.features is not None and t.work > 0.0]
+    steady = [t for t in tests if t.steady and t.work > 0.0]
     values = np.array([[getattr(t.features, name) for name in QUANTITIES] for t in steady])
     away, sds, exponents = deviations(values.reshape(-1, 3), np.array([t.level for t in steady]))
     far = np.nanmax(np.abs(away) / sds, axis=1, initial=0.0)
@@ -379,11 +375,11 @@ def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
 
 def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose slip force is that of a far actuation, or not that of others at their own."""
-    loaded = [t for t in tests if t.level > 0.0 and t.plateau > 0.0]
+    loaded = [t for t in tests if t.level > 0.0 and t.features.plateau > 0.0]
     for test in loaded if len(loaded) > 2 else ():
         others = [t for t in loaded if t is not test]
         levels = np.log([test.level / t.level for t in others])
-        forces = np.log([test.plateau / t.plateau for t in others])
+        forces = np.log([test.features.plateau / t.features.plateau for t in others])
         near, like = int(np.argmin(np.abs(levels))), int(np.argmin(np.abs(forces)))
         far = abs(levels[near]) > max(np.log(FAR_LEVEL), np.ptp(levels))
         if far and abs(forces[like]) < np.log(UNLIKE):
@@ -394,7 +390,7 @@ def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 "of the nearest test, {near}, but its slip force, {slip}, is about the same: "
                 "{why}",
                 near=others[near].id,
-                slip=(test.plateau, "kip"),
+                slip=(test.features.plateau, "kip"),
                 why=_of_actuation(test, float(levels[like]), others),
             )
             yield test.id, fault
@@ -406,7 +402,7 @@ def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 f"its slip force, {{slip}}, is {np.exp(ratio):.2g} times the one of about "
                 "{expected} of the tests at its actuation: its load cell or its actuation is "
                 "probably wrong, or the file is that of another test",
-                slip=(test.plateau, "kip"),
-                expected=(test.plateau / float(np.exp(ratio)), "kip"),
+                slip=(test.features.plateau, "kip"),
+                expected=(test.features.plateau / float(np.exp(ratio)), "kip"),
             )
             yield test.id, fault

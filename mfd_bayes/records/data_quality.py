@@ -24,10 +24,8 @@ from mfd_bayes.records.record import (
     ROLES,
     Record,
     crossing_times,
-    header_unit,
-    stated_unit,
 )
-from mfd_bayes.records.table import own_name
+from mfd_bayes.records.table import header_unit, stated_unit
 from mfd_bayes.records.trace import (
     Array,
     Trace,
@@ -608,9 +606,9 @@ def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
         if role in record.derived or (role not in roles and role != "actuation"):
             continue
         row = record.stated_units.get(role, "")
-        own, where = stated_unit(own_name(name), row), "the file" if row else "its name"
+        own, where = stated_unit(name, row), "the file" if row else "its name"
         if not own or measure(own) != measure(unit):  # "kN" of "load_kN"
-            last = header_unit(own_name(name))
+            last = header_unit(name)
             if last and measure(last) == measure(unit):
                 own, where = last, "its name"
         if not own or " " in own or same_unit(own, unit):
@@ -631,7 +629,7 @@ def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
 
 def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
     """Times read as s, without the file's word for it, that are plausible as ms alone."""
-    name = own_name(record.columns.get("time", ("", ""))[0])
+    name = record.columns.get("time", ("", ""))[0]
     stated = (header_unit(name), stated_unit(name), record.stated_units.get("time"))
     duration = float(np.ptp(trace.time))
     cycle, rate = duration / max(trace.turning_points.size / 2, 1.0), trace.samples / duration

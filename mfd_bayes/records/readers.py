@@ -102,6 +102,8 @@ def read_text(path: Path) -> Table:
         decimals=(".",) if separator == "," else (".", ","),
         head=tuple(lines[:top]),
     )
+    if table.headed:
+        _check_order(path, lines, table.names, top)
     used = set(table.rows)
     for number, row in zip(numbers, rows, strict=False) if columns is None else ():
         # Between blanks no cell can be empty.
@@ -216,6 +218,18 @@ def _words(comment: str, separator: str, width: int) -> list[str]:
             if len(words) == width > 1 and "n" not in kinds(words):
                 return words
     return []
+
+
+def _check_order(path: Path, lines: Sequence[str], names: Sequence[str], top: int) -> None:
+    """Refuse a comment below the names that has them in another order."""
+    for at, line in enumerate(lines[top + 1 :], start=top + 2):
+        if line.lstrip().startswith("#"):
+            words = _words(line, ",", len(names))
+            if words and words != list(names) and sorted(words) == sorted(names):
+                raise RecordError(
+                    f"line {at} of {path} names the columns in another order than line {top + 1}: "
+                    "keep one table in a file"
+                )
 
 
 def read_json(path: Path) -> Table:

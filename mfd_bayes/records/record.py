@@ -17,14 +17,13 @@ from itertools import pairwise
 from math import ceil, inf
 from pathlib import Path
 from typing import Any
-from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError, hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.table import Table, bare_unit, own_name
+from mfd_bayes.records.table import Table, header_unit
 from mfd_bayes.records.trace import (
     Array,
     Trace,
@@ -36,7 +35,6 @@ from mfd_bayes.records.trace import (
 )
 from mfd_bayes.units import (
     DAMPER,
-    UNREAD,
     ActuationUnit,
     Axes,
     actuation_factor,
@@ -249,50 +247,6 @@ def crossing_times(
 ROLES = ("time", "displacement", "force", "velocity", "actuation")
 """What a column can be; a record needs a time and a displacement."""
 
-_SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
-_BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
-_REMARKS = re.compile(
-    "raw|meas(ured)?|corr(ected)?|filt(ered)?|smoothed|avg|average|mean|abs|max|min|rms|total|net|"
-    "main|left|right|top|bot(tom)?|upper|lower|north|south|east|west|front|rear|back|lvdt|sensor|"
-    "(load)?cell|actuator|machine|ch(annel)?|[xyz]|axial|lateral|vertical|horizontal|relative|"
-    "absolute|calibrated|zeroed|command|cmd|feedback|fbk|analog|digital|signal|data|scaled|elapsed|"
-    "test|local|utc|fwd|bwd|forward|backward"
-)
-"""Words that people put in brackets behind a name, and that are no units."""
-
-
-def header_unit(name: str) -> str | None:
-    """Last part of a column's name: ``"kip"`` of ``"force_kip"`` or ``"Force [kip]"``.
-
-    None where the name has one part. The last part may be no unit: ``"force"`` of
-    ``"axial_force"``.
-    """
-    name = normalize("NFKC", name)  # as the brackets of a Japanese keyboard, and ㎜
-    match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
-    if match is None or match[1].strip(" :,;0123456789") == "" != match[1].strip():  # "log(:,1)"
-        return None
-    return match[1].strip().replace("_per_", "/")
-
-
-def stated_unit(name: str, row: str = "") -> str | None:
-    """What a file says to be the unit of a column, whether known or not; None where it says none.
-
-    In brackets, as a last word that is known to be one ("load_tonf"), or in its row of units.
-    """
-    if bare_unit(row):
-        return bare_unit(row)
-    name = normalize("NFKC", name)
-    for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
-        text = bare_unit(square or round_ or angle)
-        if not re.search(r"[^\W\d_]|[%°\"″′”]", text) or _REMARKS.fullmatch(text.lower()):
-            continue
-        words = re.findall(r"[^\W\d_]+", text)
-        is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
-        if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
-            return text
-    last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
-    return last[1] if last and last[1].lower() in UNREAD else None
-
 
 def unit_of(
     table: Table, role: str, name: str, units: Mapping[str, str], axes: Axes = DAMPER
@@ -301,7 +255,7 @@ def unit_of(
     word = axes.name(role)
     if given := units.get(role):
         return given
-    ours, theirs = header_unit(own_name(name)), table.units.get(name)
+    ours, theirs = header_unit(name), table.units.get(name)
     if theirs is None:
         if ours is None:
             if name not in table.names:
@@ -532,7 +486,7 @@ def sources_of(
     optional = [] if chosen else ["force", "velocity", *["actuation"] * (actuation is None)]
     for role in needed + optional:
         if role not in roles:
-            for name in _columns_called(table, axes.name(role)):
+            for name in table.called(axes.name(role)):
                 roles[role] = name
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
@@ -543,18 +497,6 @@ def sources_of(
         name, source = roles[role], given.get(role, Source(roles[role]))
         sources[role] = replace(source, column=name, unit=unit_of(table, role, name, stated, axes))
     return sources
-
-
-def _columns_called(table: Table, role: str) -> list[str]:
-    """Name of the column that is called like the role, with or without a unit, if there is one."""
-    pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
-    matches = [name for name in table.names if pattern.fullmatch(own_name(name))]
-    if len(matches) > 1:
-        raise RecordError(
-            f"{table.path} has several columns for {role}, {', '.join(matches)}; say which, as "
-            f"{role} = {{ column = {table.number_of(matches[0])} }}"
-        )
-    return matches
 
 
 def _no_column_for(role: str, table: Table, axes: Axes) -> RecordError:

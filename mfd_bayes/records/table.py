@@ -58,6 +58,51 @@ def bare_unit(text: str) -> str:
     return normalize("NFKC", text).strip().strip("[](){}<>-–— ")
 
 
+_SUFFIX = r"_((?:[^_\s]+_per_)?[^_\s]+)"
+_BRACKETS = r"\s*[\[(]([^\[\]()]+)[\])]"
+_REMARKS = re.compile(
+    "raw|meas(ured)?|corr(ected)?|filt(ered)?|smoothed|avg|average|mean|abs|max|min|rms|total|net|"
+    "main|left|right|top|bot(tom)?|upper|lower|north|south|east|west|front|rear|back|lvdt|sensor|"
+    "(load)?cell|actuator|machine|ch(annel)?|[xyz]|axial|lateral|vertical|horizontal|relative|"
+    "absolute|calibrated|zeroed|command|cmd|feedback|fbk|analog|digital|signal|data|scaled|elapsed|"
+    "test|local|utc|fwd|bwd|forward|backward"
+)
+"""Words that people put in brackets behind a name, and that are no units."""
+
+
+def header_unit(name: str) -> str | None:
+    """Last part of a column's name: ``"kip"`` of ``"force_kip"`` or ``"Force [kip]"``.
+
+    None where the name has one part. The last part may be no unit: ``"force"`` of
+    ``"axial_force"``.
+    """
+    name = normalize("NFKC", own_name(name))  # as the brackets of a Japanese keyboard, and ㎜
+    match = re.search(rf"{_BRACKETS}$", name) or re.search(rf"{_SUFFIX}$", name)
+    if match is None or match[1].strip(" :,;0123456789") == "" != match[1].strip():  # "log(:,1)"
+        return None
+    return match[1].strip().replace("_per_", "/")
+
+
+def stated_unit(name: str, row: str = "") -> str | None:
+    """What a file says to be the unit of a column, whether known or not; None where it says none.
+
+    In brackets, as a last word that is known to be one ("load_tonf"), or in its row of units.
+    """
+    if bare_unit(row):
+        return bare_unit(row)
+    name = normalize("NFKC", own_name(name))
+    for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
+        text = bare_unit(square or round_ or angle)
+        if not re.search(r"[^\W\d_]|[%°\"″′”]", text) or _REMARKS.fullmatch(text.lower()):
+            continue
+        words = re.findall(r"[^\W\d_]+", text)
+        is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
+        if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
+            return text
+    last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
+    return last[1] if last and last[1].lower() in UNREAD else None
+
+
 def parse(column: Column, decimal: str = ".") -> Array:
     """Numbers of a column, (T,), with this sign of decimals; NaN where there is none."""
     if isinstance(column, np.ndarray):
@@ -212,6 +257,17 @@ class Table:
                 f"{listed(self.names, 20, str)}"
             )
         return self.names[numbers.index(column)]
+
+    def called(self, role: str) -> list[str]:
+        """Name of the column that is called like a role, perhaps with a unit, if there is one."""
+        pattern = re.compile(rf"{role}({_SUFFIX}|{_BRACKETS})?", re.IGNORECASE)
+        matches = [name for name in self.names if pattern.fullmatch(own_name(name))]
+        if len(matches) > 1:
+            raise RecordError(
+                f"{self.path} has several columns for {role}, {', '.join(matches)}; say which, as "
+                f"{role} = {{ column = {self.number_of(matches[0])} }}"
+            )
+        return matches
 
     def no_column(self, name: str) -> RecordError:
         """Error for a name that no column, or more than one, has."""

@@ -24,8 +24,7 @@ from mfd_bayes.errors import (
     why_no_file,
 )
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.record import header_unit
-from mfd_bayes.records.table import Table
+from mfd_bayes.records.table import Table, header_unit
 from mfd_bayes.units import GRAVITY, convert, factor, split_quantity
 
 Array = NDArray[np.float64]

@@ -135,6 +135,7 @@ def test_every_number_is_read_and_what_is_not_is_named(tmp_path, name):
 
 
 KILO = text(ROWS[80:] * [1.0, 1.0, 1e-3], "\t")
+SECOND = "# time_s force_N disp_mm\n"
 OUT_OF_RANGE = "".join(f"OVR,{x:.3f},{t:.2f}\n" for t, x, _ in ROWS[235:])
 REFUSED = {
     "times that start again": (mts(ROWS[:80], ROWS[80:160] - [4.0, 0.0, 0.0]), "line 86"),
@@ -144,6 +145,10 @@ REFUSED = {
     "another table": (between("Channel,Peak,Mean\n", 220), "line 222"),
     "a block in other units": (mts(ROWS[:80]) + MTS_NAMES + "Sec\tmm\tkN\n" + KILO, ""),
     "80 numbers above": (text(ROWS[:80]) + HEAD + text(ROWS[80:]), "lines 1 to 80"),
+    "a comment in another order": (
+        "# time_s disp_mm force_N\n" + text(ROWS[:80], " ") + SECOND + text(ROWS[80:], " "),
+        "line 82",
+    ),
     "an error of a spreadsheet": (between("#N/A,1,2\n"), "'#N/A'"),
     "a sensor out of range at the end": (
         "Load (N),Stroke (mm),Time (s)\n" + text(ROWS[:235, [2, 1, 0]]) + OUT_OF_RANGE,
