@@ -54,12 +54,3 @@ def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms():
             z = elastic[1] / VALUES["sigma0"]
             rate = velocity - VALUES["sigma0"] * abs(velocity) * z / VALUES["Fs_fwd"]
             assert force[2] == pytest.approx(elastic[2] + 0.03 * rate, rel=1e-9)
-
-
-def test_lugre_takes_its_own_from_all_of_the_papers_parameters():
-    time = np.linspace(0.0, 4.0, 201)
-    trace = Trace.from_arrays(time, np.sin(2.0 * time))
-    own = np.array([[60.0, 0.02, 0.01, 2.4, 2.0, 1.9, 1.5, 0.5]])
-    gap = np.array([[0.5, 30.0, 0.1, 0.08, 1.0, 0.005]])
-    everything = np.concatenate([own[:, :7], gap, own[:, 7:]], axis=1)
-    np.testing.assert_array_equal(LuGre().force(everything, trace), LuGre().force(own, trace))
