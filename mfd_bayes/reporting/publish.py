@@ -52,16 +52,9 @@ _PRINTING = 180.0
 class Forms:
     """Parts of a report that are made only where asked for: they need more software or time.
 
-    Attributes
-    ----------
-    pdf, word, excel, next_test : bool
-        PDFs of the pages, the tables for Word and Excel, the section on the next test.
-    tests : tuple of str
-        Tests whose pictures are drawn, where there are more than `ALL_DRAWN`.
-    all_tests : bool
-        Whether those of all tests are.
-    at : tuple of str
-        Conditions that the data sheet has besides those that were tested: "500 psi, 1 in, 0.5 Hz".
+    PDFs of the pages, the tables for Word and Excel, the section on the next test; pictures of
+    `tests` where there are more than `ALL_DRAWN`, or of all; and conditions that the data sheet has
+    besides those that were tested: `at` "500 psi, 1 in, 0.5 Hz".
     """
 
     pdf: bool = False
@@ -79,13 +72,7 @@ class Forms:
         return tuple(name for name in names if name in self.tests)
 
     def check(self, names: Sequence[str]) -> None:
-        """Refuse what cannot be made of a run with these tests, before anything is written.
-
-        Raises
-        ------
-        ReportError
-            When a library, or for a PDF a browser, is not there, or the run has no such test.
-        """
+        """Refuse what cannot be made of a run with these tests, before anything is written."""
         for name in self.tests:
             if name not in names:
                 near = get_close_matches(name, names, 1)
@@ -115,13 +102,7 @@ def publish(
     forms: Forms = PLAIN,
     sheet: Datasheet | None = None,
 ) -> None:
-    """Write tables, figures and pages of a report into the run folder.
-
-    Raises
-    ------
-    MfdError
-        When something cannot be written, or no browser prints the PDF.
-    """
+    """Write tables, figures and pages of a report into the run folder."""
     system, symbols, frames = view.system, Symbols(view.model), report_frames(view)
     sheets = dict(zip(("parameters", "laws"), paper_sheets(view, symbols), strict=True))
     if sheet is not None:
