@@ -53,6 +53,12 @@ def say(sentence: object, *, err: bool = False) -> None:
     typer.echo(clean(sentence), err=err)
 
 
+def warn(remarks: Iterable[str]) -> None:
+    """Print remarks as warnings, each once."""
+    for remark in dict.fromkeys(remarks):
+        say(f"warning: {remark}", err=True)
+
+
 def open_console() -> Console:
     """Console that prints every text as it is, 110 columns wide where it is no terminal."""
     from rich.console import Console

@@ -23,9 +23,7 @@ from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 
 Array = NDArray[np.float64]
 
-FITS = 24
-"""Draws to which a material is fitted."""
-
+FITS = 24  # draws to which a material is fitted
 ABOUT = "about.json"
 _MADE_BY = "mfd_bayes export"
 
