@@ -435,13 +435,7 @@ class Axes:
         return in_place_of(internal, {"in": self.motion.unit, "kip": self.response.unit})
 
     def factor(self, unit: str, role: str, *, of: str = "") -> float:
-        """Factor from a unit of a column to the model's.
-
-        Raises
-        ------
-        UnitError
-            When the unit is unknown, or measures something else.
-        """
+        """Factor from a unit of a column to the model's."""
         axis = {"displacement": self.motion, "force": self.response}.get(role)
         if axis is None and role == "velocity":
             axis = Axis(self.name(role), self.unit("in/s"))
@@ -506,13 +500,7 @@ DAMPER = Axes()
 
 
 def axis_of(given: object, default: Axis) -> Axis:
-    """Axis of "stress, MPa", ("stress", "MPa"), or of a quantity of `UNITS` alone, "stress".
-
-    Raises
-    ------
-    UnitError
-        When the name or the unit cannot be used.
-    """
+    """Axis of "stress, MPa", ("stress", "MPa"), or of a quantity of `UNITS` alone, "stress"."""
     parts = given if isinstance(given, tuple | list) else str(given).split(",", 1)
     name, *unit = (str(part).strip() for part in parts)
     if not re.fullmatch(r"[A-Za-z]\w*", name) or len(unit) > 1:

@@ -83,10 +83,12 @@ if __name__ == "__main__":
     if {"calibrate", "crossvalidate", "report"} & set(sys.argv):
         from contextlib import nullcontext
 
+        from mfd_bayes.jobs.local import in_turn
         from mfd_bayes.reporting import figures, publish
 
         figures.draw_shared = figures.draw_test = lambda *_: iter(())
-        publish.several_processes = lambda *_: nullcontext()  # tests are drawn in this process
+        # tests are drawn in this process
+        publish.several_processes = lambda functions, _: nullcontext(in_turn(functions))
     main()
 """
 

@@ -110,14 +110,11 @@ class Reader:
             pytest.fail(f"{block.page}:{at[-1] if at else block.line}: {error!r}")
 
     def run_bash(self, block):
-        trap = f"trap 'echo at line $((LINENO + {block.line - 1})) >&2' ERR; "
-        command = ["bash", "-euo", "pipefail", "-c", trap + block.code]
+        command = ["bash", "-euxo", "pipefail", "-c", block.code]
         how = {"capture_output": True, "text": True, "timeout": 300, "check": False}
         done = subprocess.run(command, env=self.environment, **how)
         if done.returncode != 0:
-            at = re.findall(r"^at line (\d+)$", done.stderr, re.MULTILINE)
-            where = at[-1] if at else block.line
-            pytest.fail(f"{block.page}:{where}: exit code {done.returncode}\n{done.stderr}")
+            pytest.fail(f"{block.page}:{block.line}: exit code {done.returncode}\n{done.stderr}")
         self.said = done.stdout
 
 
@@ -188,7 +185,7 @@ def test_every_page_with_blocks_is_run():
 def test_a_broken_block_or_words_that_were_not_printed_fail_with_their_line(folder):
     for text, words in (
         ("```python\nfine = 1\n1 / 0\n```\n", "page.md:3: "),
-        ("```bash\ntrue\nfalse\n```\n", "page.md:3: "),
+        ("```bash\ntrue\nfalse\n```\n", "page.md:2: exit code 1"),
         (
             "```bash\necho one\n```\n\n```text\none\n…\nthree\n```\n",
             "page.md:8: not printed: three",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,6 @@ from mfd_bayes.calibration.priors import Prior, PriorFile, load_priors, priors_o
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.friction.model import Model, columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.records.loops import STRONG
 from mfd_bayes.records.trace import Trace, check_magnitude, check_trace
 from mfd_bayes.store.cards import card, counted
 
@@ -290,9 +289,6 @@ def check_predictive(
     found = [
         _check("residual rms, kip", "residual", _rms(rests[0]), _rms(rests[1])),
         _check("lag-one residual correlation", "correlation", *lags, scale=1.0),
-        *_energy_checks(posterior, replicas),
-        _check("peak force forward, kip", "peak", record.max(axis=1), replica.max(axis=1)),
-        _check("peak force backward, kip", "peak", -record.min(axis=1), -replica.min(axis=1)),
     ]
     if gap is not None:
         at = _mid_gap(posterior.trace, gap) - posterior.first
@@ -300,7 +296,7 @@ def check_predictive(
         if at.size:
             sides = _rms(record[:, at]), _rms(replica[:, at])
             found.append(_check("force at mid-gap, kip", "mid_gap", *sides, scale=half))
-    return (*found, *_coverage_checks(record[0], replica))
+    return tuple(found)
 
 
 def _check(
@@ -312,52 +308,6 @@ def _check(
     seen, expected = float(observed.mean()), float(replicated.mean())
     whole = max(abs(seen) if scale is None else scale, 1e-12)
     return PredictiveCheck(name, seen, expected, p_value, kind, (expected - seen) / whole)
-
-
-def _energy_checks(posterior: Posterior, replicas: Replicas) -> list[PredictiveCheck]:
-    """Energy of a cycle at full stroke, and in all where other cycles have a part in it."""
-    trace, first = posterior.trace, posterior.first
-    forces = np.asarray(trace.force)[None], replicas.observed
-    strong = full_strokes(trace, first)
-    found = []
-    if strong.any():
-        seen, drawn = (cycle_energies(f, trace, first)[:, strong].mean(axis=1) for f in forces)
-        found.append(_check("energy per cycle, kip·in", "energy", seen, drawn))
-    if not strong.all() or not strong.any():
-        x = trace.displacement[first:]
-        seen, drawn = (np.asarray(np.trapezoid(f[:, first:], x, axis=1)) for f in forces)
-        found.append(_check("energy in all, kip·in", "energy", seen, drawn))
-    return found
-
-
-def cycle_energies(force: Array, trace: Trace, first: int = 0) -> Array:
-    """Energy dissipated in each of the L full cycles, E = ∮ F dx, (n, L), kip·in, of force (n, T).
-
-    A full cycle runs from one turn of the whole motion (`Trace.cycle_turns`) to the second one
-    after it. Cycles follow each other from the first turn at or after sample `first`.
-    """
-    bounds = _cycle_bounds(trace, first)
-    if bounds.size < 2:
-        return np.empty((len(force), 0))
-    kept = slice(bounds[0], bounds[-1] + 1)
-    mean = 0.5 * (force[:, kept][:, 1:] + force[:, kept][:, :-1])
-    work = mean * np.diff(trace.displacement[kept])
-    return np.add.reduceat(work, bounds[:-1] - bounds[0], axis=1)
-
-
-def full_strokes(trace: Trace, first: int = 0) -> NDArray[np.bool_]:
-    """Whether each of the full cycles has at least `STRONG` of the largest amplitude, (L,)."""
-    bounds = _cycle_bounds(trace, first)
-    if bounds.size < 2:
-        return np.empty(0, dtype=bool)
-    x, begins = trace.displacement[bounds[0] : bounds[-1] + 1], bounds[:-1] - bounds[0]
-    stroke = np.maximum.reduceat(x, begins) - np.minimum.reduceat(x, begins)
-    return np.asarray(stroke >= STRONG * stroke.max())
-
-
-def _cycle_bounds(trace: Trace, first: int) -> NDArray[np.intp]:
-    """Samples at which full cycles begin, and at which the last ends, (L + 1,)."""
-    return trace.cycle_turns[trace.cycle_turns >= first][::2]
 
 
 def derive_from_parameters(
@@ -377,21 +327,6 @@ def derive_from_parameters(
         sides = zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False)
         derived |= {name: values[force] / (pressure * area) for name, force in sides}
     return derived
-
-
-def _coverage_checks(record: Array, replica: Array) -> list[PredictiveCheck]:
-    """Coverage of bands made from one half of the replicas, against that of the other half."""
-    band, held = replica[::2], replica[1::2]
-    checks = []
-    for probability in COVERAGES:
-        tail = 0.5 * (1.0 - probability)
-        lower, upper = np.quantile(band, [tail, 1.0 - tail], axis=0)
-        observed = np.mean((record >= lower) & (record <= upper))
-        replicated = np.mean((held >= lower) & (held <= upper), axis=1)
-        name = f"coverage of the {probability:.0%} band".replace("%", " %")
-        found = _check(name, "coverage", np.full(len(held), observed), replicated)
-        checks.append(replace(found, size=float(observed) - probability))
-    return checks
 
 
 def _rms(values: Array) -> Array:

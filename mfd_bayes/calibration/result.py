@@ -21,7 +21,7 @@ from mfd_bayes.calibration.diagnostics import (
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior, replicate
 from mfd_bayes.calibration.priors import PriorFile, units
-from mfd_bayes.calibration.proposal import Evidence, find_modes, log_evidence, nearest_modes
+from mfd_bayes.calibration.proposal import Evidence, log_evidence, nearest_modes
 from mfd_bayes.errors import FitError, MfdError, StoreError, hash_file
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Outcome, Progress, State, Step
@@ -143,23 +143,21 @@ def moves(own: Sequence[float], other: Sequence[float]) -> bool:
 
 def fit_other(task: Task) -> OtherFit:
     """Parameters of a test under another noise; a fit that fails is a result too."""
-    from mfd_bayes.calibration.sampling import sample_density  # emcee takes long to import
+    from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
 
     began = time.process_time()
-    rng = np.random.default_rng((*task.seed, 17, *task.noise.encode()))
     try:
         posterior = task.posterior()
-        modes = find_modes(posterior, rng, starts=ROUGH.starts)
-        chains = sample_density(posterior.log_prob, modes, ROUGH, rng)
-        if not chains.convergence.reached(ROUGH.r_hat, ROUGH.ess):
+        draws = sample(posterior, ROUGH, (*task.seed, 17, *task.noise.encode()))
+        if not draws.convergence.reached(ROUGH.r_hat, ROUGH.ess):
             raise FitError("the walkers did not settle")
-        values = posterior.values(chains.q.reshape(-1, posterior.dim))
+        values = {name: column.reshape(-1) for name, column in draws.values.items()}
         quantities = quantiles_of(posterior, values)
     except (MfdError, np.linalg.LinAlgError) as error:
         seconds = time.process_time() - began
         return OtherFit(task.noise, error=str(error), seconds=seconds)
-    size, seconds = chains.convergence.worst_ess, time.process_time() - began
-    return OtherFit(task.noise, size, quantities, seconds)
+    seconds = time.process_time() - began
+    return OtherFit(task.noise, draws.convergence.worst_ess, quantities, seconds)
 
 
 def quantiles_of(posterior: Posterior, values: Mapping[str, Array]) -> dict[str, Bounds]:

@@ -51,8 +51,10 @@ def calibrate(
     if out is None and not dry_run:
         raise typer.BadParameter("missing: give the run folder to write", param_hint="-o")
     with mistakes("" if dry_run else resumption()):
+        from mfd_bayes.jobs.local import get_ready
+
         if not dry_run:
-            _get_ready()
+            get_ready()  # before this process imports the rest
         from mfd_bayes.pipeline import calibrate as pipeline
         from mfd_bayes.pipeline.plan import plan_campaign
 
@@ -71,13 +73,6 @@ def calibrate(
         console.print_end(view, out, quiet=quiet)
     if not view.whole or (strict and view.unusable):
         raise typer.Exit(1)
-
-
-def _get_ready() -> None:
-    """Let the server of processes import what they need, before this process imports the rest."""
-    from mfd_bayes.jobs.local import get_ready
-
-    get_ready("mfd_bayes.pipeline.preload")
 
 
 def check(
@@ -214,7 +209,9 @@ def demo(
         return shlex.join(["mfd-bayes", "calibrate", *run, *words, "--resume"])
 
     with mistakes(resume):
-        _get_ready()
+        from mfd_bayes.jobs.local import get_ready
+
+        get_ready()
         from mfd_bayes.pipeline import calibrate as pipeline
 
         with show_progress(quiet=quiet) as observe:

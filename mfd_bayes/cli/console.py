@@ -53,6 +53,12 @@ def say(sentence: object, *, err: bool = False) -> None:
     typer.echo(clean(sentence), err=err)
 
 
+def warn(remarks: Iterable[str]) -> None:
+    """Print remarks as warnings, each once."""
+    for remark in dict.fromkeys(remarks):
+        say(f"warning: {remark}", err=True)
+
+
 def open_console() -> Console:
     """Console that prints every text as it is, 110 columns wide where it is no terminal."""
     from rich.console import Console
@@ -264,7 +270,7 @@ def missed_lines(view: CampaignView) -> list[str]:
     """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
     from mfd_bayes.runs.manifest import Use, Verdict
 
-    system = view.systems[view.metric]
+    system = view.system
     return [
         *(f"warning: {f.subject}: {f.message.to_text(system)}" for f in view.warnings),
         *(
@@ -284,7 +290,7 @@ def _figure(view: CampaignView, value: float, unit: str) -> str:
     """A value in the units of a view."""
     if unit in ("1", "dimensionless"):
         return f"{value:.4g}"
-    return view.systems[view.metric].words([value], unit)
+    return view.system.words([value], unit)
 
 
 def _expected(view: CampaignView, check: Check) -> str:
@@ -299,7 +305,7 @@ def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
 
     These are at most `LINES` lines of at most `WIDTH` columns; `mfd-bayes check` has the rest.
     """
-    system = view.systems[view.metric]
+    system = view.system
     text = " ".join(sentence.to_text(system) for sentence in view.sentences)
     text = clean(f"{view.verdict.upper()}: {text}")
     lines = LINES if quiet else 4
@@ -319,7 +325,7 @@ def print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
 def print_sentences(view: CampaignView) -> None:
     """Print the verdict on a run, a line for each of its sentences, in the units of a view."""
     for sentence in view.sentences:
-        say(sentence.to_text(view.systems[view.metric]))
+        say(sentence.to_text(view.system))
 
 
 Observe = Callable[[Step], None]

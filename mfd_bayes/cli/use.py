@@ -115,8 +115,7 @@ def predict(
 def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     """Print what a prediction found, and where its tables are."""
     band = answer.band
-    for remark in band.remarks:
-        console.say(f"warning: {answer.system.text(remark)}", err=True)
+    console.warn(map(answer.system.text, band.remarks))
     console.say(
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({answer.name}), from {band.source}: {question.bands}"
@@ -280,25 +279,21 @@ def accept(
     with mistakes():
         from mfd_bayes.pipeline import accept as pipeline
 
-        found = pipeline.accept_records(out, options.settings(pipeline.Inspection, ctx))
-    for remark in dict.fromkeys(remark for each in found.devices for remark in each.remarks):
-        console.say(f"warning: {remark}", err=True)
+        devices, pages = pipeline.accept_records(out, options.settings(pipeline.Inspection, ctx))
+    console.warn(remark for each in devices for remark in each.remarks)
     if not quiet:
-        for each in found.devices:
+        for each in devices:
             heads = ["effect, %", "90 % interval", "limit, %", "percentile", "p", "verdict"]
             rows = [
-                (
-                    f"{row['quantity']} {row['direction']}".strip(),
-                    *console.effect_cells(row),
-                )
+                (f"{row['quantity']} {row['direction']}".strip(), *console.effect_cells(row))
                 for _, row in each.rows.iterrows()
             ]
             console.print_rows(f"{each.device}: {each.verdict}", ["quantity", *heads], rows)
-    for each in found.devices:
+    for each in devices:
         console.say(f"{each.device}: {each.sentence}")
     if not quiet:
-        console.say(f"look next at {found.pages[0]}")
-    if found.rejected:
+        console.say(f"look next at {pages[0]}")
+    if any(each.verdict == "rejected" for each in devices):
         raise typer.Exit(1)
 
 
@@ -360,8 +355,7 @@ def next_test(
         from mfd_bayes.pipeline import next_test as pipeline
 
         best, files = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
-    for remark in best.advice.remarks:
-        console.say(f"warning: {remark}", err=True)
+    console.warn(best.advice.remarks)
     if not quiet:
         heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
         title = "How much the best candidates are expected to narrow the goal"
@@ -440,8 +434,7 @@ def respond(
             console.say(ground.words)
         with show_progress(quiet=quiet) as observe:
             view = pipeline.respond(prepared, observe)
-    for remark in view.remarks:
-        console.say(f"warning: {remark}", err=True)
+    console.warn(view.remarks)
     for sentence in view.verdict:
         console.say(sentence)
     if view.sweep:
@@ -479,8 +472,7 @@ def export(
         from mfd_bayes.pipeline import export as pipeline
 
         sentences, remarks = pipeline.export(out, options.settings(pipeline.Export, ctx))
-    for remark in remarks:
-        console.say(f"warning: {remark}", err=True)
+    console.warn(remarks)
     for sentence in sentences:
         console.say(sentence)
 

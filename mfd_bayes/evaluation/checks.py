@@ -42,9 +42,7 @@ from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 
-INFORMED = 0.5
-"""Least contraction of a parameter that the data inform."""
-
+INFORMED = 0.5  # least contraction of a parameter that the data inform
 NOT_INFORMED = "the data do not determine this parameter: its posterior is about its prior"
 """Note of a parameter with less contraction."""
 
@@ -124,10 +122,9 @@ def predictive_checks(
     gap = None if width is None else float(np.median(width))
     checks = []
     for check in check_predictive(posterior, replicas, gap):
-        if check.kind in ("residual", "correlation", "mid_gap"):
-            feature, _, unit = check.name.partition(", ")
-            sizes = check.observed, check.expected, check.size, check.p_value
-            checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
+        feature, _, unit = check.name.partition(", ")
+        sizes = check.observed, check.expected, check.size, check.p_value
+        checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
     seen = measured_properties(measured)
     axes = posterior.model.axes
     for name, (feature, check_name) in _FEATURES.items():
@@ -276,24 +273,16 @@ def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
 
 # --- tests that differ from the others, and device values that few tests have
 
-FEWEST = 5
-"""Fewest tests among which one can stand out."""
-
-RARE = 0.01
-"""Probability with which any test of a campaign stands out by chance, about."""
-
-DRAWS = 400
-"""Draws of the population by which its median is known well enough."""
-
+FEWEST = 5  # fewest tests among which one can stand out
+RARE = 0.01  # probability with which any test of a campaign stands out by chance, about
+DRAWS = 400  # draws of the population by which its median is known well enough
 START_DRAWS = 1000
 
 LEAST = 0.2
 """Least distance of two starts, as a share of the gap. Intervals are narrower than the model is
 right in the gap: on real tests a start moved by 0.1 when the test was pooled with the others."""
 
-MOST_OUTSIDE = 0.5
-"""A device value that more than this share of its tests do not have is named."""
-
+MOST_OUTSIDE = 0.5  # a device value that more than this share of its tests do not have is named
 _WORDS = {
     "d2": "gap",
     "d3": "d3/d2",

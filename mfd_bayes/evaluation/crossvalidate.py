@@ -37,7 +37,7 @@ from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
-from mfd_bayes.population.inference import Inference, infer_population
+from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
 from mfd_bayes.runs.manifest import (
@@ -46,7 +46,6 @@ from mfd_bayes.runs.manifest import (
     ComparisonRow,
     PartKind,
     Prediction,
-    Score,
 )
 from mfd_bayes.runs.run import Run, TestSequence, open_run
 from mfd_bayes.runs.unit_system import US
@@ -54,9 +53,7 @@ from mfd_bayes.store.files import AtLeastOne, Part, check, read_json, write_json
 
 Array = NDArray[np.float64]
 
-DRAWS = 800
-"""Number of draws of each scored band."""
-
+DRAWS = 800  # number of draws of each scored band
 FOLDER = CROSSVALIDATION
 
 
@@ -197,35 +194,27 @@ def leave_out(
         run.manifest.settings.inference(fold.effort, (fold.seed, 2)),
         lambda progress: observe(Step(fold.id, "sampling", progress)),
     )
+
+    def pooled(name: str) -> dict[str, Array]:
+        """Quantities of one of the other tests as pooled with them, by name, (n,) each."""
+        values = inference.values(list(others).index(name))
+        return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
+
     predictions = []
     motions = {**run.held_out, **{name: run.tests[name].trace for name in fold.left_out}}
     for name in fold.left_out:
         test = run.tests[name]
-        posterior = test.posterior
+        posterior, force = test.posterior, np.asarray(test.trace.force)
         predictor = Predictor(inference.population, posterior.model, posterior.noise)
         forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, **run.place(name))
-        order = TestSequence(
-            run.manifest, others, motions, predictor, partial(_pooled, inference, others)
-        )
+        order = TestSequence(run.manifest, others, motions, predictor, pooled)
         forecast = replace(forecast, before=order.before(name, test.trace, forecast))
         band = predictor.predict(test.trace, forecast)
-        force = np.asarray(test.trace.force)
-        scores = score(band.draws, force), _fitted(test)
+        fitted = replicate(posterior, test.stored.values(), np.random.default_rng(0), DRAWS)
+        scores = score(band.draws, force), score(fitted.observed, force)
         whole = holds_whole(band.draws, force)
         predictions.append(Prediction(fold.part, name, *scores, whole))
     return tuple(predictions)
-
-
-def _pooled(inference: Inference, others: Mapping[str, Any], name: str) -> dict[str, Array]:
-    """Quantities of one of the other tests as pooled with them, by name, (n,) each."""
-    values = inference.values(list(others).index(name))
-    return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
-
-
-def _fitted(test: TestResult) -> Score:
-    """Score of a test's own posterior predictive."""
-    replicas = replicate(test.posterior, test.stored.values(), np.random.default_rng(0), DRAWS)
-    return score(replicas.observed, np.asarray(test.trace.force))
 
 
 def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
@@ -297,18 +286,10 @@ def left_out_view(scores: CampaignCrossValidation | None) -> LeftOutView | None:
 
 # === models compared by leaving out one cycle at a time
 
-FEWEST_CYCLES = 3
-"""Least number of cycles of a record from which one can be left out."""
-
-LARGEST_K = 0.7
-"""Pareto k above which the importance weights of a cycle cannot be trusted."""
-
-CLEAR = 2.0
-"""Number of standard errors from which one model counts as better than another."""
-
-FEW = 10
-"""Number of tests, or of cycles of one test, below which a standard error is rough."""
-
+FEWEST_CYCLES = 3  # least number of cycles of a record from which one can be left out
+LARGEST_K = 0.7  # Pareto k above which the importance weights of a cycle cannot be trusted
+CLEAR = 2.0  # number of standard errors from which one model counts as better than another
+FEW = 10  # number of tests, or of cycles of one test, below which a standard error is rough
 ALL = "all"
 
 EVIDENCE_DRAWS, MOST_ROUNDS = 4000, 16

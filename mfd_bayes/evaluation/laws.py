@@ -25,12 +25,8 @@ from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 
-DRAWS = 4000
-"""Draws of the bands of a law."""
-
-FEWEST = 20
-"""Fewest draws under a law of which an interval is given."""
-
+DRAWS = 4000  # draws of the bands of a law
+FEWEST = 20  # fewest draws under a law of which an interval is given
 _SLOPES = {"Fc_fwd": "K_c_fwd", "Fc_bwd": "K_c_bwd", "sigma0": "alpha_sigma0"}
 
 

@@ -130,8 +130,7 @@ class PeakFactor:
         return cls(float(means.mean()), float(np.sqrt(between)), float(np.sqrt(within)), means.size)
 
 
-Peaks = Mapping[str, PeakFactor]
-"""By direction, "fwd" and "bwd"."""
+Peaks = Mapping[str, PeakFactor]  # by direction, "fwd" and "bwd"
 NO_FACTOR: Peaks = {"fwd": PeakFactor(), "bwd": PeakFactor()}
 
 
@@ -338,9 +337,7 @@ BASES: Mapping[str, str] = {
 }
 """What bounds are about, in the order of tables; kinds of prediction but for `ANOTHER`."""
 
-DESIGN_DRAWS = 1000
-"""Draws of each basis: few would leave the bounds to chance."""
-
+DESIGN_DRAWS = 1000  # draws of each basis: few would leave the bounds to chance
 NOT_KNOWN = "not known: the calibrated tests are of one device"
 
 DESIGN_PROPERTIES = (
@@ -456,16 +453,10 @@ def sessions_of(run: Run) -> tuple[str, ...]:
 
 # --- the data sheet: measured values, nominal ones and bounds, at each condition
 
-PROBABILITY = 0.95
-"""Of the interval between lower and upper bound."""
-
+PROBABILITY = 0.95  # of the interval between lower and upper bound
 DRAWS = 400
-CYCLES = 3
-"""Cycles of which the energy is given one by one."""
-
-HARMONIC = 0.2
-"""Least share of the cycles at full stroke, by which a test counts as harmonic."""
-
+CYCLES = 3  # cycles of which the energy is given one by one
+HARMONIC = 0.2  # least share of the cycles at full stroke, by which a test counts as harmonic
 _QUANTITIES = (
     ("slip_force", "forward", "slip_fwd"),
     ("slip_force", "backward", "slip_bwd"),

@@ -21,9 +21,7 @@ from mfd_bayes.units import percent
 
 Array = NDArray[np.float64]
 
-PROBABILITIES = (0.5, 0.95)
-"""Probabilities of the equal-tailed bands in figures."""
-
+PROBABILITIES = (0.5, 0.95)  # probabilities of the equal-tailed bands in figures
 OFTEN = 3.0
 """A band is said to miss a record that leaves it so many times as often as its probability says."""
 

@@ -57,7 +57,7 @@ from mfd_bayes.evaluation.views import (
     Rows,
     TestView,
 )
-from mfd_bayes.jobs.local import in_turn, several_processes
+from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
@@ -145,8 +145,8 @@ def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, s
     views = [make] * len(run.tests)
     # each test is sent by itself: the records of all need not be held in every process
     tests = enumerate(replace(test, extras=None) for test in run.tests.values())
-    with several_processes(views, jobs) as in_processes:
-        made = dict(zip(run.tests, (in_processes or in_turn(views))(tests), strict=True))
+    with several_processes(views, jobs) as evaluate:
+        made = dict(zip(run.tests, evaluate(tests), strict=True))
     for name, trace in run.held_out.items():
         made[name] = _attempt(partial(held_out_view, run, name), trace)
     shown, lost = [], {}

@@ -248,6 +248,7 @@ Rows = NDArray[np.intp]
 Scales = Mapping[str, ArrayLike] | None
 
 _NONE: Mapping[str, str] = MappingProxyType({})
+OTHERS = MappingProxyType({"in": "inch", "kip": "klbf"})
 _FORCE = " force"  # where the memory of a user's own model keeps it; no name of theirs begins so
 
 
@@ -338,18 +339,14 @@ class Model:
                     raise FitError(f"{where}, {key}: {error}") from error
         if cls.motion.name == cls.response.name:
             raise FitError(f"{where}: motion and response are both {cls.motion.name!r}")
-        if not isinstance(cls.rate_independent, bool):
-            got = f"{cls.rate_independent!r:.60}"
-            raise FitError(f"{where}: rate_independent must be True or False, got {got}")
         if "quantities" in given:
             cls.parameters = given.get("parameters", tuple(q.name for q in cls.quantities))
         elif "parameters" in given and not isinstance(given["parameters"], property):
             _declare(cls, given["parameters"], where)
-        own: dict[str, Any] = {
-            name: given[name] for name in ("force", "start", "step") if name in given
-        }
+        own: dict[str, Any] = {n: given[n] for n in ("force", "start", "step") if n in given}
         parent: type[Any] = cls.__mro__[1]
-        if own and not (all(map(callable, own.values())) and _is_own(parent)):
+        ours = parent.compute_force is not Model.compute_force  # it has no functions of a user's
+        if own and (ours or not all(map(callable, own.values()))):
             raise FitError(
                 f"{where}: {next(iter(own))} must be a function of a class on top of Model; one "
                 f"on top of {parent.__name__} gives compute_force, begin, advance and total"
@@ -412,12 +409,7 @@ class Model:
         return self._finite("force", theta, trace, start, scales)
 
     def force_unbounded(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Scales = None,
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None, scales: Scales = None
     ) -> Array:
         """As `force`, but infinite or NaN where it is too large for a number: for densities."""
         return self._computed("force", theta, trace, start, scales)
@@ -427,12 +419,7 @@ class Model:
         return self._finite("travel", theta, trace, start, None)
 
     def end(
-        self,
-        theta: ArrayLike,
-        trace: Trace,
-        start: ArrayLike | None = None,
-        *,
-        scales: Scales = None,
+        self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None, scales: Scales = None
     ) -> Array:
         """Place in the gap at the last sample of every parameter vector, (n,), 1.
 
@@ -897,11 +884,6 @@ def _where(cls: type) -> str:
         return f"class {cls.__name__}"
 
 
-def _is_own(cls: type[Any]) -> bool:
-    """Whether the forces of a class are those of a user's functions."""
-    return cls.compute_force is Model.compute_force
-
-
 def _declare(cls: type[Model], declared: Any, where: str) -> None:
     """Turn a class's parameters into quantities, laws and names."""
     listed = isinstance(declared, Sequence) and not isinstance(declared, str)
@@ -912,36 +894,30 @@ def _declare(cls: type[Model], declared: Any, where: str) -> None:
         )
     names = tuple(parameter.name for parameter in declared)
     for p in declared:
-        laws = f"True, False or one of {', '.join(LAW_NAMES)}"
-        faults = {
-            "the name must be a word of letters, digits and _": not (
-                isinstance(p.name, str) and re.fullmatch(r"[A-Za-z]\w*", p.name)
-            ),
-            "the name is that of a quantity of every record": (
-                p.name in ("start", "offset") or str(p.name).startswith("noise_")
-            ),
-            f"prior must be {' or '.join(LIMITS)}, got {p.prior!r:.60}": p.prior
-            not in tuple(LIMITS),
-            f"follows_actuation must be {laws}, got {p.law!r:.60}": p.law not in ("", *LAW_NAMES),
-            "symbol and meaning must be text": not (
-                isinstance(p.symbol, str) and isinstance(p.meaning, str)
-            ),
-            f"there are two parameters {p.name!r}": names.count(p.name) > 1,
-        }
+        word = isinstance(p.name, str) and re.fullmatch(r"[A-Za-z]\w*", p.name)
+        if not word:
+            wrong = "the name must be a word of letters, digits and _"
+        elif p.name in ("start", "offset") or p.name.startswith("noise_"):
+            wrong = "the name is that of a quantity of every record"
+        elif p.prior not in LIMITS:
+            wrong = f"prior must be {' or '.join(LIMITS)}, got {p.prior!r:.60}"
+        elif p.law not in ("", *LAW_NAMES):
+            wrong = f"follows_actuation must be True, False or one of {', '.join(LAW_NAMES)}"
+            wrong += f", got {p.law!r:.60}"
+        else:
+            wrong = f"there are two parameters {p.name!r}" if names.count(p.name) > 1 else ""
         try:
             convert(p.unit, p.unit)
         except UnitError as error:
-            faults[str(error)] = True
-        if wrong := next((words for words, holds in faults.items() if holds), ""):
+            wrong = wrong or str(error)
+        if wrong:
             raise FitError(f"{where}, parameter {p.name!r}: {wrong}")
     cls.parameters, cls.quantities = names, tuple(parameter.quantity for parameter in declared)
-    if not Axes(
-        cls.motion, cls.response
-    ).of_damper:  # "in" and "kip" would be those of motion and response
-        kinds = (in_place_of(q.unit, {"in": "inch", "kip": "klbf"}) for q in cls.quantities)
+    if not Axes(cls.motion, cls.response).of_damper:
+        # "in" and "kip" would be those of motion and response
         cls.quantities = tuple(
-            replace(q, kind=kind) if kind != q.unit else q
-            for q, kind in zip(cls.quantities, kinds, strict=True)
+            replace(q, kind=q.kind if (own := in_place_of(q.unit, OTHERS)) == q.unit else own)
+            for q in cls.quantities
         )
     cls.laws = {parameter.name: parameter.law for parameter in declared if parameter.law}
 
@@ -988,13 +964,8 @@ def _factors(scales: Any, shapes: tuple[tuple[int, ...], ...], names: tuple[str,
 def through_vertices(trace: Trace) -> tuple[Array, Array, Rows, Rows]:
     """Motion of a trace with the vertex of every turn, however small: no hysteresis matters.
 
-    Returns
-    -------
-    time, displacement : (P,), s, in
-    nearest : (P,), int
-        The sample of the trace at or beside each.
-    samples : (T,), int
-        Which of them are the trace's.
+    Time, s, and displacement, in, (P,); the sample of the trace at or beside each, (P,); and which
+    of them are the trace's, (T,).
     """
     t, x, every = trace.time, trace.displacement, np.arange(trace.samples)
     left, share, vertex = vertices(t, x, trace.velocity)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
+import traceback
 from collections.abc import Mapping
 from hashlib import sha256
 from importlib.metadata import entry_points
@@ -42,25 +43,21 @@ def find_model(name: str, folder: Path | None = None) -> Model:
 
     A file is run. With a `folder`, its path is relative to it and, with links resolved, must lie
     in it.
-
-    Raises
-    ------
-    FitError
-        When there is none, or it is no model; the file and the class are named.
     """
-    if isinstance(name, str) and name in MODELS:
-        return MODELS[name]
-    if isinstance(name, str) and file_of(name):
-        return _of_file(name, folder)
     points = {point.name: point for point in entry_points(group=GROUP)}
-    if isinstance(name, str) and name in points:
-        try:
-            return _made(points[name].load(), f"the entry point {name!r}", points[name].value)
-        except MfdError:
-            raise
-        except Exception as error:
-            kind = type(error).__name__
-            raise FitError(f"the model {name!r} cannot be loaded: {kind}: {error}") from error
+    if isinstance(name, str):
+        if name in MODELS:
+            return MODELS[name]
+        if file_of(name):
+            return _of_file(name, folder)
+        if name in points:
+            try:
+                return _made(points[name].load(), f"the entry point {name!r}", points[name].value)
+            except MfdError:
+                raise
+            except Exception as error:
+                kind = type(error).__name__
+                raise FitError(f"the model {name!r} cannot be loaded: {kind}: {error}") from error
     raise FitError(
         f"unknown model {name!r}: expected one of {', '.join([*MODELS, *points])}, or "
         "my_file.py:MyClass"
@@ -138,10 +135,7 @@ def _reduced(model: Model) -> tuple[Any, ...]:
 
 def _line(error: BaseException, path: Path) -> str:
     """Line of the file at which it failed, in words; empty where that is not known."""
-    line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
-    trace = error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            line = trace.tb_lineno
-        trace = trace.tb_next
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+    line = lines[-1] if lines else getattr(error, "lineno", None)
     return f" in line {line}" if line else ""

@@ -28,7 +28,6 @@ from mfd_bayes.friction.model import (
     Columns,
     Model,
     State,
-    columns_in_order,
     named_columns,
     named_vectors,
     sampled_for,
@@ -163,16 +162,6 @@ class PaperModel(Model):
             known["gamma2"] = known["ell"] * known["gamma1"]
         return np.stack([known[name] for name in self.parameters], axis=1)
 
-    def vectors(self, theta: ArrayLike) -> Array:
-        """Theta as numbers, (n, p).
-
-        LuGre takes its own from a theta in the paper's order, (n, 14), too.
-        """
-        values = columns_in_order("theta", theta, self.parameters)
-        if values.ndim == 2 and values.shape[1] == len(PARAMETERS) != len(self.parameters):
-            values = values[:, [PARAMETERS.index(name) for name in self.parameters]]
-        return super().vectors(values)
-
     def columns(self, theta: ArrayLike) -> Columns:
         """Theta's columns by name, (n,) each; F_s ≥ F_c holds."""
         columns = super().columns(theta)
@@ -275,10 +264,7 @@ def _at(c: Mapping[str, Any], scales: Columns) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class LuGre(PaperModel):
-    """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4).
-
-    theta holds this model's own parameters, (n, 8), or all of the paper's, (n, 14).
-    """
+    """LuGre friction alone: the device without its gap (paper Eqs. 3 and 4)."""
 
     name = "lugre"
     parameters = (*PARAMETERS[:7], "v_s")

@@ -51,10 +51,7 @@ def check_cluster(address: str) -> None:
         if isinstance(answer, OSError):  # the worker was lost meanwhile; `work` checks again
             continue
         if isinstance(answer, BaseException):
-            raise FitError(
-                f"the worker {worker} cannot run mfd_bayes: {_in_a_line(answer)}; install the "
-                "version there that is here"
-            )
+            answer = f"cannot run mfd_bayes: {_in_a_line(answer)}; install the version that is here"
         if answer:
             raise FitError(f"the worker {worker} {answer}")
 
@@ -101,7 +98,9 @@ def run_on_cluster(
                             attempts[key] = attempt
                             lost = "its worker was lost"
                             observe(Step(ids[key], State.RESTARTED, message=lost))
-                        observe(_step(message["step"]))
+                        step = json.loads(message["step"])
+                        progress = step.pop("progress") or None
+                        observe(Step(**step, progress=progress and Progress(**progress)))
                 for future in ended.next_batch(block=False) if ended.has_ready() else ():
                     del ids[future.key]
                     yield _store(future, futures.pop(future), out, address, observe)
@@ -141,6 +140,8 @@ def _store(
     with _losses(address):
         error = future.exception()
         answer = None if error else future.result()
+    if isinstance(error, FitError):  # it was refused
+        raise error
     if answer is None:
         reason = _in_a_line(error)
         if isinstance(error, KilledWorker):
@@ -150,14 +151,13 @@ def _store(
             )
         observe(Step(job.id, State.FAILED, message=reason))
         return Outcome(job.id, State.FAILED, 0.0, reason)
-    if answer["refused"]:
-        raise FitError(answer["refused"])
+    outcome, files, steps = answer
     for name in job.makes:  # and no other file
-        if name in answer["files"]:
-            write_bytes(out / name, answer["files"][name])
-    for step in answer["steps"]:
-        observe(_step(step))
-    return Outcome(job.id, State(answer["status"]), answer["seconds"], answer["error"])
+        if name in files:
+            write_bytes(out / name, files[name])
+    for step in steps:
+        observe(step)
+    return outcome  # type: ignore[no-any-return]
 
 
 @contextmanager
@@ -215,47 +215,34 @@ def _in_a_line(error: BaseException) -> str:
 
 def work(
     job: Job, given: Mapping[str, bytes], expected: Mapping[str, str], topic: str
-) -> dict[str, Any]:
-    """Do a job in a temporary folder; its outcome, its last steps and the files that it made.
+) -> tuple[Outcome, dict[str, bytes], list[Step]]:
+    """Do a job in a temporary folder; its outcome, the files that it made and its last steps.
 
-    "refused" says why it was not done.
+    A worker that would compute other draws refuses by a FitError.
     """
     worker = get_worker()
     if refused := refusal(expected):
-        return {"refused": f"the worker {worker.address} {refused}"}
-    about = {"key": worker.get_current_task(), "attempt": uuid.uuid4().hex}
-    last: list[str] = []
+        raise FitError(f"the worker {worker.address} {refused}")
+    key, attempt = worker.get_current_task(), uuid.uuid4().hex
+    last: list[Step] = []
 
     def send(step: Step) -> None:
         if step.stage in (State.DONE, State.FAILED):  # returned: so it comes after all messages
-            last.append(_text(step))
+            last.append(step)
             return
-        task = worker.state.tasks.get(about["key"])
+        task = worker.state.tasks.get(key)
         if task is None or task.state == "cancelled":
-            raise _CancelledError
-        worker.log_event(topic, about | {"step": _text(step)})
+            raise RuntimeError("cancelled")
+        text = json.dumps(asdict(step), default=float)
+        worker.log_event(topic, {"key": key, "attempt": attempt, "step": text})
 
     with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder:
         out = Path(folder)
         for name, content in given.items():
             write_bytes(out / name, content)
-        try:
-            outcome = job.run(out, send)
-        except _CancelledError:
-            return {"refused": "cancelled"}
+        outcome = job.run(out, send)
         made = [name for name in job.makes if (out / name).is_file()]
-        return {
-            "refused": "",
-            "status": str(outcome.status),
-            "seconds": outcome.seconds,
-            "error": outcome.error,
-            "files": {name: (out / name).read_bytes() for name in made},
-            "steps": last,
-        }
-
-
-class _CancelledError(Exception):
-    """The client has cancelled this job."""
+        return outcome, {name: (out / name).read_bytes() for name in made}, last
 
 
 def versions() -> dict[str, str]:
@@ -286,14 +273,3 @@ def refusal(expected: Mapping[str, str]) -> str:
         f"computes with several threads, and {', '.join(many)} cannot be told not to: start it "
         "with OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1"
     )
-
-
-def _text(step: Step) -> str:
-    """A step as JSON, which need not be unpickled."""
-    return json.dumps(asdict(step), default=float)
-
-
-def _step(text: str) -> Step:
-    step = json.loads(text)
-    progress = step.pop("progress")
-    return Step(**step, progress=Progress(**progress) if progress else None)

@@ -30,6 +30,9 @@ from typing import Any, TypeVar
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.jobs.job import Job, Outcome, State, Step
 
+PRELOAD = "mfd_bayes.pipeline.preload"
+"""Module that imports what the processes of a run need."""
+
 ATTEMPTS = 3  # so many processes may be killed at one job, as where memory is short
 WATCH = 0.1  # s between looks at the news of other processes
 
@@ -171,13 +174,13 @@ def context() -> ForkServerContext | SpawnContext:
     return multiprocessing.get_context("spawn")
 
 
-def get_ready(*modules: str) -> None:
-    """Let the server of processes start and import modules meanwhile, if it is not there yet."""
+def get_ready(module: str = PRELOAD) -> None:
+    """Let the server of processes start and import a module meanwhile, if it is not there yet."""
     kind = context()
     if isinstance(kind, ForkServerContext):
         from multiprocessing import forkserver
 
-        kind.set_forkserver_preload(list(modules))
+        kind.set_forkserver_preload([module])
         with started_alike():
             forkserver.ensure_running()
 
@@ -238,14 +241,14 @@ def in_turn(functions: Sequence[Callable[[Argument], Value]]) -> Evaluate[Argume
 @contextmanager
 def several_processes(
     functions: Sequence[Callable[[Argument], Value]], jobs: int
-) -> Iterator[Evaluate[Argument, Value] | None]:
-    """Function that computes values in several processes; None where one would be faster.
+) -> Iterator[Evaluate[Argument, Value]]:
+    """Function that computes values in several processes; in this one where that is faster.
 
     The figures are those of this process, bit for bit, and come in the order of the arguments.
     Where a process is lost, this one goes on alone.
     """
     if jobs < 2 or len(functions) < FEWEST:
-        yield None
+        yield in_turn(functions)
         return
     pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(functions,))
     size = max(1, min(MOST, len(functions) // (2 * jobs)))

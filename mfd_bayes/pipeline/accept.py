@@ -33,23 +33,10 @@ _LIMIT = re.compile(r"\s*(\w+)\s*=\s*(\d+(?:\.\d+)?)\s*(%?)\s*")
 
 @dataclass(frozen=True)
 class Inspection:
-    """Records of devices that are to be compared with the others.
+    """Records of devices that are to be compared with the others; the options of the command.
 
-    Attributes
-    ----------
-    records : tuple of Path
-    actuation : str
-        Of all of them, such as "1000 psi".
-    folder : Path
-        Of the table and the pages.
-    device : tuple of str
-        Device of all records, or of each; by default each record is of another one.
-    limit : tuple of str
-        Such as "slip=15 %"; by default those of the campaign, else 15 % of all.
-    session : str
-        In which the records were made.
-    date, cycles, temperature : str, float and str
-        Of the records, as in a campaign's `[[test]]`; "" and None where they are not known.
+    `device` is that of all records, or of each; by default each record is of another one. `limit`
+    is such as "slip=15 %", by default that of the campaign, else 15 % of all.
     """
 
     records: tuple[Path, ...]
@@ -65,21 +52,6 @@ class Inspection:
     seed: int = 0
     units: str = ""
     force: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """Devices with their verdicts, and the files that say so."""
-
-    devices: tuple[Acceptance, ...]
-    system: System
-    table: Path
-    pages: tuple[Path, ...]
-
-    @property
-    def rejected(self) -> bool:
-        """Whether one device or more is rejected."""
-        return any(device.verdict == "rejected" for device in self.devices)
 
 
 def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
@@ -104,19 +76,11 @@ def read_as_tests(run: Run, path: Path, actuation: str) -> Record:
     return read_record(path, columns if columns and there else None, actuation=actuation, axes=axes)
 
 
-def accept_records(out: Path, wish: Inspection) -> Accepted:
-    """Compare devices with those of a run; table, pages and picture are written.
-
-    Raises
-    ------
-    MfdError
-        When the run, a record, the actuation or a limit cannot be used.
-    """
+def accept_records(out: Path, wish: Inspection) -> tuple[tuple[Acceptance, ...], tuple[Path, ...]]:
+    """Compare devices with those of a run; table, pages (returned) and picture are written."""
     check_folder(wish.folder, force=wish.force)
     limits = parse_limits(wish.limit)
-    run = open_run(out)
-    if wish.units:
-        run = replace(run, units=wish.units)
+    run = replace(open_run(out), units=wish.units)
     wish = replace(wish, actuation=stated_actuation(run, wish.actuation))
     run.level_of(wish.actuation)
     records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
@@ -130,8 +94,7 @@ def accept_records(out: Path, wish: Inspection) -> Accepted:
         draws=wish.draws,
         seed=wish.seed,
     )
-    pages = _write(run, wish, devices)
-    return Accepted(devices, run.system, wish.folder / "acceptance.csv", pages)
+    return devices, _write(run, wish, devices)
 
 
 def _write(run: Run, wish: Inspection, devices: tuple[Acceptance, ...]) -> tuple[Path, ...]:
@@ -182,20 +145,10 @@ SAMPLES = 64  # of the next cycle, of which the band is computed
 
 @dataclass(frozen=True)
 class Watched:
-    """What is watched, and when it ends.
+    """What is watched, and when it ends; the options of the command.
 
-    Attributes
-    ----------
-    actuation : str
-        As "1000 psi".
-    session, device : str
-        Of the test, where the campaign declares sessions or devices.
-    date, cycles, temperature : str, float and str
-        Of the test, where a quantity of the run follows them.
-    narrowing : str
-        Share by which one more cycle must narrow an interval, to be worth it: "2 %".
-    wait : str
-        The command ends when the file has not grown for so long: "10 s".
+    `narrowing` is the share by which one more cycle must narrow an interval, to be worth it. The
+    command ends when the file has not grown for `wait`.
     """
 
     record: Path
@@ -211,19 +164,11 @@ class Watched:
 
 @dataclass(frozen=True)
 class Cycle:
-    """A cycle that has ended.
+    """A cycle that has ended, with the estimates of the test so far.
 
-    Attributes
-    ----------
-    number : int
-    estimates : mapping of str to Estimate
-        Properties of the test so far.
-    band : float, kip
-        Mean width of the 95 % band of the force in one more cycle of the same motion.
-    misfit : bool
-        Whether the force is not that of a test of this device.
-    enough : int
-        Cycle after which the test was long enough; 0 where it is not yet.
+    `band` is the mean width, kip, of the 95 % band of the force in one more cycle of the same
+    motion, `misfit` whether the force is not that of a test of this device, and `enough` the cycle
+    after which the test was long enough, 0 where it is not yet.
     """
 
     number: int
@@ -258,14 +203,7 @@ class Cycle:
 
 
 def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
-    """Cycles of a test as they end in its file, which may still grow.
-
-    Raises
-    ------
-    MfdError
-        When the run, the file, the actuation or an option cannot be used, or the file has no
-        cycle when it ends.
-    """
+    """Cycles of a test as they end in its file, which may still grow."""
     run = replace(open_run(out), conditions=stated_conditions(watched))
     watched = replace(watched, actuation=stated_actuation(run, watched.actuation))
     level = run.level_of(watched.actuation)

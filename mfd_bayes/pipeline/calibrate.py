@@ -71,9 +71,6 @@ from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write_text
 from mfd_bayes.store.netcdf import save_arrays, save_trace
 
-PRELOAD = "mfd_bayes.pipeline.preload"
-"""Module that imports what the processes of a run need."""
-
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""
 
@@ -100,13 +97,12 @@ def calibrate_campaign(
     campaign: Path, out: Path, options: Options, observe: Observe
 ) -> CampaignView:
     """Calibrate a campaign file into a folder, and write its report."""
-    get_ready(PRELOAD)
+    get_ready()
     return calibrate_plan(plan_campaign(campaign, options), out, observe)
 
 
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it."""
-    get_ready(PRELOAD)
     check_workers(options)
     check_links(out, ["campaign"])
     used = out.exists() and (not out.is_dir() or any(out.iterdir()))

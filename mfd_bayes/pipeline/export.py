@@ -23,9 +23,7 @@ from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 
 Array = NDArray[np.float64]
 
-FITS = 24
-"""Draws to which a material is fitted."""
-
+FITS = 24  # draws to which a material is fitted
 ABOUT = "about.json"
 _MADE_BY = "mfd_bayes export"
 
@@ -158,17 +156,17 @@ def _write_opensees(folder: Path, run: Run, samples: Array, about: dict[str, obj
     stroke = max((s.highest for s in run.tested if s.name == "stroke"), default=2.0)
     fits = equivalents(model, samples[:, :-1], samples[:, -1], 0.5 * stroke)
     sentences = []
-    for name, fit in fits.items():
-        lines = [f"# {name} fitted to the predicted loops of draw i; kip, in, s", *fit.commands]
+    for name, (commands, misfit) in fits.items():
+        lines = [f"# {name} fitted to the predicted loops of draw i; kip, in, s", *commands]
         write_text(folder / f"{name}.tcl", "\n".join(lines) + "\n")
-        low, middle, high = np.quantile(fit.misfit, [0.05, 0.5, 0.95])
+        low, middle, high = np.quantile(misfit, [0.05, 0.5, 0.95])
         sentences.append(
             f"{name}: misfit (rms over the rms force of the predicted loop) {100 * middle:.3g} % "
-            f"({100 * low:.3g} to {100 * high:.3g} %) over {fit.misfit.size} draws: "
+            f"({100 * low:.3g} to {100 * high:.3g} %) over {misfit.size} draws: "
             f"{folder / (name + '.tcl')}"
         )
-    best = min(fits, key=lambda name: float(np.median(fits[name].misfit)))
-    about["misfit"] = {name: [float(m) for m in fit.misfit] for name, fit in fits.items()}
+    best = min(fits, key=lambda name: float(np.median(fits[name][1])))
+    about["misfit"] = {name: misfit.tolist() for name, (_, misfit) in fits.items()}
     about["best"] = best
     about["amplitude_in"] = 0.5 * stroke
     return [
@@ -186,27 +184,20 @@ CYCLES = (0.25, 0.5, 1.0, 1.0)
 PERIOD = 4.0  # of a cycle, s
 
 
-@dataclass(frozen=True, eq=False)
-class Equivalent:
-    """A material fitted to n draws."""
-
-    commands: tuple[str, ...]  # lines for OpenSees, one of each draw
-    misfit: Array  # (n,), root mean square of the difference over that of the predicted force
-
-
 def equivalents(
     model: Model, theta: Array, start: Array, amplitude: float
-) -> dict[str, Equivalent]:
+) -> dict[str, tuple[list[str], Array]]:
     """BoucWen and ElasticPP of OpenSees, fitted to the loops of each draw (n, p) by least squares.
 
-    The motion is four cycles of growing amplitude, up to this one, in.
+    By name, a command for each draw, and the misfits, (n,): root mean square of the difference over
+    that of the predicted force. The motion is four cycles of growing amplitude, up to this one, in.
     """
     time = np.linspace(0.0, PERIOD * len(CYCLES), SAMPLES + 1)
     cycle = np.minimum((time / PERIOD).astype(int), len(CYCLES) - 1)
     x = amplitude * np.array(CYCLES)[cycle] * np.sin(2.0 * np.pi / PERIOD * time)
     trace = Trace.from_arrays(time, x)
     force = model.force(theta, trace, start) if model.has_gap else model.force(theta, trace)
-    found = {}
+    materials = {}
     for name, fit in (("BoucWen", _bouc_wen), ("ElasticPP", _elastic_plastic)):
         commands, misfit = [], []
         for tag, own in enumerate(force, start=1):
@@ -215,8 +206,8 @@ def equivalents(
             command, fitted = fit(tag, trace, own, np.log([stiffness, slip]))
             commands.append(command)
             misfit.append(np.sqrt(np.mean((fitted - own) ** 2) / np.mean(own**2)))
-        found[name] = Equivalent(tuple(commands), np.array(misfit))
-    return found
+        materials[name] = commands, np.array(misfit)
+    return materials
 
 
 def _bouc_wen(tag: int, trace: Trace, force: Array, begin: Array) -> tuple[str, Array]:

@@ -109,10 +109,10 @@ def predict(out: Path, question: Question) -> Answer:
     check_question(question)
     run, *others = (open_run(folder) for folder in (out, *question.others))
     question = replace(question, actuation=stated_actuation(run, question.actuation))
-    changed: dict[str, Any] = {"conditions": stated_conditions(question)}
-    if question.units:
-        changed["units"] = question.units
-    run, *others = (replace(each, **changed) for each in (run, *others))
+    conditions = stated_conditions(question)
+    run, *others = (
+        replace(each, conditions=conditions, units=question.units) for each in (run, *others)
+    )
     source = ModelAverage((run, *others)) if others else run
     level = run.level_of(question.actuation)
     motion, remarks, record = _motion_of(question, run.manifest.settings, run.system.axes)

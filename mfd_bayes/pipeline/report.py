@@ -43,7 +43,7 @@ def report(
     """Write the tables, figures and report of a finished run, from its stored results."""
     forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
     if Workplace(jobs).processes > 1:
-        get_ready("mfd_bayes.pipeline.preload")
+        get_ready()
     with alone_in(out):
         check_places(out)
         return write_report(open_run(out), observe, jobs=jobs, forms=forms, units=units)

@@ -56,11 +56,6 @@ def serve(
 
     `source` is a run folder, or a model as in a campaign file, whose motion is given as in
     `predict`; `say` takes each sentence on what is served.
-
-    Raises
-    ------
-    MfdError
-        When there is no such run or model, a model has no motion, or the port is taken.
     """
     if Path(source).is_dir():
         if motion or sine or actuation:

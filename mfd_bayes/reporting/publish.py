@@ -18,7 +18,7 @@ from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.jobs.local import in_turn, several_processes
+from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.reporting.page import render
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import (
@@ -167,8 +167,8 @@ def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[s
         for name in (*(f"{name}.png" for name in figures.OF_TEST), "record.csv"):
             (out / "tests" / test.id / name).unlink(missing_ok=True)
     functions = [partial(draw_test, out, view.system, view.actuation_unit, view.model)] * len(tests)
-    with several_processes(functions, processes) as in_processes:
-        of_tests = list((in_processes or in_turn(functions))(enumerate(tests)))
+    with several_processes(functions, processes) as evaluate:
+        of_tests = list(evaluate(enumerate(tests)))
     images = {key: figures.to_png(figure) for key, figure in figures.draw_shared(view)}
     for key, png in images.items():
         write_bytes(out / "figures" / f"{key}.png", png)

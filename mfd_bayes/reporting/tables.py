@@ -475,14 +475,21 @@ def symbol_tex(name: str, symbols: Symbols) -> str:
     return str(symbols.written_as(name, lambda maths, _: f"${maths}$", escape_tex))
 
 
-def _texts(cell: Cell, by: float) -> list[str]:
-    return [line.text(by) for line in cell.lines if line.finite] or ["–"]
+def _on_paper(sheet: Sheet, system: System) -> Iterator[tuple[Sheet, dict[str, int], list[Any]]]:
+    """Parts of a sheet, each with the numbers of its notes, and its rows in the units of a system.
 
-
-def _notes(sheet: Sheet) -> dict[str, int]:
-    """Numbers of the notes of the cells."""
-    notes = dict.fromkeys(c.note for row in sheet.rows for c in row.cells if c.note)
-    return {note: at for at, note in enumerate(notes, start=1)}
+    A row is a `SheetRow`, its unit, and for each cell its lines and its note's number, 0 for none.
+    """
+    for part in sheet.blocks(WIDE) if sheet.rows else ():
+        texts = dict.fromkeys(c.note for row in part.rows for c in row.cells if c.note)
+        notes, rows = {note: at for at, note in enumerate(texts, start=1)}, []
+        for row in part.rows:
+            by, cells = system.factor(row.unit), []
+            for cell in row.cells:
+                lines = [line.text(by) for line in cell.lines if line.finite]
+                cells.append((lines or ["–"], notes.get(cell.note, 0)))
+            rows.append((row, unit_text(system.unit(row.unit)) or "–", cells))
+        yield part, notes, rows
 
 
 def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: System = US) -> str:
@@ -491,16 +498,15 @@ def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: System = US) -> 
         f"% {printable(sheet.title)}.\n% \\usepackage{{booktabs,longtable,array}} in the preamble, "
         f"then \\input{{{name}.tex}} here.\n"
     ]
-    for at, part in enumerate(sheet.blocks(WIDE) if sheet.rows else (), start=1):
-        notes, lines = _notes(part), []
-        for row in part.rows:
-            by, small = system.factor(row.unit), r"\newline\scriptsize "
-            about = f"{small}{escape_tex(row.meaning)}" if row.meaning else ""
-            unit = escape_tex(unit_text(system.unit(row.unit))) or "--"
-            lines.append([symbol_tex(row.name, symbols) + about, unit])
-            for cell in row.cells:
-                first, *more = map(escape_tex, _texts(cell, by))
-                first += f"$^{{{notes[cell.note]}}}$" if cell.note else ""
+    small = r"\newline\scriptsize "
+    for at, (part, notes, rows) in enumerate(_on_paper(sheet, system), start=1):
+        lines = []
+        for row, unit, cells in rows:
+            quantity = filter(None, (symbol_tex(row.name, symbols), escape_tex(row.meaning)))
+            lines.append([small.join(quantity), escape_tex(unit)])
+            for texts_of, note in cells:
+                first, *more = map(escape_tex, texts_of)
+                first += f"$^{{{note}}}$" if note else ""
                 lines[-1].append(small.join([first, *more]))
         column = r">{{\raggedright\arraybackslash}}p{{{:.2f}\linewidth}}"
         widths = (0.25, 0.1, *[0.55 / len(part.heads)] * len(part.heads))
@@ -541,25 +547,24 @@ def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols, system: Syste
     document.core_properties.author = "mfd_bayes"
     document.styles["Normal"].font.size = Pt(9)
     document.add_heading(printable(title), level=1)
-    for at, part in enumerate(part for sheet in sheets for part in sheet.blocks(WIDE)):
+    parts = (part for sheet in sheets for part in _on_paper(sheet, system))
+    for at, (part, notes, rows) in enumerate(parts):
         caption = document.add_paragraph(printable(part.title), style="Caption")
         caption.paragraph_format.page_break_before = at > 0
-        notes = _notes(part)
         grid = document.add_table(rows=1, cols=2 + len(part.heads), style="Light List")
         for cell, head in zip(grid.rows[0].cells, ("Quantity", "Unit", *part.heads), strict=True):
             cell.text = printable(head)
-        for row in part.rows:
+        for row, unit_name, cells in rows:
             name, unit, *others = grid.add_row().cells
             for text, low in symbols.parts(row.name):
                 name.paragraphs[0].add_run(text).font.subscript = low
             if row.meaning:
                 name.add_paragraph().add_run(row.meaning).font.size = Pt(7.5)
-            unit.text = unit_text(system.unit(row.unit)) or "–"
-            for place, value in zip(others, row.cells, strict=True):
-                place.text = "\n".join(_texts(value, system.factor(row.unit)))
-                if value.note:
-                    run = place.paragraphs[0].add_run(f" {notes[value.note]}")
-                    run.font.superscript = True
+            unit.text = unit_name
+            for place, (lines, note) in zip(others, cells, strict=True):
+                place.text = "\n".join(lines)
+                if note:
+                    place.paragraphs[0].add_run(f" {note}").font.superscript = True
         for note, i in notes.items():
             document.add_paragraph(f"{i} {printable(note)}.")
     stream = io.BytesIO()

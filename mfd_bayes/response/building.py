@@ -30,7 +30,6 @@ from mfd_bayes.errors import (
     file_inside,
     path_of,
     real_number,
-    real_numbers,
     why_no_file,
 )
 from mfd_bayes.records.readers import read_table
@@ -309,16 +308,6 @@ class Building:
     storeys: Array  # (S,), kip/in, stiffness of the storeys that yield
     devices: tuple[Device, ...]
     limits: Limits
-
-    def __post_init__(self) -> None:
-        for name in ("mass", "damping", "stiffness"):
-            matrix = real_numbers(f"{name} of a building", getattr(self, name), BuildingError)
-            if matrix.ndim != 2 or len(matrix) != matrix.shape[1] or len(matrix) > LARGEST:
-                raise BuildingError(
-                    f"{name} of a building must be a square matrix of up to {LARGEST} rows, got "
-                    f"the shape {matrix.shape}"
-                )
-            object.__setattr__(self, name, matrix)
 
     @property
     def freedoms(self) -> int:

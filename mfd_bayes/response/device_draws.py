@@ -76,14 +76,9 @@ class Leftover:
     basis: TravelBasis
     # (q, 2, KNOTS + 2), kip, values forward and backward, and zeros beyond the longest stroke
     knots: Array
-    # (q,), in: displacement now and at the last turn
-    place: Array
-    direction: Array  # (q,), ±1
-    turn: Array
-    stroke: Array  # (q,), in, length of the stroke before the last turn
-    # (q,), kip: force at the last turn, and now
-    held: Array
-    force: Array
+    # (6, q): displacement, in; direction, ±1; displacement at the last turn; stroke before it;
+    # force at the last turn, kip, and now
+    memory: Array
 
     @classmethod
     def at_rest(cls, basis: TravelBasis, coefficients: Array, relative: Array) -> Leftover:
@@ -95,31 +90,32 @@ class Leftover:
         """
         knots = relative[..., None, None] * coefficients.reshape(len(relative), 1, 2, KNOTS)
         knots = np.pad(knots.reshape(-1, 2, KNOTS), ((0, 0), (0, 0), (0, 2)))
-        zero = np.zeros(relative.size)
-        return cls(basis, knots, zero, np.ones(relative.size), zero, zero, zero, zero)
+        memory = np.zeros((6, relative.size))
+        memory[1] = 1.0
+        return cls(basis, knots, memory)
+
+    @property
+    def force(self) -> Array:
+        """Force of each damper, (q,), kip."""
+        return np.asarray(self.memory[5])
 
     def chosen(self, rows: Rows) -> Leftover:
         """That of some dampers."""
-        return Leftover(self.basis, *(column[rows] for column in self._columns))
+        return Leftover(self.basis, self.knots[rows], self.memory[:, rows])
 
     def replaced(self, rows: Rows, part: Leftover) -> Leftover:
         """The same with that of some dampers replaced."""
-        columns = [column.copy() for column in self._columns]
-        for column, new in zip(columns, part._columns, strict=True):
-            column[rows] = new
-        return Leftover(self.basis, *columns)
-
-    @property
-    def _columns(self) -> list[Array]:
-        return list(vars(self).values())[1:]
+        memory = self.memory.copy()
+        memory[:, rows] = part.memory
+        return replace(self, memory=memory)
 
     def step(self, x: Array, velocity: Array, dt: float, scales: object = None) -> Leftover:
         """State at the next displacements, (q,), in."""
-        back = (x - self.place) * self.direction < 0
-        direction = np.where(back, -self.direction, self.direction)
-        stroke = np.where(back, np.abs(self.place - self.turn), self.stroke)
-        turn = np.where(back, self.place, self.turn)
-        held = np.where(back, self.force, self.held)
+        place, direction, turn, stroke, held, force = self.memory
+        back = (x - place) * direction < 0
+        direction = np.where(back, -direction, direction)
+        stroke = np.where(back, np.abs(place - turn), stroke)
+        turn, held = np.where(back, place, turn), np.where(back, force, held)
         travel, longest = np.abs(x - turn), self.basis.longest
         # linear between the knots, which are even in log(1 + FINE · travel/longest), as TravelBasis
         at = np.log1p(FINE * travel / longest) / (np.log1p(FINE) / (KNOTS - 1))
@@ -132,7 +128,7 @@ class Leftover:
         value *= np.clip(4.0 * stroke / self.basis.shortest - 2.0, 0.0, 1.0)
         gone = np.minimum(travel / (SETTLE * longest), 1.0)
         force = gone * value + (1.0 - gone) * held
-        return Leftover(self.basis, self.knots, x, direction, turn, stroke, held, force)
+        return replace(self, memory=np.stack([x, direction, turn, stroke, held, force]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -235,7 +235,7 @@ REST = "interactions and the rest"
 
 
 def variance_shares(
-    response: Response, quantity: str = "drift", ground: int = 0, seed: int = 0
+    response: Response, quantity: str = "drift", ground: int = 0
 ) -> dict[str, float]:
     """Shares of the sources in the variance of the largest of a quantity; their sum is 1.
 
@@ -269,7 +269,7 @@ def variance_shares(
         left = np.sum((within - design @ fit) ** 2) / np.sum(within**2)
         return max(0.0, 1.0 - float(left) * (len(within) - 1) / freedom)
 
-    gains, rng = dict.fromkeys(columns, 0.0), np.random.default_rng(seed)
+    gains, rng = dict.fromkeys(columns, 0.0), np.random.default_rng(0)
     for _ in range(ORDERS):
         order, before = rng.permutation(list(columns)).tolist(), 0.0
         for k, name in enumerate(order, start=1):

@@ -216,48 +216,35 @@ class CampaignCrossValidation:
 
 @dataclass(frozen=True)
 class ComparisonRow:
-    """How well a model predicts the cycles of a test, or of all tests, that it has not seen.
-
-    Attributes
-    ----------
-    subject, model : str
-    cycles : int
-    elpd, elpd_se : float
-        Expected log predictive density of all cycles, and its standard error: over tests where
-        there are several, over cycles of one.
-    p_loo : float
-        Effective number of parameters.
-    worst_k, bad : float
-        Largest Pareto k of PSIS, and the share of cycles in which it is too large for it.
-    unsettled : float
-        Share of cycles in which k is too large also after they were computed anew.
-    difference, difference_se : float
-        Elpd less that of the best model, and its standard error, paired over cycles.
-    rrse : float
-        Root relative squared error of the posterior median, of the record that it has seen.
-    log_evidence, log_evidence_se, evidence_k : float
-        Log of likelihood times prior, integrated (the sum over tests); its standard error, and the
-        Pareto k of its importance weights.
-    evidence_trusted : bool
-        Whether these two are small enough.
-    """
+    """How well a model predicts the cycles of a test, or of all tests, that it has not seen."""
 
     subject: str
     model: str
     cycles: Index
     elpd: Figure
+    """Expected log predictive density of all cycles."""
     elpd_se: Figure
+    """Its standard error: over tests where there are several, over cycles of one."""
     p_loo: Figure
+    """Effective number of parameters."""
     worst_k: Figure
+    """Largest Pareto k of PSIS."""
     bad: Figure
+    """Share of cycles in which k is too large for PSIS."""
     unsettled: Figure
+    """Share of cycles in which k is too large also after they were computed anew."""
     difference: Figure
+    """Elpd less that of the best model, paired over cycles."""
     difference_se: Figure
     rrse: Figure
+    """Root relative squared error of the posterior median, of the record that it has seen."""
     log_evidence: Figure
+    """Log of likelihood times prior, integrated; the sum over tests."""
     log_evidence_se: Figure
     evidence_k: Figure
+    """Pareto k of its importance weights."""
     evidence_trusted: bool
+    """Whether k and the standard error are small enough."""
 
 
 @dataclass(frozen=True)

@@ -238,13 +238,7 @@ class ByName(Mapping[str, Item]):
 
 
 def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None = None) -> Run:
-    """Finished calibration of a run folder; posteriors and records are read when asked for.
-
-    Raises
-    ------
-    StoreError
-        When the folder is no finished run, or a file in it is not what the run wrote.
-    """
+    """Finished calibration of a run folder; posteriors and records are read when asked for."""
     folder = path_of("folder", folder, StoreError)
     check_links(folder)
     manifest = read_manifest(folder)
@@ -343,13 +337,7 @@ class Run:
         return self.manifest.settings.actuation_unit
 
     def level_of(self, text: str, *, of: str = "--actuation") -> float:
-        """Level of an actuation such as "1000 psi", in `actuation_unit`.
-
-        Raises
-        ------
-        UnitError, CampaignError
-            When the text is no actuation, or one of another kind than the tests had.
-        """
+        """Level of an actuation such as "1000 psi", in `actuation_unit`, as the tests had it."""
         level, unit = parse_actuation(text, of=of)
         if unit != self.actuation_unit:
             kind = actuation_kind(self.actuation_unit)

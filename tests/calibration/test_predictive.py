@@ -5,8 +5,6 @@ import pytest
 
 from mfd_bayes.calibration.posterior import (
     Posterior,
-    check_predictive,
-    cycle_energies,
     derive_from_parameters,
     replicate,
 )
@@ -34,10 +32,10 @@ def decaying():
 def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
     trace, friction = harmonic(), np.array([0.5, 2.0])
     force = friction[:, None] * np.sign(trace.velocity)
-    energies = cycle_energies(force, trace)
+    values = cycle_values(trace, force)
+    energies = values["energy"]
     assert energies.shape == (2, 3)
     np.testing.assert_allclose(energies, np.tile(4.0 * friction[:, None] * X, 3), rtol=1e-3)
-    values = cycle_values(trace, force)
     equivalent = 4.0 * friction / (np.pi * OMEGA * X)  # Chopra, Coulomb damping
     np.testing.assert_allclose(values["c_eq"], np.tile(equivalent[:, None], 3), rtol=1e-3)
     for name in ("peak_fwd", "peak_bwd"):
@@ -69,16 +67,3 @@ def test_a_replicated_force_beyond_all_range_ends_in_a_sentence():
     drawn["sigma2"] = np.full(20, 1e14)
     with pytest.raises(RecordError, match="replicated force"):
         replicate(posterior, drawn, np.random.default_rng(0))
-
-
-def test_cycles_that_are_not_at_full_stroke_count_in_the_energy_in_all_alone():
-    moving = decaying()
-    trace = Trace.from_arrays(TIME, moving.displacement, 0.5, np.tanh(9.0 * moving.velocity))
-    posterior = Posterior(trace, "mfd", "iid", "lugre")
-    drawn = posterior.draw_prior(np.random.default_rng(0), 20)
-    replicas = replicate(posterior, drawn, np.random.default_rng(0))
-    checks = {check.name: check for check in check_predictive(posterior, replicas, None)}
-    first = cycle_energies(trace.force[None], trace)[0, 0]
-    assert checks["energy per cycle, kip·in"].observed == pytest.approx(first)
-    whole = np.trapezoid(trace.force, trace.displacement)
-    assert checks["energy in all, kip·in"].observed == pytest.approx(whole)

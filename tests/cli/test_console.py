@@ -7,7 +7,7 @@ from mfd_bayes.cli.console import LINES, WIDTH, clean, print_checks, print_end
 from mfd_bayes.evaluation.views import Check, Judgement
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.runs.manifest import Finding, Use, Verdict
-from mfd_bayes.runs.unit_system import SYSTEMS
+from mfd_bayes.runs.unit_system import SI
 
 
 def test_text_has_no_commands_to_the_terminal():
@@ -41,8 +41,7 @@ def view_of(count, bad=(), sentence="It is so."):
         warnings=[Finding("p0", "lag", late)],
         verdict=Use.NOT_USABLE if bad else Use.USABLE,
         sentences=[Message(sentence)],
-        systems=SYSTEMS,
-        metric=1,
+        system=SI,
     )
 
 

@@ -96,6 +96,9 @@ def test_wide_limits_are_kept_and_narrow_ones_are_not_shown(run, record):
     assert wide.verdict == "accepted"
     assert narrow.verdict == "cannot tell"
     assert np.isnan(wide.rows.loc["gap", "limit"])  # only what was given is limited
+    lower, upper = wide.rows.loc["slip_fwd", ["effect_lower", "effect_upper"]] / 100.0
+    (at_end,) = mb.accept(run, record, limits={"slip": max(-lower, upper)})
+    assert 0.04 < at_end.rows.loc["slip_fwd", "beyond_limit"] < 0.11  # intervals of 90 %
 
 
 def test_what_cannot_be_judged_is_refused(out, production, tmp_path):

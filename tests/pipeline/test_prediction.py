@@ -196,6 +196,7 @@ REFUSED = [
     ((*GIVEN, "--kind", "device"), "for the kinds new_test and observation"),
     ((*GIVEN, "--design"), "--design cannot be combined with --given"),
     ((*GIVEN, "--test", "p500_f0.5", "--extrapolate"), "a calibrated test ('p500_f0.5')"),
+    ((*GIVEN, "--after", "p500_f0.5"), "cannot be combined with after"),
     ((*SINE, "--after", "p5"), "after must be the id of a test of the run"),
     ((*SINE, "--after", "p5", "--design"), "--design cannot be combined with --after"),
 ]

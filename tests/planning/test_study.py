@@ -1,13 +1,63 @@
 """Advice on populations of given values, whose best next tests are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.errors import CampaignError, NotThereError
+from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
 from mfd_bayes.planning.study import Devices, Loop, advise
-from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.design import setting_of
+from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.design import Setting, setting_of
+from tests.population.made import THREE_STAGE, make_population, no_residual
+
+MEDIANS = THREE_STAGE | {"offset": 0.0, "noise_sd": 0.01}
+"""At 1 ksi."""
+
+DRAWS = 1600
+
+
+def make_situation(
+    *,
+    level=0.05,
+    scatter=0.05,
+    exponent=0.0,
+    effect=1e-9,
+    levels=(0.9, 1.0),
+    sessions=(),
+    devices=(),
+    noise=0.01,
+) -> tuple[Predictor, tuple[Candidate, ...]]:
+    """Slip forces known to `level` at 1 ksi, with a scatter, and an exponent known so well.
+
+    Tests were made at `levels`, in `sessions`, of `devices`; an effect of this size on slip forces
+    is known to be 0 for them, and unknown for others. Everything else is known, and the same in all
+    tests.
+    """
+    made = [*sessions, *[""] * len(levels)][: len(levels)]
+    owned = [*devices, *[""] * len(levels)][: len(levels)]
+    settings = [Setting(p, s, {}, d) for p, s, d in zip(levels, made, owned, strict=True)]
+    slip = ("Fc_fwd", "Fc_bwd")
+    population = make_population(
+        settings,
+        {"Fc_fwd": "power", "Fc_bwd": "power", "sigma0": "proportional"},
+        medians=MEDIANS | {"noise_sd": noise},
+        level_sd=dict.fromkeys(slip, level),
+        scatter=dict.fromkeys(slip, scatter),
+        effect=dict.fromkeys(("level_friction", "session_friction", "device_friction"), effect),
+        exponent_sd=exponent,
+        shape=(4, DRAWS // 4),
+        residual=no_residual(noise_time=0.1),
+    )
+    design = population.design  # no more is unknown of levels than is said here
+    design = replace(design, scatter_sd=np.zeros_like(design.scatter_sd))
+    population = replace(population, design=design)
+    tests = tuple(Candidate(p, 0.5, 1.0) for p in levels)
+    return Predictor(population, ThreeStage(), find_noise("ou")), tests
+
 
 SLIP = parse_goal("slip at 1000 psi, 0.5 Hz, 1 in", "ksi")
 AT_ONE = Candidate(1.0, 0.5, 1.0)
@@ -20,7 +70,7 @@ def ask(situation, goal, *candidates, limits=None, draws=1600):
 
 
 @pytest.mark.parametrize(("level", "scatter"), [(0.03, 0.09), (0.08, 0.04)])
-def test_one_more_test_of_known_scatter_has_its_closed_form(make_situation, level, scatter):
+def test_one_more_test_of_known_scatter_has_its_closed_form(level, scatter):
     """A test tells the slip force less its scatter: 1/v' = 1/level² + 1/scatter²."""
     (row,) = ask(make_situation(level=level, scatter=scatter), SLIP)
     closed = 1.0 - scatter / np.hypot(level, scatter)
@@ -31,9 +81,7 @@ def test_one_more_test_of_known_scatter_has_its_closed_form(make_situation, leve
 @pytest.mark.parametrize(
     ("effect", "sessions"), [(1e-9, ()), (0.1, ("a", "a", "b"))], ids=["copies", "a session"]
 )
-def test_copies_average_their_scatter_but_not_the_effect_of_their_session(
-    make_situation, effect, sessions
-):
+def test_copies_average_their_scatter_but_not_the_effect_of_their_session(effect, sessions):
     made = make_situation(effect=effect, levels=(1.0, 1.0, 1.0), sessions=sessions)
     advice = ask(made, SLIP)
     law, own = 0.05**2, effect**2 if sessions else 0.0
@@ -44,7 +92,7 @@ def test_copies_average_their_scatter_but_not_the_effect_of_their_session(
     assert np.all(np.diff(advice.curve) < 0.0)
 
 
-def test_a_test_of_another_device_has_its_effect_and_one_of_a_known_device_has_not(make_situation):
+def test_a_test_of_another_device_has_its_effect_and_one_of_a_known_device_has_not():
     situation = make_situation(effect=0.1, levels=(1.0, 1.0, 1.0), devices=("a", "a", "b"))
     new, known = (Candidate(1.0, 0.5, 1.0, device=d) for d in (NEW_DEVICE, "b"))
     rows = {row.candidate: row for row in ask(situation, SLIP, new, known)}
@@ -59,7 +107,7 @@ def test_a_test_of_another_device_has_its_effect_and_one_of_a_known_device_has_n
     np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.03)
 
 
-def test_tests_that_tell_nothing_promise_nothing(make_situation):
+def test_tests_that_tell_nothing_promise_nothing():
     """Of many sets the best by chance must not be promised what chance gave it."""
     situation = make_situation(level=0.001, scatter=0.05, exponent=0.2)
     goal = parse_goal("exponent of Fc_fwd", "ksi")
@@ -72,7 +120,7 @@ def test_tests_that_tell_nothing_promise_nothing(make_situation):
     assert ask(situation, goal, *tell, draws=600).together[0].reduction > 0.3
 
 
-def test_scatter_of_a_single_test_is_not_reduced(make_situation):
+def test_scatter_of_a_single_test_is_not_reduced():
     situation = make_situation(level=0.03, scatter=0.09)
     at = parse_goal("band at 900|1000 psi", "ksi").at
     device, new_test = (
@@ -82,7 +130,7 @@ def test_scatter_of_a_single_test_is_not_reduced(make_situation):
     assert device.reduction > 0.025
 
 
-def test_a_repeat_is_worth_little_where_the_exponent_is_unknown(make_situation):
+def test_a_repeat_is_worth_little_where_the_exponent_is_unknown():
     far = parse_goal("slip at 1500 psi, 0.5 Hz, 1 in", "ksi")
     elsewhere = Candidate(1.5, 0.5, 1.0)
     situation = make_situation(level=0.002, scatter=0.002, exponent=0.1)
@@ -93,7 +141,7 @@ def test_a_repeat_is_worth_little_where_the_exponent_is_unknown(make_situation):
     assert not rows[elsewhere].repeat
 
 
-def test_every_gain_is_positive_and_the_table_is_in_order(make_situation):
+def test_every_gain_is_positive_and_the_table_is_in_order():
     candidates = [Candidate(p, f, a) for p, f in ((0.5, 0.1), (2.0, 2.0)) for a in (0.02, 1.0)]
     candidates.append(Candidate(1.0, 0.5, 1.0, price=0.0))
     advice = ask(make_situation(exponent=0.2), Goal(), *candidates, draws=FEW)
@@ -109,7 +157,7 @@ def test_every_gain_is_positive_and_the_table_is_in_order(make_situation):
     assert [row.per_hour for row in advice if row.candidate.price == 0.0] == [np.inf]
 
 
-def test_forbidden_candidates_are_never_proposed(make_situation):
+def test_forbidden_candidates_are_never_proposed():
     fast, long = Candidate(1.0, 2.0, 1.0), Candidate(1.0, 0.1, 4.0)
     strong = Candidate(9.0, 0.5, 1.0)
     situation = make_situation(exponent=0.2)
@@ -124,7 +172,7 @@ def test_forbidden_candidates_are_never_proposed(make_situation):
     assert {row.candidate for row in free} == {AT_ONE, fast, long, strong}  # the control
 
 
-def test_limits_that_leave_nothing_are_said(make_situation):
+def test_limits_that_leave_nothing_are_said():
     for limits, name in ((Limits(stroke=0.1), "stroke"), (Limits(force=0.001), "force")):
         with pytest.raises(CampaignError, match=name):
             ask(make_situation(), Goal(), limits=limits)
@@ -133,7 +181,7 @@ def test_limits_that_leave_nothing_are_said(make_situation):
             ask(make_situation(), Goal(quantity, of))
 
 
-def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
+def test_goal_and_simulated_tests_are_those_of_the_predictions():
     """The same quantiles as `run.predict`, which draws parameters of its own."""
     predictor, _ = make_situation(level=0.05, scatter=0.08)
     loop = Loop.of(AT_ONE, GAP)
@@ -148,7 +196,7 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions(make_situation):
         assert widths[0] == pytest.approx(widths[1], rel=0.1)
 
 
-def test_cycles_average_noise(make_situation):
+def test_cycles_average_noise():
     """With noise alone the energy of n cycles scatters by √n less."""
     predictor, _ = make_situation(level=1e-9, scatter=1e-9, noise=0.3)
     loop = Loop.of(AT_ONE, GAP)

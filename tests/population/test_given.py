@@ -149,6 +149,19 @@ def test_a_test_that_is_followed_is_that_which_is_given(name):
     assert np.mean(free.draws[:, at:].std(axis=0) / sd) > 1.02  # the control
 
 
+def test_a_refreshed_forecaster_knows_what_is_given():
+    made = known_but_for_the_offset()
+    record, force, values = truth_of(made, 3)
+    forecaster = Forecaster(made, setting_of(record), Forecast(draws=500))
+    forecaster.update(record.time[:80], record.displacement[:80], None, record.force[:80])
+    band = forecaster.band(Trace.from_arrays(TIME[80:], record.displacement[80:]))
+    known = 0.05 / np.sqrt(80)
+    assert np.median(band.values["offset"]) == pytest.approx(values["offset"], abs=5.0 * known)
+    assert band.values["offset"].std() < 2.0 * known
+    assert np.mean(np.abs(band.median - force[80:])) < 0.02 * np.ptp(force)
+    assert forecaster.time == record.time[79]
+
+
 @pytest.mark.parametrize("actuation", [1.4, np.where(TIME < 2.5, 1.0, 2.0), 0.0])
 def test_any_actuation_can_be_given_and_followed(actuation):
     laws = {"Fc_fwd": "affine", "Fc_bwd": "affine"}

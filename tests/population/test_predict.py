@@ -81,6 +81,19 @@ def test_the_named_law_gives_the_median_and_its_slope():
         population.ratio("Fc_fwd", [1.0, -1.0])
 
 
+def test_levels_deviate_from_the_laws_less_where_tests_are_near():
+    made = predictor(
+        {"Fc_fwd": "power"}, effect={"level_friction": 0.1}, scatter=1e-9, level_sd=0.0
+    )
+    forecast = Forecast("device", draws=DRAWS)
+    tested, between, far = (
+        spread(made.predict(motion(p), forecast)) for p in (1.0, 1.4, 2.0 * 1.9)
+    )
+    assert tested < 1e-6  # its effect is known, and 0 here
+    assert 0.005 < between < 0.05
+    assert far > 1.3 * between
+
+
 # --- a test without actuation, and one whose actuation changes
 
 

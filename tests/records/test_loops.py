@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from mfd_bayes import Trace, read_record
-from mfd_bayes.calibration.posterior import cycle_energies
 from mfd_bayes.cli.commands import app
 from mfd_bayes.records.loops import MeasuredCycles, find_loops, loop_estimate, measured_cycles
 
@@ -42,13 +41,12 @@ def drawn_loop(cycles=5, ramp=0):
 
 
 def test_a_loop_has_its_amplitude_its_period_and_the_energy_of_its_ellipse():
-    loops = find_loops(trace := ellipse())
+    loops = find_loops(ellipse())
     assert loops.bounds.size == loops.period.size + 1 == 6
     np.testing.assert_allclose(loops.period, 2.0)
     np.testing.assert_allclose(loops.amplitude, 1.0)
     np.testing.assert_allclose(loops.energy, np.pi, rtol=1e-3)
     np.testing.assert_allclose(loops.offset, 0.2, atol=1e-3)
-    np.testing.assert_allclose(loops.energy, cycle_energies(trace.force[None], trace)[0])
 
 
 def test_drifts_compare_the_first_strong_loops_with_the_last():

@@ -274,6 +274,15 @@ def test_of_a_time_with_gaps_the_longest_piece_inside_the_window_is_used(tmp_pat
     assert "pauses 5 times, for up to 0.025 s" in words
 
 
+@pytest.mark.parametrize("rate", [256.0, 600.0])
+def test_rounded_time_stamps_do_not_change_the_rate(tmp_path, rate):
+    time = np.round(np.arange(4000) / rate, 3)
+    path = write(tmp_path, time_s=time, displacement_in=np.sin(2 * np.pi * time))
+    record = mb.read_record(path)
+    assert record.rate == pytest.approx(rate, rel=1e-3)
+    assert record.trace(0.875 * rate).samples == pytest.approx(3500, abs=2)
+
+
 # --- traces of a record
 
 

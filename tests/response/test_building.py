@@ -1,6 +1,5 @@
 """Building files: what is read, and one sentence for each mistake."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -141,14 +140,6 @@ def test_a_matrix_that_is_none_or_declared_huge_or_complex_is_refused(tmp_path):
     refused("complex128, and no real numbers")
     np.save(bad, np.eye(2, dtype=np.int8))  # the control
     assert read_building(path).freedoms == 2
-
-
-def test_a_matrix_of_a_building_is_real_and_square(made):
-    huge = np.broadcast_to(0.0, (100_000, 100_000))
-    for matrix in (np.eye(2) * 1j, np.zeros((2, 3)), huge, "x", None):
-        for name in ("mass", "damping", "stiffness"):
-            with pytest.raises(BuildingError, match=f"{name} of a building must"):
-                replace(made(GOOD), **{name: matrix})
 
 
 def test_what_is_no_level_or_path_of_a_building_is_refused(made):

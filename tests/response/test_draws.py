@@ -54,6 +54,25 @@ def slip_of(predictor, found, at):
     return found.theta[:, :, column_of(predictor, "Fc_fwd")] * scale
 
 
+def test_each_damper_has_a_scatter_of_its_own_and_all_share_the_law(tmp_path):
+    two = ['"1000 psi"'] * 2
+
+    def slips(scatter, level_sd):
+        own, level = {"Fc_fwd": 0.1}, {"Fc_fwd": level_sd}
+        made = make_predictor("three_stage", scatter=own, level_sd=level)
+        choice = {"draws": 1000, "seed": 3, "scatter": scatter}
+        return np.log(slip_of(made, dampers(made, tmp_path, 1, *two, choice=choice), 0))
+
+    none, some, more = (slips(scatter, 0.0) for scatter in (0.0, 1.0, 2.0))
+    assert np.ptp(none) < 1e-9
+    np.testing.assert_allclose(some.std(axis=0), 0.1, rtol=4.0 / np.sqrt(2000.0))
+    np.testing.assert_allclose(more.std(axis=0), 0.2, rtol=4.0 / np.sqrt(2000.0))
+    assert abs(np.corrcoef(some.T)[0, 1]) < 4.0 / np.sqrt(1000.0)
+    first, second = slips(0.0, 0.1).T
+    assert first.std() > 0.08
+    np.testing.assert_allclose(first, second)
+
+
 def test_a_history_that_never_changes_is_the_constant(predictor, tmp_path):
     history, constant = (dampers(predictor, tmp_path, 1, *2 * [a]) for a in (VALVE, '"1000 psi"'))
     np.testing.assert_allclose(history.theta, constant.theta)

@@ -19,9 +19,8 @@ import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.properties import design_rows
-from mfd_bayes.population.population import LawDraws
 from mfd_bayes.response.building import Limits, read_building
-from mfd_bayes.response.device_draws import draw_dampers, plain_friction
+from mfd_bayes.response.device_draws import plain_friction
 from mfd_bayes.response.ground import Ground, read_ground
 from mfd_bayes.response.result import sweep_of, variance_shares
 from mfd_bayes.response.time_integration import response_of
@@ -31,8 +30,6 @@ PLACES = "".join(f'[[damper]]\nstorey = {i}\nactuation = "1000 psi"\n' for i in 
 STOREY = '[[storey]]\nweight = "20 kip"\nheight = "144 in"\nstiffness = "8 kip/in"\n'
 BUILDING = f'{2 * STOREY}{PLACES}[limits]\ndrift = "0.5 %"\n'
 HISTORY = 'actuation = { file = "valve.csv", column = "pressure_ksi", unit = "ksi" }'
-
-ROUGH = 0.03
 
 
 @pytest.fixture(scope="module")
@@ -85,52 +82,6 @@ def computing(monkeypatch):
         raise BuildingError("computing")
 
     monkeypatch.setattr("mfd_bayes.runs.response.response_of", stop)
-
-
-def alone(population):
-    """The population with its first draw alone, and nothing else unknown."""
-    one = {name: values[:1, :1] for name, values in vars(population.draws).items()}
-    none = {name: values[:0] for name, values in vars(population.alternatives).items()}
-    certain = replace(population.residual, covariance=np.zeros_like(population.residual.covariance))
-    return replace(
-        population,
-        draws=LawDraws(**one),
-        choice=population.choice[:1, :1],
-        alternatives=LawDraws(**none),
-        alternative_weight=np.zeros(0),
-        residual=certain,
-    )
-
-
-def dampers_of(run, path, scatter, draws=40):
-    model = next(iter(run.tests.values())).posterior.model
-    building = read_building(path)
-    found = draw_dampers(
-        alone(run.population), model, building, draws=draws, seed=3, scatter=scatter
-    )
-    return replace(found, start=np.full(found.start.shape, 0.5))
-
-
-def test_without_scatter_all_draws_are_one_and_more_scatter_widens(run, path, ground):
-    building = read_building(path)
-
-    def peaks(scatter):
-        dampers = dampers_of(run, path, scatter)
-        return response_of(building, [ground], dampers, ROUGH).drift[:, 0, 0]
-
-    none, some, more = peaks(0.0), peaks(1.0), peaks(2.0)
-    assert np.ptp(none) < 1e-9 * none.mean()
-    assert some.std() > 1e-3 * some.mean()
-    assert more.std() > 1.4 * some.std()
-    assert none[0] == pytest.approx(np.median(some), rel=0.2)
-
-
-def test_each_damper_has_its_own_scatter_and_shares_the_law(run, path):
-    dampers = dampers_of(run, path, 1.0)
-    first, second = dampers.slip.T
-    assert not np.allclose(first, second)
-    assert np.allclose(*dampers.about["law and level"].T)
-    assert np.allclose(dampers_of(run, path, 0.0).slip[:, 0], dampers_of(run, path, 0.0).slip[:, 1])
 
 
 def test_the_call_of_the_contract(run, path, ground):

@@ -114,7 +114,9 @@ def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change):
 def test_another_machine_is_said(plan, out, change):
     assert resume(plan, out).notes == ()
     change(out, lambda manifest: manifest["machines"][0].update(processor="Z80"))
-    (note,) = resume(plan, out).notes
+    resumed = resume(plan, out)
+    (note,) = resumed.notes
+    assert [m["processor"] == "Z80" for m in resumed.manifest.machines] == [True, False]
     assert "another machine" in note
     assert "processor was Z80, is " in note
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import FitError
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import TestSequence, open_run
@@ -102,14 +101,6 @@ def test_a_test_that_is_predicted_itself_is_followed_as_it_is_predicted(run):
     alone = replace(sequence, tests={}, motions=left_out)
     assert alone.before("b", left_out["b"], FORECAST) is None  # a is lost: nothing is known
     assert alone.before("c", run.held_out["c"], FORECAST).predicted
-
-
-def test_what_is_not_there_or_does_not_go_together_is_refused(run):
-    motion = run.held_out["c"]
-    with pytest.raises(FitError, match=r"after must be the id of a test .*one of a, b, c, got 'd'"):
-        run.predict(motion, draws=20, after="d")
-    with pytest.raises(FitError, match=r"given cannot be combined with after \('b'\)"):
-        run.predict(motion, draws=20, after="b", given=(0.0, 1.0))
 
 
 def test_tests_that_follow_in_a_circle_are_survived(run):

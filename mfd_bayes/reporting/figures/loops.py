@@ -333,10 +333,7 @@ def _legend(
 
 
 _SIGNS = ("v", "o", "s", "D", "P", "X", "^", "*")
-_COLOURS = (
-    *(VERMILLION, BLUE, GREEN),
-    *(PURPLE, ORANGE, SKY),
-)
+_COLOURS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY)
 _MARKS = 60  # more of one kind would hide the curve
 
 
@@ -377,21 +374,14 @@ def draw_inspection(
     place.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
     place.set_title(f"Displacement, {turns.size} turning points")
     place.margins(x=0.01, y=0.12)  # space for the marks at the turns
-    handles, looks = [], zip(cycle(_SIGNS), cycle(_COLOURS), strict=False)
+    looks, handles = zip(cycle(_SIGNS), cycle(_COLOURS), strict=False), []
     for fault in faults:  # one without samples has no mark
         sign, colour = next(looks) if fault.samples.size else ("", DATA)
         at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
-        mark: dict[str, Any] = {
-            "marker": sign,
-            "mfc": "none",
-            "mec": colour,
-            "mew": 1.1,
-            "ms": 5,
-            "ls": "",
-        }
-        for axes, across, up in curves if at.size else ():
-            axes.plot(across[at], up[at], **mark)
-        handles.append(Line2D([], [], label=f"warning: {fault.name}", **mark))
+        mark: dict[str, Any] = {"marker": sign, "mfc": "none", "mec": colour, "mew": 1.1, "ms": 5}
+        for axes, across, up in curves:
+            axes.plot(across[at], up[at], ls="", label=f"warning: {fault.name}", **mark)
+        handles.append(axes.lines[-1])
     if handles:
         figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure

@@ -22,8 +22,7 @@ Array = NDArray[np.float64]
 
 _WIDE, _NARROW, _MIDDLE = BANDS["new_test"]
 _BARE, _PLAIN = "#777777", ORANGE
-DAMPERS = 12
-"""Most loops that are drawn."""
+DAMPERS = 12  # most loops that are drawn
 
 
 @look.style()
