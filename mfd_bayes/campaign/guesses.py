@@ -16,7 +16,15 @@ from mfd_bayes.errors import MfdError, RecordError, UnitError
 from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
 from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.record import Source, step_of
-from mfd_bayes.records.table import Table, header_unit, listed, own_name, stated_unit
+from mfd_bayes.records.table import (
+    CAMEL,
+    ROLE_WORDS,
+    Table,
+    header_unit,
+    listed,
+    own_name,
+    stated_unit,
+)
 from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
     ActuationUnit,
@@ -31,25 +39,6 @@ from mfd_bayes.units import (
 )
 
 ESSENTIAL = ("time", "displacement", "force")
-_WORDS = {
-    role: {word: score for score, words in scored.items() for word in words.split()}
-    for role, scored in {
-        "time": {4: "time zeit", 3: "timestamp elapsed t", 2: "seconds sec"},
-        "displacement": {
-            4: "displacement disp displ lvdt stroke weg",
-            3: "deflection travel extension displacment",
-            2: "position pos x d motion",
-        },
-        "force": {4: "force load loadcell kraft", 2: "f reaction resistance cell"},
-        "actuation": {
-            6: "pressure actuation tension preload druck",
-            5: "press clamping clamp psi kpa mpa bar",
-            3: "current amperage voltage torque strom",
-        },
-    }.items()
-}
-"""Score of a word in a column's name for each role."""
-
 _UNIT_ALONE = 1.0  # score of a unit for a role where no word has a score
 _NOT_MEASURED = re.compile(r"command|cmd|setpoint|target|ref|reference|desired|error|nominal")
 _COUNTER = re.compile(
@@ -76,7 +65,6 @@ _AT_THE_END = (
     re.compile(r"_((?:[^_\s]+_per_)?[^_\s]+)$"),
     re.compile(r"[\s,/:]+([^\s,:]+)\s*$"),
 )
-_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _METRIC = re.compile(r"\b(?:N|kN|MN|mm|cm|m|kPa|MPa|bar)\b")
 
 SURE = 0.3  # correlation of a force with the direction of a motion from which two make a loop
@@ -125,6 +113,8 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
         guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
     for role, guess in guesses.items():
         found = guess if guess.unit or role in own else _with_unit(table, role, guess, guesses)
+        if role == "time" and (problem := _equal_stamps(table, guess.name)):
+            found = Guess("", None, lacking=problem)
         if own_name(found.name) != found.name:  # no name of its own
             found = replace(found, number=table.number_of(found.name))
         guesses[role] = found
@@ -202,8 +192,10 @@ def _by_name(table: Table, role: str, taken: Sequence[str]) -> Guess | None:
 def _score(table: Table, name: str, role: str) -> float:
     """Score of a column's name and unit for a role; 0 where it cannot have the role."""
     text = normalize("NFKC", own_name(name))
-    words = re.findall(r"[a-z]+", _CAMEL.sub(" ", _IN_BRACKETS.sub("", text)).lower())
-    scores = {r: max((known.get(w, 0) for w in words), default=0) for r, known in _WORDS.items()}
+    words = re.findall(r"[a-z]+", CAMEL.sub(" ", _IN_BRACKETS.sub("", text)).lower())
+    scores = {
+        r: max((known.get(w, 0) for w in words), default=0) for r, known in ROLE_WORDS.items()
+    }
     own, other = scores.pop(role), max(scores.values())
     if own and any(map(_NOT_MEASURED.fullmatch, words)):
         own = 1
@@ -289,6 +281,20 @@ def _with_unit(table: Table, role: str, guess: Guess, guesses: Mapping[str, Gues
     return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
+def _equal_stamps(table: Table, name: str) -> str:
+    """What to write in place of time stamps that are equal in several rows; empty of others."""
+    stamps = numbers_of(table, name, is_time=True) if name in table.stamped else None
+    if stamps is None or np.all(np.diff(stamps) != 0.0) or not stamps[-1] > stamps[0]:
+        return ""
+    new = np.flatnonzero(np.diff(stamps) > 0.0)
+    first, last = (new[0], new[-1]) if new.size > 1 else (0, stamps.size - 1)
+    rate = (last - first) / (stamps[last] - stamps[first])
+    return (
+        f"time stamps of {name!r} are equal in several rows, about {rate:.3g} in a second: write "
+        'the rate in place of the column, time = { rate = "100 Hz" }'
+    )
+
+
 def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -> Guess:
     """A time with the unit that its numbers look like; or what it lacks."""
     values = numbers_of(table, guess.name, is_time=True)
@@ -302,7 +308,7 @@ def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -
         text = "it begins at a number too large for a time: what does it count?"
         return replace(guess, lacking=text)
     name, steps = own_name(guess.name), np.diff(values)
-    words = re.findall(r"[^\W\d_]+|#", _CAMEL.sub(" ", name).lower())
+    words = re.findall(r"[^\W\d_]+|#", CAMEL.sub(" ", name).lower())
     is_whole = bool(np.all(values == np.round(values)))
     if is_whole and (any(map(_COUNTER.fullmatch, words)) or np.all(steps == 1.0)):
         text = (

@@ -52,6 +52,7 @@ from mfd_bayes.records.table import (
     is_stamp,
     kinds,
     labels,
+    tells,
 )
 from mfd_bayes.units import factor, measure
 
@@ -216,6 +217,8 @@ def _words(comment: str, separator: str, width: int) -> list[str]:
         for sign in dict.fromkeys((separator, *SEPARATORS)):
             words = _split(text, sign)
             if len(words) == width > 1 and "n" not in kinds(words):
+                if sign == BLANKS and sum(map(tells, words)) < 2:
+                    continue  # of a sentence
                 return words
     return []
 

@@ -32,6 +32,7 @@ NUMBER = re.compile(
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([ .,'’\u00a0\u202f])\d{3})+(?:(?!\1)[.,]\d*)?")
 # 0,5 · ,5 · 1,25 · 1,2345 · 1234,5: the comma cannot be a thousands separator.
 SURELY_DECIMAL = re.compile(r"(?<![\d.])0*,\d|\d,\d{1,2}(?!\d)|,\d{4}|\d{4},\d|,\d{3}[eE]")
+_OVERFLOW = re.compile(r"[+-]?(inf\w*|over\w*|ovl\w*|ovf\w*|o\.?l\.?|1\.#\w*|#+)", re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[+-]?\d+,\d{3}(?!\d)")
 _LABEL = re.compile(r"column \d+(: )?(.*)", re.DOTALL)
 
@@ -70,6 +71,35 @@ _REMARKS = re.compile(
 """Words that people put in brackets behind a name, and that are no units."""
 
 
+ROLE_WORDS = {
+    role: {word: score for score, words in scored.items() for word in words.split()}
+    for role, scored in {
+        "time": {4: "time zeit", 3: "timestamp elapsed t", 2: "seconds sec"},
+        "displacement": {
+            4: "displacement disp displ lvdt stroke weg",
+            3: "deflection travel extension displacment",
+            2: "position pos x d motion",
+        },
+        "force": {4: "force load loadcell kraft", 2: "f reaction resistance cell"},
+        "actuation": {
+            6: "pressure actuation tension preload druck",
+            5: "press clamping clamp psi kpa mpa bar",
+            3: "current amperage voltage torque strom",
+        },
+    }.items()
+}
+"""Score of a word in a column's name for each role."""
+
+CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+
+
+def tells(word: str) -> bool:
+    """Whether a word of a heading names a motion, a force or such, or is or has a unit."""
+    parts = re.findall(r"[a-z]+", CAMEL.sub(" ", word).lower())
+    is_name = any(part in scores for scores in ROLE_WORDS.values() for part in parts)
+    return is_name or measure(header_unit(word) or bare_unit(word)) is not None
+
+
 def header_unit(name: str) -> str | None:
     """Last part of a column's name: ``"kip"`` of ``"force_kip"`` or ``"Force [kip]"``.
 
@@ -96,6 +126,9 @@ def stated_unit(name: str, row: str = "") -> str | None:
         if not re.search(r"[^\W\d_]|[%°\"″′”]", text) or _REMARKS.fullmatch(text.lower()):
             continue
         words = re.findall(r"[^\W\d_]+", text)
+        multiple = re.fullmatch(r"[x×*]?\s*\d[\d^.,]*\s*[x×*]?\s*(\D+)", text)  # 10^3 N, x1000 N
+        if multiple and measure(multiple[1]):
+            return text
         is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
         if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
             return text
@@ -225,7 +258,7 @@ class Table:
             shown += "; a number is written without a thousands separator"
         elif is_stamp(text):
             shown += ", which is a time stamp: expected a number, as in the first row"
-        elif re.fullmatch(r"[+-]?(inf\w*|over\w*|ovl\w*|ovf\w*|o\.l\.)", text, re.IGNORECASE):
+        elif _OVERFLOW.fullmatch(text):
             shown += ", an overflow of the logger: take such rows out"
         return RecordError(
             f"{self.place(row)} of {self.path}, column {name!r}: expected a finite number, "

@@ -447,7 +447,7 @@ def force_spikes(trace: Trace) -> Samples:
         return np.empty(0, dtype=np.intp)
     at, steps = spikes_of(trace.force), np.diff(trace.displacement)
     turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
-    low, high = np.quantile(trace.force, [0.005, 0.995])
+    low, high = np.quantile(np.delete(trace.force, at), [0.005, 0.995])
     explained = turns & (trace.force >= low) & (trace.force <= high)
     return np.asarray(at[~explained[at]], dtype=np.intp)
 

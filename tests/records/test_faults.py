@@ -257,7 +257,8 @@ def test_small_cycles_of_a_loading_protocol_are_cycles(tmp_path):
 @pytest.mark.parametrize("signal", [0, 1])
 def test_overflow_values_are_named_alone_and_left_out(tmp_path, signal):
     sound = figures(inspected(tmp_path, MOTION, force_of(MOTION))[0])
-    for value, at in ((1e6, [0]), (-9999.0, [700, 701, 702]), (1e6, list(range(900, 960)))):
+    at_a_turn, between = list(range(330, 390)), list(range(900, 960))
+    for value, at in ((1e6, [0]), (-9999.0, [700, 701, 702]), (1e6, between), (1e6, at_a_turn)):
         arrays = [MOTION.copy(), force_of(MOTION)]
         arrays[signal][at] = value
         facts, warned = inspected(tmp_path, *arrays)

@@ -299,6 +299,7 @@ TEXTS = {
     "a line for a book": ("a,b\n1,2\n#" + "x" * LONG + "\n", "a", ["line 3"]),
     "a name for a book": ("time_s," + "a_per_" * 900 + "\n1,2\n", "a", ["column 2"]),
     "too many columns": ("c," * 1000 + "c\n" + "1," * 1000 + "1\n", "a", ["1,001 columns"]),
+    "an overflow": ("a,b\n1,2\n3,OL\n", "ab", ["'OL', an overflow"]),
     "below units": ("T\tF\nSec\tkN\n0\t1\n0.1\tOVR\n", "TF", ["line 4", "'F'", "'OVR'"]),
 }
 JSONS = {
