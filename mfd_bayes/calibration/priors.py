@@ -418,10 +418,7 @@ def _scales(given: Any) -> dict[str, float]:
     """The device's own force, length and speed, internal units."""
     if not isinstance(given, dict) or set(given) != set(SCALES):
         raise PriorError("it must hold force, length and speed")
-    scales = {key: _figure(key, given[key], measured) for key, (measured, _) in SCALES.items()}
-    if low := [key for key, scale in scales.items() if not scale > 0.0]:
-        raise PriorError(f"{low[0]} must be more than 0, got {given[low[0]]!r}")
-    return scales
+    return {k: _figure(k, given[k], kind, positive=True) for k, (kind, _) in SCALES.items()}
 
 
 def _tables(
@@ -480,9 +477,8 @@ def _scatter(table: dict[str, Any], known: Mapping[str, Quantity]) -> Scatter:
     key = "above" if sparse else "sd"
     kinds = {known[member].kind for member in members}
     negative = bool(members) and all(known[member].least < 0.0 for member in members)
-    size = _figure(key, table[key], kinds.pop() if negative and len(kinds) == 1 else None)
-    if not size > 0:
-        raise PriorError(f"{key} must be positive, got {size:g}")
+    kind = kinds.pop() if negative and len(kinds) == 1 else None
+    size = _figure(key, table[key], kind, positive=True)
     if sparse:
         share = _figure("probability", table["probability"], None)
         if not 0.0 < share < 1.0:
@@ -491,7 +487,7 @@ def _scatter(table: dict[str, Any], known: Mapping[str, Quantity]) -> Scatter:
     return Scatter(tuple(members), size, str(table.get("reason", "")), sparse)
 
 
-def _figure(key: str, value: Any, kind: str | None) -> float:
+def _figure(key: str, value: Any, kind: str | None, *, positive: bool = False) -> float:
     """A number of a prior file in internal units; `kind` is what a quantity with unit measures."""
     got = reprlib.repr(value)
     if isinstance(value, str):
@@ -505,4 +501,6 @@ def _figure(key: str, value: Any, kind: str | None) -> float:
         number = float(value) if abs(value) < 1e300 else np.inf
     if not np.isfinite(number):
         raise PriorError(f"{key} must be finite, got {got}")
+    if positive and not number > 0.0:
+        raise PriorError(f"{key} must be positive, got {got}")
     return number

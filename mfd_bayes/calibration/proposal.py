@@ -57,7 +57,7 @@ def find_modes(
     """
     of_prior = posterior.coordinates(posterior.draw_prior(rng, 2000))
     mean, sd = of_prior.mean(axis=0), of_prior.std(axis=0)
-    begin = _starting_points(posterior, rng, starts)
+    begin = _starting_points(posterior, of_prior[:500], starts)
     fits = _fit_residuals(posterior, begin, mean, sd)
     heights = posterior.log_prob(fits)
     ends: list[Array] = []
@@ -68,15 +68,14 @@ def find_modes(
             ends.append(fits[i])
     modes: list[Mode] = []
     for end in ends:
-        mode = climb(posterior.log_prob, end, sd, modes)
+        mode = climb(posterior.log_prob, end, sd)
         if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
             modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
 
-def _starting_points(posterior: Posterior, rng: np.random.Generator, starts: int) -> Array:
+def _starting_points(posterior: Posterior, draws: Array, starts: int) -> Array:
     """Prior draws whose loops fit well and that are far from each other, (starts, dim)."""
-    draws = posterior.coordinates(posterior.draw_prior(rng, 500))
     draws = draws[np.isfinite(posterior.log_prior(draws))]
     if len(draws) == 0:
         raise FitError("the prior has no mass at any start: widen the priors of this device")
@@ -122,16 +121,12 @@ def _read_noise(posterior: Posterior, q: Array) -> Array:
     return np.where(noisy, posterior.coordinates(values)[0], q)
 
 
-def climb(density: Density, begin: Array, sd: Array, modes: Sequence[Mode] = ()) -> Mode:
-    """Mode that BFGS reaches from a point, (dim,); `sd` (dim,) are the prior's.
-
-    Where it comes near one of the known `modes`, and is not higher, it ends there.
-    """
-    from scipy.optimize import OptimizeResult, minimize  # which takes long to import
+def climb(density: Density, begin: Array, sd: Array) -> Mode:
+    """Mode that BFGS reaches from a point, (dim,); `sd` (dim,) are the prior's."""
+    from scipy.optimize import minimize  # which takes long to import
 
     dim, step = len(begin), 1e-4
     around = step * np.concatenate([np.zeros((1, dim)), np.eye(dim), -np.eye(dim)])
-    met: list[Mode] = []
 
     def loss(w: Array) -> tuple[float, Array]:
         """Loss and its slope by central differences, in one batch."""
@@ -139,22 +134,13 @@ def climb(density: Density, begin: Array, sd: Array, modes: Sequence[Mode] = ())
         higher, lower = np.reshape(near, (2, dim))
         return float(here), (higher - lower) / (2 * step)
 
-    def look(intermediate_result: OptimizeResult) -> None:  # SciPy looks at this name
-        q, height = begin + sd * intermediate_result.x, -float(intermediate_result.fun)
-        met.extend(m for m in modes if height <= m.log_prob and m.is_near(q, height))
-        if met:
-            raise StopIteration
-
     fit = minimize(
         loss,
         np.zeros(dim),
         jac=True,
         method="BFGS",
-        callback=look,
         options={"maxiter": 150, "gtol": 1e-2},
     )
-    if met:
-        return met[0]
     q = begin + sd * fit.x
     return Mode(q, float(density(q[None])[0]), laplace_covariance(density, q, sd))
 

@@ -19,8 +19,8 @@ from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enoug
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.acceptance import acceptance_page, acceptance_table, draw_batch
-from mfd_bayes.reporting.tables import to_csv
+from mfd_bayes.reporting.page import acceptance_page
+from mfd_bayes.reporting.tables import acceptance_table, to_csv
 from mfd_bayes.runs.folder import check_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import conditions_of
@@ -98,7 +98,7 @@ def accept_records(out: Path, wish: Inspection) -> tuple[tuple[Acceptance, ...],
 
 
 def _write(run: Run, wish: Inspection, devices: tuple[Acceptance, ...]) -> tuple[Path, ...]:
-    from mfd_bayes.reporting.figures import to_png
+    from mfd_bayes.reporting.figures import draw_batch, to_png
 
     today, manifest, folder = datetime.now(UTC).date().isoformat(), run.manifest, wish.folder
     made = (

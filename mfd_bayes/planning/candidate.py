@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from mfd_bayes.population.design import SAME_LEVEL, Setting, levels_of, same_lev
 from mfd_bayes.population.laws import default_laws
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import MOST_CYCLES, Trace
+from mfd_bayes.store.files import nearest
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_kind,
@@ -476,8 +476,7 @@ def check_goal(goal: Goal, *, of: str = "--goal", laws: Iterable[str] = ()) -> N
     """Refuse a goal that cannot be; `laws` are what follows the actuation in a user's own model."""
     known = (*AT_MOTIONS, GAP, *OF_LAWS)
     if goal.quantity not in known:
-        near = difflib.get_close_matches(goal.quantity, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+        hint = nearest(goal.quantity, known)
         raise CampaignError(f"{of}: unknown quantity {goal.quantity!r}; {hint}")
     if goal.kind not in KINDS:
         raise CampaignError(
@@ -501,11 +500,9 @@ def check_session(session: str, sessions: Collection[str], *, of: str = "goal.se
     """Refuse the session of a goal that no calibrated test has."""
     if not session or session in sessions:
         return
-    named = [repr(name) for name in dict.fromkeys(sessions) if name]
-    near = difflib.get_close_matches(session, sessions, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    has = f"their sessions are {', '.join(named)}" if named else "they have no sessions"
+    named = [*dict.fromkeys(filter(None, sessions))]
+    hint = nearest(session, named) if named else "they have no sessions"
     raise CampaignError(
-        f"{of}: no calibrated test has the session {session!r}; {hint}{has}; leave it out for a "
-        "new session"
+        f"{of}: no calibrated test has the session {session!r}; {hint}; leave it out for a new "
+        "session"
     )

@@ -42,7 +42,6 @@ DEVICES, TESTS, BOOTSTRAP, GOALS = range(4)
 COLUMNS = ("candidate", "reduction", "error", "information", "information_error", "cost")
 DENSE, LOOSE = 14, 8  # samples of a stroke up to `REACH` times the gap, and in the rest
 REACH = 2.5
-LEAD = 4  # every so many samples of a stroke are enough before the loop
 FLAT = 1e-9  # a summary whose sd is below this share of its size does not vary
 # a direction of the summaries with less than this share of their variance is noise, or repeats
 # others
@@ -77,9 +76,8 @@ class Loop:
         rest = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, LOOSE + 1))[1:]
         build = np.linspace(0.0, dense, DENSE + 1)
         travel = np.concatenate([build, dense + (stroke - dense) * rest])
-        lead = np.unique(np.append(travel[::LEAD], travel[-1]))
         time, place, speed, clock = [], [], [], 0.0
-        for along, way in ((lead, 1.0), (travel[1:], -1.0), (travel[1:], 1.0)):
+        for along, way in ((travel, 1.0), (travel[1:], -1.0), (travel[1:], 1.0)):
             if candidate.waveform == "triangle":
                 since, fast = along / candidate.speed, np.full(along.size, candidate.speed)
             else:
@@ -92,7 +90,7 @@ class Loop:
             clock += since[-1]
         times, places, speeds = (np.concatenate(column) for column in (time, place, speed))
         trace = Trace.from_arrays(times, places, candidate.actuation, velocity=speeds)
-        return cls(trace, lead.size - 1)
+        return cls(trace, travel.size - 1)
 
     def peaks(self, force: Array) -> tuple[Array, Array]:
         """Largest resistance forward and backward in the loop, (n,) each, kip."""

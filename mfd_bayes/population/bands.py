@@ -154,12 +154,9 @@ class Band:
         """Band of force draws (n, T), kip."""
         tail = 0.5 * (1.0 - forecast.probability)
         lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
-        what = forecast.kind, forecast.probability, source, values or {}
-        band = cls(time, lower, median, upper, draws, *what)
-        if not forecast.whole:
-            return band
-        whole_lower, whole_upper = whole_band(draws, forecast.probability)
-        return replace(band, whole_lower=whole_lower, whole_upper=whole_upper)
+        what = forecast.kind, forecast.probability, source, values or {}, ()
+        whole = whole_band(draws, forecast.probability) if forecast.whole else (None, None)
+        return cls(time, lower, median, upper, draws, *what, *whole)
 
     @cached_property
     def whole(self) -> tuple[Array, Array]:

@@ -164,16 +164,10 @@ def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, fl
         stroke, speed = (np.log(s.covariates.get(n) or np.nan) for n in ("amplitude", "velocity"))
         return np.array([stroke, speed, speed - stroke])
 
-    tests = np.array([logs(s) for s in tested])
-    timed = "velocity" in setting.covariates and bool(np.any(np.isfinite(tests[:, 1])))
-    kept = slice(None) if timed else slice(1)
-    tests = tests[np.all(np.isfinite(tests[:, kept]), axis=1)]
-    here = logs(setting)
-    if not len(tests) or not np.all(np.isfinite(here[kept])):
-        return 0.0, 0.0
-    outside = np.maximum(np.maximum(here - tests.max(axis=0), tests.min(axis=0) - here), 0.0)
-    if not timed:
-        return float(outside[0]), 0.0
+    tests, here = np.array([logs(s) for s in tested]), logs(setting)
+    lowest, highest = np.fmin.reduce(tests, axis=0), np.fmax.reduce(tests, axis=0)
+    # what is not known, of a setting or of all tests, is not outside
+    outside = np.fmax(np.fmax(here - highest, lowest - here), 0.0)
     return float(outside[0]), float(outside[1:].max())
 
 

@@ -389,13 +389,10 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
         )
     turns = trace.turning_points
     stop = max(int(inside[-1]), int(turns[1]) if turns.size > 1 else trace.samples - 1) + 1
-    edges = np.unique([0, *range(int(inside[0]) % size, stop, size)])
-    edges = edges[edges + size <= stop]
-    stop = int(edges[-1]) + size
-    sizes = np.diff([*edges.tolist(), stop])
+    edges = np.arange(int(inside[0]) % size, stop - size + 1, size)
 
     def mean(values: ArrayLike) -> Array:
-        return np.asarray(np.add.reduceat(np.asarray(values)[:stop], edges) / sizes)
+        return np.asarray(np.asarray(values)[edges[:, None] + np.arange(size)].mean(axis=1))
 
     part = Trace.from_arrays(
         mean(trace.time),

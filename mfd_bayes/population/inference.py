@@ -353,9 +353,9 @@ def _alternatives(
 
 def _starts(prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array) -> Starts:
     """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
-    starts, left, free = Starts.of(prior), [], []
+    left, free = [], []
     if prior is None or prior.fixed or "start" not in likelihoods[0].coordinates.names:
-        return starts
+        return Starts.of(prior)
     even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
     for j, one in enumerate(likelihoods):
         model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
@@ -366,7 +366,7 @@ def _starts(prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array
     there = [place for place in left if place is not None]
     places = np.array(there) if len(there) == len(left) else None
     begun = likelihoods[0].coordinates.value("start", x)
-    return starts.learned(begun.reshape(-1, len(likelihoods)), places, free)
+    return Starts.learned(begun.reshape(-1, len(likelihoods)), places, free)
 
 
 # --- exact posterior ------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_expit
 
 from mfd_bayes.calibration.priors import Prior
 from mfd_bayes.friction import models
@@ -110,13 +109,6 @@ def ratio(relative: Array, share: Array, exponent: Array) -> Array:
         power = np.exp(np.log(np.where(positive, relative, 1.0)) * exponent)
     power = np.where(positive, np.minimum(power, LARGEST), 0.0)
     return np.asarray(share * power + (1.0 - share))
-
-
-def log_shape_prior(shape: str, q: Array) -> Array:
-    """Log prior density of a shape's coordinate, without constants: of the logit of a share."""
-    if shape == "share":
-        return np.asarray(log_expit(q) + log_expit(-q))
-    return np.asarray(-0.5 * ((q - EXPONENT[0]) / EXPONENT[1]) ** 2)
 
 
 def shape_prior(shape: str) -> Prior:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.population.design import Design
-from mfd_bayes.population.laws import EXPONENT, log_shape_prior
+from mfd_bayes.population.laws import EXPONENT, shape_prior
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -98,11 +98,11 @@ class MixedModel:
         return np.where(self.design.informs, found, 0.0)
 
     def log_prior(self, h: Array) -> Array:
-        """Log prior density of h without constants, (n,): half-normal sds, with their Jacobian."""
+        """Log prior density of h but for a constant, (n,): half-normal sds, with their Jacobian."""
         v = self.f + self.e
         total = np.sum(h[:, :v] - 0.5 * (np.exp(h[:, :v]) / self.scale) ** 2, axis=1)
         for i, (_, shape) in enumerate(self.design.shapes):
-            total += log_shape_prior(shape, h[:, v + i])
+            total += shape_prior(shape).log_density(h[:, v + i])
         return np.asarray(total)
 
     def of_numbers(self, g: Array) -> Array:

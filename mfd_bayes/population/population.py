@@ -75,8 +75,9 @@ class Starts:
         """Of a prior alone."""
         return cls(fixed=float(prior.typical) if prior is not None and prior.fixed else None)
 
+    @classmethod
     def learned(
-        self, begun: Array, left: Array | None, without_load: Sequence[tuple[Array, Array] | None]
+        cls, begun: Array, left: Array | None, without_load: Sequence[tuple[Array, Array] | None]
     ) -> Starts:
         """What draws of the places (n, J) say where tests began."""
         w = np.clip(np.median(begun, axis=0), 1e-6, 1.0 - 1e-6)
@@ -88,13 +89,12 @@ class Starts:
                 log[i] = density.sum(axis=1)
         ends = [part for part in without_load if part is not None]
         if len(ends) < len(without_load):
-            return Starts(softmax(log), self.unloaded, self.fixed)
+            return cls(softmax(log))
         factors = 0.0
         for place, (lower, upper) in zip(begun.T, ends, strict=True):
             inside = (place >= lower) & (place <= upper)
             factors += np.log((inside.mean() + 1e-3) / ((upper - lower).mean() + 1e-3))
-        chance = min(float(expit(logit(BEFORE) + factors)), MOST)
-        return Starts(softmax(log), chance, self.fixed)
+        return cls(softmax(log), min(float(expit(logit(BEFORE) + factors)), MOST))
 
     def place(
         self,

@@ -38,11 +38,13 @@ from mfd_bayes.reporting.tables import (
     paper_sheets,
     score_sheet,
     table_of,
+    to_units,
 )
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:
+    from mfd_bayes.evaluation.acceptance import Acceptance
     from mfd_bayes.evaluation.properties import Datasheet
 
 
@@ -325,6 +327,47 @@ def read_glossary() -> dict[str, dict[str, Markup]]:
         subject: {name: Markup(meaning) for name, meaning in terms.items()}
         for subject, terms in tomllib.loads(text).items()
     }
+
+
+# --- devices that are compared with the others
+
+LOOPS = 2
+"""Most loops on the page of a device."""
+
+
+def acceptance_page(
+    device: Acceptance, about: Mapping[str, str], today: str, batch: int, system: System
+) -> str:
+    """HTML of the page of a device, which prints on one sheet of A4."""
+    from mfd_bayes.reporting.figures import draw_loops, to_png
+
+    pictures = []
+    for comparison in device.comparisons[:LOOPS]:
+        shown = comparison.trace, [comparison.expected.fan]
+        png = to_png(draw_loops(comparison.record.path.name, *shown, system))
+        pictures.append(f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}")
+    return (
+        environment()
+        .get_template("acceptance.html.j2")
+        .render(
+            device=device,
+            about=about,
+            rows=to_units(device.rows, system).to_dict("records"),
+            number=_number,
+            unit_text=symbols.unit_text,
+            pictures=pictures,
+            batch=batch,
+            today=today,
+            policy=policy_of(),
+        )
+    )
+
+
+def _number(value: float, form: str = "") -> str:
+    """A number of the page's table, with three digits or in a format of Python's; "" for none."""
+    if not math.isfinite(value):
+        return ""
+    return f"{value:{form}}" if form else in_digits(value, 3)
 
 
 # --- the interactive plot of the loops, drawn by bokeh in the browser

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import partial
 from importlib.util import find_spec
@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import CampaignView, TestView
-from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.reporting.page import render
@@ -34,7 +33,6 @@ from mfd_bayes.reporting.tables import (
     to_latex,
     to_word,
 )
-from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes, write_text
 
 if TYPE_CHECKING:
@@ -54,16 +52,9 @@ _PRINTING = 180.0
 class Forms:
     """Parts of a report that are made only where asked for: they need more software or time.
 
-    Attributes
-    ----------
-    pdf, word, excel, next_test : bool
-        PDFs of the pages, the tables for Word and Excel, the section on the next test.
-    tests : tuple of str
-        Tests whose pictures are drawn, where there are more than `ALL_DRAWN`.
-    all_tests : bool
-        Whether those of all tests are.
-    at : tuple of str
-        Conditions that the data sheet has besides those that were tested: "500 psi, 1 in, 0.5 Hz".
+    PDFs of the pages, the tables for Word and Excel, the section on the next test; pictures of
+    `tests` where there are more than `ALL_DRAWN`, or of all; and conditions that the data sheet has
+    besides those that were tested: `at` "500 psi, 1 in, 0.5 Hz".
     """
 
     pdf: bool = False
@@ -81,13 +72,7 @@ class Forms:
         return tuple(name for name in names if name in self.tests)
 
     def check(self, names: Sequence[str]) -> None:
-        """Refuse what cannot be made of a run with these tests, before anything is written.
-
-        Raises
-        ------
-        ReportError
-            When a library, or for a PDF a browser, is not there, or the run has no such test.
-        """
+        """Refuse what cannot be made of a run with these tests, before anything is written."""
         for name in self.tests:
             if name not in names:
                 near = get_close_matches(name, names, 1)
@@ -117,13 +102,7 @@ def publish(
     forms: Forms = PLAIN,
     sheet: Datasheet | None = None,
 ) -> None:
-    """Write tables, figures and pages of a report into the run folder.
-
-    Raises
-    ------
-    MfdError
-        When something cannot be written, or no browser prints the PDF.
-    """
+    """Write tables, figures and pages of a report into the run folder."""
     system, symbols, frames = view.system, Symbols(view.model), report_frames(view)
     sheets = dict(zip(("parameters", "laws"), paper_sheets(view, symbols), strict=True))
     if sheet is not None:
@@ -166,7 +145,7 @@ def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[s
     for test in view.tests:  # what an earlier report has drawn may have nothing to show now
         for name in (*(f"{name}.png" for name in figures.OF_TEST), "record.csv"):
             (out / "tests" / test.id / name).unlink(missing_ok=True)
-    functions = [partial(draw_test, out, view.system, view.actuation_unit, view.model)] * len(tests)
+    functions = [partial(draw_test, out, replace(view, tests=()))] * len(tests)
     with several_processes(functions, processes) as evaluate:
         of_tests = list(evaluate(enumerate(tests)))
     images = {key: figures.to_png(figure) for key, figure in figures.draw_shared(view)}
@@ -175,17 +154,15 @@ def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[s
     return images | {key: png for drawn in of_tests for key, png in drawn.items()}
 
 
-def draw_test(
-    out: Path, system: System, actuation_unit: str, model: Model | None, test: TestView
-) -> dict[str, bytes]:
+def draw_test(out: Path, view: CampaignView, test: TestView) -> dict[str, bytes]:
     """Write figures and table of a test; the first bytes of each figure, by its key."""
     from mfd_bayes.reporting import figures
 
     drawn = {}
-    for key, figure in figures.draw_test(test, system, actuation_unit, model):
+    for key, figure in figures.draw_test(test, view):
         drawn[key] = figures.to_png(figure)
         write_bytes(out / f"{key}.png", drawn[key])
-    write_text(out / "tests" / test.id / "record.csv", record_table(test, system))
+    write_text(out / "tests" / test.id / "record.csv", record_table(test, view.system))
     return {key: png[:24] for key, png in drawn.items()}
 
 

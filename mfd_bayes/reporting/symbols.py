@@ -147,13 +147,7 @@ class Symbols:
 
 
 def check_symbols(model: Model) -> None:
-    """Refuse a symbol of a user's own model that cannot be drawn in a figure.
-
-    Raises
-    ------
-    FitError
-        With the class, the parameter and the symbol.
-    """
+    """Refuse a symbol of a user's own model that cannot be drawn in a figure."""
     from matplotlib.mathtext import MathTextParser
 
     for quantity in model.quantities:

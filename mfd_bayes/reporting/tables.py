@@ -29,6 +29,8 @@ from mfd_bayes.units import Axes, percent
 if TYPE_CHECKING:
     import pandas as pd
 
+    from mfd_bayes.evaluation.acceptance import Acceptance
+
 
 _OF_UNIT = frozenset(
     {
@@ -578,6 +580,24 @@ def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols, system: Syste
 def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
     """Scores of each model on unseen cycles, per test and in all."""
     return to_csv(frame_of("comparison", rows))
+
+
+def acceptance_table(devices: Sequence[Acceptance], system: System) -> pd.DataFrame:
+    """A row for each device and quantity, in the units of a system."""
+    import pandas as pd
+
+    parts = []
+    for each in devices:
+        head = {
+            "device": each.device,
+            "records": "; ".join(c.record.path.name for c in each.comparisons),
+            "device_verdict": each.verdict,
+            "device_p_value": each.p_value,
+            "device_p_batch": each.p_batch,
+        }
+        rows = each.rows.rename(columns={"p_value": "p_adjusted"})
+        parts.append(pd.DataFrame([head] * len(rows)).join(rows.reset_index(names="name")))
+    return to_units(pd.concat(parts, ignore_index=True), system)
 
 
 def next_csv(advice: AdviceInWords) -> str:

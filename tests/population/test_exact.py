@@ -13,7 +13,7 @@ from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import MixedModel
 
 CHAINS = 32
-SWEEPS = 1200
+SWEEPS = 600
 
 
 class Campaign:
@@ -127,7 +127,7 @@ def skewed(priors):
 def test_with_other_likelihoods_draws_are_those_of_quadrature(skewed):
     expected = skewed.truth()
     sampler = skewed.sampler(seed=1)
-    means, sds = moments_of(sampler)
+    means, sds = moments_of(sampler, 1200)
     assert 0.2 < np.mean([together for _, together in sampler.rates]) < 0.999
     assert np.abs(errors(means, expected[:, 0])).max() < 4.0
     squares = sds**2 + (means - expected[:, 0]) ** 2

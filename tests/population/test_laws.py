@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from mfd_bayes.population.design import Coordinates
 from mfd_bayes.population.laws import (
     LAWS,
     complete_laws,
     default_laws,
-    log_shape_prior,
     ratio,
 )
 
@@ -39,16 +37,6 @@ def test_laws_are_their_formulas():
         with np.errstate(all="raise"):
             assert at(law, np.zeros(1)) == pytest.approx(left)
         assert LAWS[law].intercept == (left > 0.0)
-
-
-@pytest.mark.parametrize(
-    ("shape", "density"), [("share", stats.logistic), ("exponent", stats.norm(1.0, 0.5))]
-)
-def test_densities_of_shapes_are_scipys_up_to_a_constant(shape, density):
-    q = np.linspace(-3, 4, 25)
-    left = log_shape_prior(shape, q) - density.logpdf(q)
-    np.testing.assert_allclose(left, left[0], atol=1e-12)
-    assert np.ptp(log_shape_prior(shape, q) - stats.norm(0.4, 0.7).logpdf(q)) > 1  # the control
 
 
 def test_the_papers_laws_are_the_default_and_others_follow_the_given_ones():

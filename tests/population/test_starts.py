@@ -76,7 +76,7 @@ def test_starts_that_are_learned_of_are_those_of_the_tests():
     numbers = np.random.default_rng(2).standard_normal((DRAWS, 2))
 
     def places(begun, ends):
-        starts = Starts().learned(np.tile(begun, (100, 1)), ends, [None] * begun.size)
+        starts = Starts.learned(np.tile(begun, (100, 1)), ends, [None] * begun.size)
         found = starts.place(numbers, 0.75, None, repeat=True)
         return np.median(found), np.mean(np.abs(found - 0.75) < 0.15)
 
@@ -91,9 +91,9 @@ def test_starts_that_are_learned_of_are_those_of_the_tests():
 def test_tests_that_began_without_load_make_others_begin_without_load():
     begun = np.tile([0.45, 0.5, 0.55], (200, 1))
     ends = [(np.full(200, 0.4), np.full(200, 0.6))] * 3
-    learned = Starts().learned(begun, None, ends)
+    learned = Starts.learned(begun, None, ends)
     assert 0.75 < learned.unloaded <= 0.95
-    loaded = Starts().learned(np.tile([0.1, 0.9, 0.05], (200, 1)), None, ends)
+    loaded = Starts.learned(np.tile([0.1, 0.9, 0.05], (200, 1)), None, ends)
     assert loaded.unloaded < 0.05
     numbers = np.random.default_rng(4).standard_normal((DRAWS, 2))
     ends = np.full(DRAWS, 0.4), np.full(DRAWS, 0.6)

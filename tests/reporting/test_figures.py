@@ -35,7 +35,7 @@ def labels(figure):
 def figures_of(view):
     found = dict(draw_shared(view))
     for test in view.tests:
-        found |= draw_test(test, view.system, view.actuation_unit)
+        found |= draw_test(test, view)
     return found
 
 

@@ -136,7 +136,7 @@ def test_draws_do_not_meet_each_other():
 
 
 def test_steps_are_short_where_forces_bend_and_change_less_than_is_estimated():
-    building, loud = shear_building(2), shaking(100, peak=300.0)
+    building, loud = shear_building(2), shaking(60, peak=300.0)
     quiet = replace(loud, acceleration=0.02 * loud.acceleration)
     usual, long = (integrate(building, g, bouc_wen(4, 2), 0.03) for g in (loud, quiet))
     assert usual.steps.max() <= 0.01 < long.steps.min()

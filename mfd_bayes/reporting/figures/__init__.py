@@ -2,10 +2,17 @@
 
 from mfd_bayes.reporting.figures.agg import to_png
 from mfd_bayes.reporting.figures.loops import draw_history, draw_inspection, draw_loops
-from mfd_bayes.reporting.figures.report import OF_TEST, draw_next, draw_shared, draw_test
+from mfd_bayes.reporting.figures.report import (
+    OF_TEST,
+    draw_batch,
+    draw_next,
+    draw_shared,
+    draw_test,
+)
 
 __all__ = [
     "OF_TEST",
+    "draw_batch",
     "draw_history",
     "draw_inspection",
     "draw_loops",

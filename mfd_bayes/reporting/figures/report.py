@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +15,6 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormat
 
 from mfd_bayes.evaluation.checks import INFORMED
 from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, Rows, TestView
-from mfd_bayes.friction.model import Model
 from mfd_bayes.planning.study import Advice
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, in_units
@@ -34,6 +33,9 @@ from mfd_bayes.reporting.symbols import (
 )
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
+
+if TYPE_CHECKING:
+    from mfd_bayes.evaluation.acceptance import Acceptance
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
 RANKS = 10
@@ -312,14 +314,13 @@ def draw_shared(view: CampaignView) -> Iterator[tuple[str, Figure]]:
         yield "next", draw_next(view.next_test, system, unit, "Which test next")
 
 
-def draw_test(
-    test: TestView, system: System, actuation_unit: str, model: Model | None = None
-) -> Iterator[tuple[str, Figure]]:
-    """Figures of one test in the units of a system, each with its key, "tests/ID/loops".
+def draw_test(test: TestView, view: CampaignView) -> Iterator[tuple[str, Figure]]:
+    """Figures of one test in the units of its report, each with its key, "tests/ID/loops".
 
-    One with nothing to show is left out. The test and `actuation_unit` are in internal units.
+    One with nothing to show is left out.
     """
-    names, title = Symbols(model), f"{test.id}, {system.actuation(test.trace, actuation_unit)}"
+    names, system = Symbols(view.model), view.system
+    title = f"{test.id}, {system.actuation(test.trace, view.actuation_unit)}"
     motion = title, test.trace, [f for f in (test.observation, test.device) if f is not None]
     shown = [
         Marginal(m.name, system.unit(m.unit), m.prior * by, m.posterior * by, m.contraction)
@@ -437,4 +438,37 @@ def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
     right.set_xlabel("further tests, the best together")
     right.set_ylabel(f"expected width, {system.unit(advice.unit)}")
     right.set_title("When it is enough")
+    return figure
+
+
+# --- devices that are compared with the others
+
+VERDICTS = {"within the limit": "#2e7d32", "beyond the limit": "#c62828", "differs": "#c62828"}
+
+
+@look.style()
+def draw_batch(devices: Sequence[Acceptance]) -> Figure:
+    """Effect of every quantity of every device, with its interval and the limits."""
+    import pandas as pd
+
+    table = pd.concat([d.rows for d in devices], keys=range(len(devices)))
+    names = [name for name in table.index.unique(1) if name != "loop"]
+    width = min(2.0 + 1.15 * len(names), 14.0)
+    figure = look.new_figure(width, 1.6 + 0.24 * len(devices), "Devices against the others")
+    grid = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axes, name in zip(grid, names, strict=True):
+        own = table.xs(name, level=1)
+        colours = [VERDICTS.get(verdict, "#b8860b") for verdict in own["verdict"]]
+        axes.hlines(own.index, own["effect_lower"], own["effect_upper"], colors=colours)
+        axes.scatter(own["effect"], own.index, s=16, c=colours)
+        first = own.iloc[0]
+        for limit in (first["limit"], -first["limit"]) if np.isfinite(first["limit"]) else ():
+            axes.axvline(limit, color="#666666", linestyle="--", linewidth=0.8)
+        axes.axvline(0.0, color="#666666", linewidth=0.6)
+        axes.set_title(f"{first['quantity']}\n{first['direction']}", fontsize=7)
+        axes.set_xlabel("%", fontsize=7)
+        axes.tick_params(labelsize=7)
+    grid[0].set_yticks(range(len(devices)))
+    grid[0].set_yticklabels([plain(f"{d.device}: {d.verdict}") for d in devices])
+    grid[0].set_ylim(len(devices) - 0.5, -0.5)
     return figure
