@@ -148,56 +148,50 @@ STATIC = MappingProxyType(
 )
 """F_s = F_c (1 + excess), so that F_s ≥ F_c holds: kinetic friction and excess of each F_s."""
 
-# name, kind, symbol, meaning, in the order of sampling; @ is one side, and then the other
-_TABLE: tuple[tuple[str, str, str, str], ...] = (
-    ("sigma0", "stiffness", r"\sigma_0", "aggregate bristle stiffness"),
-    ("sigma1", "damping", r"\sigma_1", "micro-damping"),
-    ("sigma2", "damping", r"\sigma_2", "viscous friction"),
-    ("Fc_@", "force", r"F_{c,\mathrm{@}}", "kinetic friction, @"),
-    (
-        "static_excess_@",
+_QUANTITIES = (
+    Quantity("sigma0", "stiffness", r"\sigma_0", "aggregate bristle stiffness"),
+    Quantity("sigma1", "damping", r"\sigma_1", "micro-damping"),
+    Quantity("sigma2", "damping", r"\sigma_2", "viscous friction"),
+    Quantity("Fc_fwd", "force", r"F_{c,\mathrm{fwd}}", "kinetic friction, forward"),
+    Quantity("Fc_bwd", "force", r"F_{c,\mathrm{bwd}}", "kinetic friction, backward"),
+    Quantity(
+        "static_excess_fwd",
         "dimensionless",
-        r"(F_s/F_c - 1)_\mathrm{@}",
-        "excess of static over kinetic friction, @",
+        r"(F_s/F_c - 1)_\mathrm{fwd}",
+        "excess of static over kinetic friction, forward",
     ),
-    ("k2", "stiffness", "k_2", "stiffness of stage 2"),
-    ("k3", "stiffness", "k_3", "stiffness of stage 3"),
-    ("d2", "displacement", "d_2", "drum travel of stage 2"),
-    ("d3", "displacement", "d_3", "drum travel of stage 3"),
-    ("ell", "displacement", r"\ell", "transition length, γ2/γ1 of the three stages"),
-    ("gamma1", "dimensionless", r"\gamma_1", "transition constant"),
-    ("v_s", "velocity", r"\dot x_s", "Stribeck velocity"),
-    ("Fs_@", "force", r"F_{s,\mathrm{@}}", "static friction, @"),
-    ("gamma2", "displacement", r"\gamma_2", "transition constant"),
-    ("k_@", "stiffness", r"k_\mathrm{@}", "stiffness beyond the gap, @"),
-    ("gap", "displacement", "D", "width of the gap"),
-    ("k_0", "stiffness", "k_0", "stiffness inside the gap"),
-    ("n", "dimensionless", "n", "how sharply slip sets in"),
-    ("k", "stiffness", "k", "stiffness of Bouc-Wen hysteresis"),
-    ("alpha", "dimensionless", r"\alpha", "share of the stiffness that remains in slip"),
-    ("Fy_@", "force", r"F_{y,\mathrm{@}}", "yield force, @"),
-    ("beta", "dimensionless", r"\beta", "shape of the unloading"),
-    ("exponent", "dimensionless", "n", "sharpness of the knee"),
-    ("c", "damping", "c", "viscous damping of Bouc-Wen hysteresis"),
+    Quantity(
+        "static_excess_bwd",
+        "dimensionless",
+        r"(F_s/F_c - 1)_\mathrm{bwd}",
+        "excess of static over kinetic friction, backward",
+    ),
+    Quantity("k2", "stiffness", "k_2", "stiffness of stage 2"),
+    Quantity("k3", "stiffness", "k_3", "stiffness of stage 3"),
+    Quantity("d2", "displacement", "d_2", "drum travel of stage 2"),
+    Quantity("d3", "displacement", "d_3", "drum travel of stage 3"),
+    Quantity("ell", "displacement", r"\ell", "transition length, γ2/γ1 of the three stages"),
+    Quantity("gamma1", "dimensionless", r"\gamma_1", "transition constant"),
+    Quantity("v_s", "velocity", r"\dot x_s", "Stribeck velocity"),
+    Quantity("Fs_fwd", "force", r"F_{s,\mathrm{fwd}}", "static friction, forward", sampled=False),
+    Quantity("Fs_bwd", "force", r"F_{s,\mathrm{bwd}}", "static friction, backward", sampled=False),
+    Quantity("gamma2", "displacement", r"\gamma_2", "transition constant", sampled=False),
+    Quantity("k_fwd", "stiffness", r"k_\mathrm{fwd}", "stiffness beyond the gap, forward"),
+    Quantity("k_bwd", "stiffness", r"k_\mathrm{bwd}", "stiffness beyond the gap, backward"),
+    Quantity("gap", "displacement", "D", "width of the gap"),
+    Quantity("k_0", "stiffness", "k_0", "stiffness inside the gap"),
+    Quantity("n", "dimensionless", "n", "how sharply slip sets in", least=1.0),
+    Quantity("k", "stiffness", "k", "stiffness of Bouc-Wen hysteresis"),
+    Quantity(
+        "alpha", "dimensionless", r"\alpha", "share of the stiffness that remains in slip", most=1.0
+    ),
+    Quantity("Fy_fwd", "force", r"F_{y,\mathrm{fwd}}", "yield force, forward"),
+    Quantity("Fy_bwd", "force", r"F_{y,\mathrm{bwd}}", "yield force, backward"),
+    Quantity("beta", "dimensionless", r"\beta", "shape of the unloading", least=0.5, most=1.0),
+    Quantity("exponent", "dimensionless", "n", "sharpness of the knee", least=1.0),
+    Quantity("c", "damping", "c", "viscous damping of Bouc-Wen hysteresis"),
 )
-_LIMITS = {"n": (1.0, np.inf), "alpha": (0.0, 1.0), "beta": (0.5, 1.0), "exponent": (1.0, np.inf)}
-
-
-def _packaged() -> dict[str, Quantity]:
-    """Quantities of the package's models by name."""
-    found = {}
-    for template, kind, symbol, meaning in _TABLE:
-        sides = {"fwd": "forward", "bwd": "backward"} if "@" in template else {"": ""}
-        for side, direction in sides.items():
-            name, maths = template.replace("@", side), symbol.replace("@", side)
-            about = meaning.replace("@", direction)
-            sampled = name not in (*STATIC, "gamma2")
-            limits = _LIMITS.get(name, LIMITS["positive"])
-            found[name] = Quantity(name, kind, maths, about, *limits, sampled=sampled)
-    return found
-
-
-QUANTITIES = MappingProxyType(_packaged())
+QUANTITIES: Mapping[str, Quantity] = MappingProxyType({q.name: q for q in _QUANTITIES})
 """Quantities of the package's models by name, in the order in which they are sampled."""
 
 
