@@ -167,6 +167,7 @@ def check(kind: type[Kind], content: Any, where: object) -> Kind:
 
 
 LARGEST_TOML = 2**20  # largest file, bytes: ten times a campaign of 500 tests
+DOTS = 200  # most dots of a line: parsing takes the square of the number of a key's parts
 MOST_FAULTS = 10  # that a message lists
 
 Loc = Sequence[int | str]  # keys and numbers of entries, from the file's top to a value
@@ -186,6 +187,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise TomlError(
             f"is larger than {LARGEST_TOML >> 20} MB, the most that is read of a TOML file"
         )
+    for number, line in enumerate(content.split(b"\n"), start=1):
+        if line.count(b".") > DOTS:
+            raise TomlError(f"has more than {DOTS} dots in line {number}, the most that is read")
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # also thousands of digits

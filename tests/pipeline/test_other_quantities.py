@@ -161,7 +161,6 @@ FAULTS = [
     ("steel.py", '"stress, MPa"', '"stress, mm"', ("steel.py", "Steel", "response", "'mm'")),
     ("steel.py", '"stress, MPa"', '"tension"', ("steel.py", "Steel", "response", "unit")),
     ("steel.py", '"strain"', '"strain, MPaa"', ("steel.py", "Steel", "motion", "MPaa")),
-    ("steel.py", "= True", '= "yes"', ("steel.py", "Steel", "rate_independent")),
     ("own.toml", '"1 MPa"', '"1 kip"', ("own.toml", "offset", "'kip'")),
 ]  # fmt: skip
 
