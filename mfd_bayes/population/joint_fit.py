@@ -43,6 +43,7 @@ FEWEST = 8  # fewest samples of a stroke whose mean counts
 STEP = 1e-3  # step of the central differences, in prior units
 EVEN = 30.0  # samples near a knot that an even shape of the noise is worth
 FARTHEST = 8.0  # largest coordinate of a fit, in prior units
+BEYOND = 50.0  # prior units: farther out a likelihood is as there; its quantities stay numbers
 SETTLED = 1e-3  # relative change of the objective; three smaller ones in a row end the fit
 
 
@@ -233,6 +234,7 @@ class TestLikelihood:
 
     def log_likelihood(self, x: Array) -> Array:
         """Magnitude-adjusted log likelihood at x (n, D), (n,); -inf where there is none."""
+        x = np.clip(x, -BEYOND, BEYOND)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             left = (self.residuals(x) - self.discrepancy) / self.shape
             sd = self.coordinates.value("noise_sd", x)
