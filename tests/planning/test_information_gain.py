@@ -14,7 +14,7 @@ def linear_gaussian(seed, noise):
     And the covariance of the goals before and after the summaries are known.
     """
     rng = np.random.default_rng(seed)
-    a, b = rng.standard_normal((3, 6)), rng.standard_normal((5, 6))
+    a, b = np.linalg.qr(rng.standard_normal((6, 3)))[0].T, rng.standard_normal((5, 6))
     sd, u = noise * rng.uniform(0.5, 2.0, 5), rng.standard_normal((DRAWS, 6))
     summaries = u @ b.T + sd * rng.standard_normal((DRAWS, 5))
     before = a @ a.T

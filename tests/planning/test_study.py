@@ -89,7 +89,8 @@ def test_copies_average_their_scatter_but_not_the_effect_of_their_session(effect
     np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.04)
     assert [len(t.candidates) for t in advice.together] == [1, 2, 3]
     np.testing.assert_allclose(advice.curve[0], advice.width)
-    assert np.all(np.diff(advice.curve) < 0.0)
+    assert np.all(np.diff(advice.curve) < 0.01 * advice.width)  # but for the draws' chance
+    assert advice.curve[-1] < advice.curve[0]
 
 
 def test_a_test_of_another_device_has_its_effect_and_one_of_a_known_device_has_not():
