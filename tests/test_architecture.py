@@ -58,7 +58,7 @@ def place_of(module: str) -> int:
 
 
 def calls_of(tree: ast.AST) -> set[str]:
-    """Names of functions that are called by their name alone, and of keyword arguments."""
+    """Functions that are called by their name alone, and keyword arguments."""
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     names = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
     return names | {str(keyword.arg) for call in calls for keyword in call.keywords}
@@ -111,8 +111,32 @@ def test_the_command_line_computes_nothing() -> None:
     assert rooms <= {"pipeline", "cli", "jobs", "runs", "evaluation", "reporting", "campaign"}
 
 
-def test_import_is_quick_and_starts_nothing() -> None:
-    heavy = {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}
-    code = f"import sys, mfd_bayes; print({heavy!r} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
+COMMAND = "from mfd_bayes.cli.commands import main; sys.argv[1:] = [{}]; main()"
+HELP = COMMAND.format("'--help'")
+PREDICT = COMMAND.format(
+    "'predict', RUN, '--sine', '1 in, 1 Hz, 2 cycles', '--actuation', '500 psi', '-o', TABLE,"
+    "'--no-figures'"
+)
+
+
+@pytest.mark.parametrize(
+    ("code", "slow"),
+    [
+        ("import mfd_bayes", {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}),
+        (HELP, {"numpy", "scipy", "pydantic", "pint", "xarray", "importlib.metadata"}),
+        ("import mfd_bayes as mb; mb.open_run(RUN)._repr_html_()", {"matplotlib", "arviz"}),
+        (PREDICT, {"pint", "pandas", "scipy.optimize", "xarray"}),
+    ],
+)
+def test_what_is_slow_to_load_is_loaded_where_it_is_needed(code, slow, small_run, tmp_path) -> None:
+    code = f"""\
+import sys
+RUN, TABLE = {str(small_run)!r}, {str(tmp_path / "bands.csv")!r}
+try:
+    {code}
+except SystemExit:
+    pass
+print("loaded", sorted({slow!r} & set(sys.modules)))"""
+    words = [sys.executable, "-W", "ignore", "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded []", done.stderr

@@ -1,7 +1,6 @@
 """The documentation: its blocks run, its names exist, and the site is built without a warning."""
 
 import importlib.util
-import inspect
 import os
 import re
 import shlex
@@ -83,7 +82,7 @@ def runnable(page):
 
 
 class Reader:
-    """Someone who types in the blocks of a page one after the other, in one folder."""
+    """Someone who types in the blocks of a page one after the other."""
 
     def __init__(self, commands=Path(sys.executable).parent):
         path = [str(commands), str(Path(sys.executable).parent), os.environ["PATH"]]
@@ -258,7 +257,6 @@ def test_names_commands_and_files_that_are_named_exist():
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The site, built as `.ci/run` builds it."""
     out = tmp_path_factory.mktemp("site")
     done = subprocess.run(
         [
@@ -286,33 +284,3 @@ def test_the_site_is_built_and_loads_nothing_from_elsewhere(site):
     assert "arithmatex" not in pages["model.md"]
     for command in get_command(app).commands:
         assert f"<code>mfd-bayes {command}</code>" in pages["commands.md"]
-
-
-def functions_of(name):
-    """Functions of a name on the page of Python: itself, and the public methods of a class."""
-    module, _, what = name.rpartition(".")
-    found = getattr(importlib.import_module(module), what)
-    yield name, found
-    for method, function in vars(found).items() if inspect.isclass(found) else ():
-        function = getattr(function, "__func__", function)
-        if inspect.isfunction(function) and not method.startswith("_"):
-            yield f"{name}.{method}", function
-
-
-def test_defaults_on_the_page_are_those_of_python():
-    griffe = pytest.importorskip("griffe", reason='needs the extra "docs": pip install ".[docs]"')
-    package = griffe.load("mfd_bayes", search_paths=[ROOT], docstring_parser="numpy")
-    names = re.findall(r"^::: (\S+)", PAGES["python.md"].read_text("utf-8"), re.MULTILINE)
-    checked = 0
-    for path, function in (found for name in names for found in functions_of(name)):
-        described = package[path.removeprefix("mfd_bayes.")].docstring
-        sections = described.parsed if described else []
-        for item in (i for s in sections if s.kind.value == "parameters" for i in s.value):
-            if item.default is not None:
-                module = importlib.import_module(function.__module__)
-                named = vars(module).get(str(item.default))
-                shown = str(item.default).strip("'\"") if named is None else str(named)
-                real = inspect.signature(function).parameters[item.name].default
-                assert shown == str(real), f"{path}: {item.name}"
-                checked += 1
-    assert checked > 10

@@ -16,32 +16,28 @@ full = pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
 
 @pytest.fixture
 def run(tmp_path):
-    """Function that runs a command whose stream of a number is in some state.
+    """Function that runs a command whose standard output is in some state: code and messages."""
 
-    It returns the exit code, and what the other stream says.
-    """
-
-    def run(words, number, state):
+    def run(words, state):
         plain = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
         plain["PYTHONPATH"] = os.pathsep.join(sys.path)
 
         def prepare():
             if state == "closed":
-                os.close(number)
+                os.close(1)
             elif state == "full":
-                os.dup2(os.open(FULL, os.O_WRONLY), number)
+                os.dup2(os.open(FULL, os.O_WRONLY), 1)
             else:
                 reader, writer = os.pipe()
                 os.close(reader)
-                os.dup2(writer, number)
+                os.dup2(writer, 1)
 
         other = tmp_path / "other.txt"
         with other.open("wb") as file:
-            streams = [subprocess.DEVNULL, file] if number == 1 else [file, subprocess.DEVNULL]
             done = subprocess.run(
                 [sys.executable, "-m", "mfd_bayes", *map(str, words)],
-                stdout=streams[0],
-                stderr=streams[1],
+                stdout=subprocess.DEVNULL,
+                stderr=file,
                 preexec_fn=prepare,
                 env=plain,
                 check=False,
@@ -54,20 +50,20 @@ def run(tmp_path):
 
 @full
 def test_an_output_that_takes_nothing_is_said_in_one_sentence(run):
-    code, said = run(["--help"], 1, "full")
+    code, said = run(["--help"], "full")
     (sentence,) = said.splitlines()
     assert sentence.startswith("mfd-bayes: cannot write the output: ")
     assert code == 2
 
 
 def test_an_output_whose_reader_has_seen_enough_is_no_error(run):
-    assert run(["--help"], 1, "broken") == (0, "")
+    assert run(["--help"], "broken") == (0, "")
 
 
 def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(small_run, run, tmp_path):
     bands = tmp_path / "b.csv"
     words = ("predict", small_run, "--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "500 psi")
-    code, said = run([*words, "--extrapolate", "--no-figures", "-o", bands], 1, "closed")
+    code, said = run([*words, "--extrapolate", "--no-figures", "-o", bands], "closed")
     assert (code, "warning: the run is not usable" in said) == (0, True)
     assert bands.read_text().startswith("# equal-tailed")
 

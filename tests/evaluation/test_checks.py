@@ -39,12 +39,9 @@ def test_what_the_data_do_not_inform_and_modes_are_noted():
     rows = [row("k2", contraction=0.2), row("k3"), row("gamma1", contraction=np.nan)]
     found = notes("p500", rows, {"modes": 1, "mode_shares": [[1.0]]})
     assert [(c.feature, c.status) for c in found] == [("k2", "note"), ("k3", "pass")]
-    for shares, feature in (
-        ([[0.9, 0.1], [0.94, 0.06]], "posterior (92 %, 8 % of the draws)"),
-        ([[]], "posterior"),
-    ):
-        (check,) = notes("p500", [], {"modes": 2, "mode_shares": shares})
-        assert (check.feature, check.observed, check.status) == (feature, 2, "note")
+    (check,) = notes("p500", [], {"modes": 2, "mode_shares": [[0.9, 0.1], [0.94, 0.06]]})
+    assert check.feature == "posterior (92 %, 8 % of the draws)"
+    assert (check.observed, check.status) == (2, "note")
     assert notes("p500", [], {"modes": 2, "mode_shares": [[0.995, 0.005]]}) == []
 
 
@@ -66,12 +63,12 @@ SLIP = Trace.from_arrays(SECONDS, np.sin(np.pi * SECONDS), 0.03, FORCE)
 POSTERIOR = Posterior(SLIP, "brfd", "ou")
 
 
-@pytest.mark.parametrize(("level", "names"), [(1.9, []), (0.4, ["Fc_fwd"]), (5.0, ["Fc_fwd"])])
-def test_a_slip_force_that_is_not_the_measured_one_fails(level, names):
-    values = {"Fc_fwd": np.full(9, level), "Fc_bwd": np.full(9, 2.1), "offset": np.full(9, 0.3)}
-    checks = slip_checks("a", POSTERIOR, values, measured_cycles(SLIP))
-    assert [check.feature for check in checks] == names
-    assert all(check.status == "fail" for check in checks)
+def test_a_slip_force_that_is_not_the_measured_one_fails():
+    for level, names in ((1.9, []), (0.4, ["Fc_fwd"]), (5.0, ["Fc_fwd"])):
+        values = {"Fc_fwd": np.full(9, level), "Fc_bwd": np.full(9, 2.1), "offset": np.full(9, 0.3)}
+        checks = slip_checks("a", POSTERIOR, values, measured_cycles(SLIP))
+        assert [check.feature for check in checks] == names
+        assert all(check.status == "fail" for check in checks)
 
 
 def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
@@ -89,7 +86,7 @@ def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
 # --- tests that stand apart from the others
 
 
-@pytest.mark.parametrize("count", [5, 8, 20])
+@pytest.mark.parametrize("count", [5, 20])
 def test_a_gap_half_as_large_again_stands_apart_and_no_other_does(count):
     rng = np.random.default_rng(1)
     deviations = rng.normal(scale=[0.05, 0.05, 0.02], size=(count, 3))
@@ -119,8 +116,6 @@ def run(made_run):
 
 
 class Stub(TestResult):
-    """A test whose draws are made up."""
-
     __test__ = False
 
     @property
@@ -129,7 +124,6 @@ class Stub(TestResult):
 
 
 def with_start(run, start, first=1.0, sampled=True):
-    """The run whose test a ends in slip forward, and b begins at a place with some spread."""
     test = run.tests["a"]
     values = test.stored.values()
     time = np.arange(201) / 50
@@ -152,19 +146,15 @@ def with_start(run, start, first=1.0, sampled=True):
     return replace(run, tests=stubs)
 
 
-@pytest.mark.parametrize(("start", "first"), [(0.2, 1.0), (0.8, -1.0)])
-def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run, start, first):
-    (found,) = contradicted_order(with_start(run, start, first))
+def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run):
+    assert len(contradicted_order(with_start(run, 0.8, -1.0))) == 1
+    (found,) = contradicted_order(with_start(run, 0.2))
     assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
     assert str(found.message).startswith("the test begins at 0.20 [0.1")
     assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
     assert not found.spoils
-
-
-def test_a_start_where_the_test_before_ended_or_that_was_not_sampled_is_none(run):
-    for start, first in ((1.0, 1.0), (0.0, -1.0), (0.88, 1.0)):
+    for start, first in ((0.0, -1.0), (0.88, 1.0)):  # where it ended
         assert contradicted_order(with_start(run, start, first)) == []
     assert contradicted_order(with_start(run, 0.2, sampled=False)) == []
-    settings = run.manifest.settings.with_test("b", after="")
-    free = run.manifest.changed(settings=settings)
+    free = run.manifest.changed(settings=run.manifest.settings.with_test("b", after=""))
     assert contradicted_order(replace(with_start(run, 0.2), manifest=free)) == []

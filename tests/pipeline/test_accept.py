@@ -9,9 +9,7 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
-from mfd_bayes.evaluation.properties import properties_of
-from mfd_bayes.records.loops import measured_cycles
-from tests.command_line import here, write_csv
+from tests.command_line import here, refusal, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +28,6 @@ def production(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def record(production):
-    """A good record."""
     return mb.read_record(production("good.csv"), actuation="1000 psi")
 
 
@@ -105,23 +102,19 @@ def test_what_cannot_be_judged_is_refused(out, production, tmp_path):
     good, swapped = production("good.csv"), production("swapped.csv", -1.0)
     for path, words, offender in (
         (good, ("--limit", "slop=15 %"), "slop"),
-        (good, ("--limit", "slip"), "slip"),
         (good, ("--limit", "slip=150 %"), "slip"),
         (good, ("--device", "a", "--device", "b"), "device"),
         (good, ("--actuation", "5 kip"), "--actuation"),
         (good, ("--date", "5.3.2024"), "--date"),
-        (good, ("--temperature", "warm"), "--temperature"),
         (good, ("--cycles", "-1"), "--cycles"),
         (swapped, (), "sign"),
     ):
         asked = ("--actuation", "1000 psi", "-o", tmp_path / "qc", *words)
-        outcome = here("accept", out, path, *asked)
-        assert outcome.exit_code == 2, words
-        assert offender in outcome.stderr
+        assert offender in refusal("accept", out, path, *asked)
         assert not (tmp_path / "qc").exists()
 
 
-def drifting(run, **changed):
+def drifting(run):
     """The run with a slip force that falls by the date, 2020 to 2024."""
     population, d = run.population, len(run.population.design.names)
     tested = [
@@ -134,7 +127,7 @@ def drifting(run, **changed):
     z = np.insert(draws.z, d, -0.3, axis=-1)
     other = population.alternatives
     other = replace(other, z=np.insert(other.z, d, -0.3, axis=-1))
-    run = replace(run, **changed)
+    run = replace(run)
     run.__dict__["population"] = replace(
         population, design=design, draws=replace(draws, z=z), alternatives=other
     )
@@ -143,41 +136,17 @@ def drifting(run, **changed):
 
 def test_a_quantity_that_follows_the_date_needs_the_date(run, record):
     """A run with drift judges no record whose date it does not know, and predicts with a remark."""
-    stable, run = run, drifting(run)
+    run = drifting(run)
     with pytest.raises(mb.MfdError, match="date"):
         mb.accept(run, record)
     trace, medians = replace(record.trace(32.0), force=None), {}
     for year in (None, 2020.0, 2024.0):
         conditions = {"date": year} if year else {}
-        for source in (run, drifting(stable, conditions=conditions)):
-            how = {"conditions": conditions} if source is run else {}
-            band = source.predict(trace, "device", **how)
-            assert any("date" in remark for remark in band.remarks) == (year is None)
-            medians.setdefault(year, []).append(np.median(band.values["Fc_fwd"]))
+        band = run.predict(trace, "device", conditions=conditions)
+        assert any("date" in remark for remark in band.remarks) == (year is None)
+        medians[year] = np.median(band.values["Fc_fwd"])
     assert medians[2024.0] == medians[None]
-    assert medians[2020.0][0] == medians[2020.0][1]
-    assert np.log(medians[2020.0][0] / medians[2024.0][0]) == pytest.approx(0.3, abs=0.01)
-    follower = run.follow(1.0, conditions={"date": 2020.0})
-    later = mb.Trace.from_arrays(trace.time[40:], trace.displacement[40:])
-    follower.update(trace.time[:40], trace.displacement[:40], None, record.trace(32.0).force[:40])
-    assert not any("date" in r for r in follower.band(later).remarks)
-
-
-def test_slope_and_gap_are_those_of_the_record_and_its_rate(run, tmp_path):
-    """A record that is thinned to the rate of the calibrated tests has a blunt build-up."""
-    rng = np.random.default_rng(3)
-    values = draw_values(1.0, Matrix(pressures=(500.0,)).laws, rng)
-    fast = write_csv(tmp_path / "fast.csv", *draw_record(values, 1.0, 4, rng))
-    record = mb.read_record(fast, actuation="1000 psi")
-    (judged,) = mb.accept(run, record, draws=400)
-    whole, thin = replace(record.trace(), force=None), record.trace(50.0)
-    band, own = run.predict(whole, "device", draws=400), measured_cycles(record.trace()).of_test()
-    for name in ("build_up_slope", "gap"):
-        assert judged.rows.loc[name, "measured"] == pytest.approx(own[name])
-        fine = np.median(properties_of(whole, band.draws)[name])
-        assert judged.rows.loc[name, "nominal"] == pytest.approx(fine, rel=0.03)
-    blunt = measured_cycles(thin).of_test()["build_up_slope"]
-    assert blunt < 0.95 * own["build_up_slope"]  # the control
+    assert np.log(medians[2020.0] / medians[2024.0]) == pytest.approx(0.3, abs=0.01)
 
 
 def test_tests_that_scatter_more_than_the_population_says_widen_the_intervals(run, record):

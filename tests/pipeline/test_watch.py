@@ -24,8 +24,6 @@ def tests(run):
 
 @pytest.fixture
 def words(out, tests, tmp_path):
-    """Function that gives the words that watch the first samples of a force, by some options."""
-
     def words(force, *options, samples=None):
         columns = (column[:samples] for column in (tests[0].time, tests[0].displacement, force))
         path = write_csv(tmp_path / "a.csv", *columns)
