@@ -27,7 +27,7 @@ from pydantic_core import PydanticCustomError
 from mfd_bayes.calibration import noise as noises
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
-from mfd_bayes.population.laws import complete_laws, default_laws
+from mfd_bayes.population.design import complete_laws, default_laws
 from mfd_bayes.records.record import NO_ACTUATION, Source, Subtracted, step_of
 from mfd_bayes.records.table import COLUMNS, NAME
 from mfd_bayes.units import (

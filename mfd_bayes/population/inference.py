@@ -46,7 +46,9 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.local import Evaluate, in_turn, several_processes
 from mfd_bayes.population.design import (
+    COMPARE,
     CONDITIONS,
+    LAW_NAMES,
     LEVELS,
     TESTS,
     Design,
@@ -54,6 +56,7 @@ from mfd_bayes.population.design import (
     design_of,
     levels_of,
     setting_of,
+    usual_shapes,
     varies,
 )
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
@@ -66,7 +69,6 @@ from mfd_bayes.population.law_scores import (
     extrapolation_weights,
     free_exponents,
 )
-from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 from mfd_bayes.population.population import LawDraws, Population, Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace

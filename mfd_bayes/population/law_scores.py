@@ -16,8 +16,16 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import psis
-from mfd_bayes.population.design import LEVELS, TESTS, Design, levels_of, varies
-from mfd_bayes.population.laws import COMPARE, LAW_NAMES, LAWS
+from mfd_bayes.population.design import (
+    COMPARE,
+    LAW_NAMES,
+    LAWS,
+    LEVELS,
+    TESTS,
+    Design,
+    levels_of,
+    varies,
+)
 from mfd_bayes.population.mixed_model import MixedModel
 from mfd_bayes.store.files import Figure
 

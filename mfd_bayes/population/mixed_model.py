@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.population.design import Design
-from mfd_bayes.population.laws import EXPONENT, shape_prior
+from mfd_bayes.population.design import EXPONENT, Design, shape_prior
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
