@@ -60,16 +60,19 @@ from mfd_bayes.population.design import (
     varies,
 )
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
-from mfd_bayes.population.law_scores import (
+from mfd_bayes.population.mixed_model import (
+    LARGEST,
     DependenceScore,
     LawScore,
+    MixedModel,
     TestGaussians,
+    backward,
     compare_dependence,
     compare_laws,
     extrapolation_weights,
+    forward,
     free_exponents,
 )
-from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 from mfd_bayes.population.population import LawDraws, Population, Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace
 

@@ -24,7 +24,7 @@ from mfd_bayes.errors import CampaignError, StoreError, UnitError
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.messages import Message
-from mfd_bayes.population.law_scores import DependenceScore, LawScore
+from mfd_bayes.population.mixed_model import DependenceScore, LawScore
 from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.folder import (
     CROSSVALIDATION,
