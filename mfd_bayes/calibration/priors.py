@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration import noise as noises
+from mfd_bayes.calibration import posterior as noises
 from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model, Quantity

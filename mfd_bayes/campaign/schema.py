@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from mfd_bayes.calibration import noise as noises
+from mfd_bayes.calibration import posterior as noises
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.design import complete_laws, default_laws

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, replicate, tempering
-from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.posterior import NOISES, Posterior
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
