@@ -19,8 +19,7 @@ from mfd_bayes.calibration.diagnostics import (
     measure_draws,
     replicate,
 )
-from mfd_bayes.calibration.posterior import NOISES, Posterior
-from mfd_bayes.calibration.priors import PriorFile, units
+from mfd_bayes.calibration.posterior import NOISES, Posterior, PriorFile, units
 from mfd_bayes.calibration.proposal import Evidence, log_evidence, nearest_modes
 from mfd_bayes.errors import FitError, MfdError, StoreError, hash_file
 from mfd_bayes.friction.model import Model

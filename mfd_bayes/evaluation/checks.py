@@ -16,8 +16,7 @@ from mfd_bayes.calibration.diagnostics import (
     Replicas,
     check_predictive,
 )
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import units
+from mfd_bayes.calibration.posterior import Posterior, units
 from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import (
     EXTREME,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
-from mfd_bayes.calibration.priors import units
+from mfd_bayes.calibration.posterior import units
 from mfd_bayes.evaluation.acceptance import DEFAULT_LIMITS
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.properties import sessions_of

@@ -18,8 +18,7 @@ from mfd_bayes.calibration.diagnostics import (
     log_if_positive,
     replicate,
 )
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import SCALED, units
+from mfd_bayes.calibration.posterior import SCALED, Posterior, units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks

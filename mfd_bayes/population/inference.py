@@ -39,8 +39,7 @@ from mfd_bayes.calibration.diagnostics import (
     intervals_of,
     measure,
 )
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import Prior, PriorFile
+from mfd_bayes.calibration.posterior import Posterior, Prior, PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.priors import PriorFile
+from mfd_bayes.calibration.posterior import PriorFile
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError
 from mfd_bayes.friction.models import file_of

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.evaluation.laws import FEWEST, law_choices, law_score_rows, mixed_rows
 from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.friction.three_stage import ThreeStage
