@@ -8,8 +8,8 @@ import pytest
 
 from mfd_bayes.evaluation.laws import FEWEST, law_choices, law_score_rows, mixed_rows
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.law_scores import LawScore
-from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.design import LAW_NAMES
+from mfd_bayes.population.mixed_model import LawScore
 from mfd_bayes.runs.unit_system import US
 
 REFERENCE = 2.0  # ksi
