@@ -111,32 +111,19 @@ def test_the_command_line_computes_nothing() -> None:
     assert rooms <= {"pipeline", "cli", "jobs", "runs", "evaluation", "reporting", "campaign"}
 
 
-COMMAND = "from mfd_bayes.cli.commands import main; sys.argv[1:] = [{}]; main()"
-HELP = COMMAND.format("'--help'")
-PREDICT = COMMAND.format(
-    "'predict', RUN, '--sine', '1 in, 1 Hz, 2 cycles', '--actuation', '500 psi', '-o', TABLE,"
-    "'--no-figures'"
-)
-
-
-@pytest.mark.parametrize(
-    ("code", "slow"),
-    [
-        ("import mfd_bayes", {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}),
-        (HELP, {"numpy", "scipy", "pydantic", "pint", "xarray", "importlib.metadata"}),
-        ("import mfd_bayes as mb; mb.open_run(RUN)._repr_html_()", {"matplotlib", "arviz"}),
-        (PREDICT, {"pint", "pandas", "scipy.optimize", "xarray"}),
-    ],
-)
-def test_what_is_slow_to_load_is_loaded_where_it_is_needed(code, slow, small_run, tmp_path) -> None:
-    code = f"""\
-import sys
-RUN, TABLE = {str(small_run)!r}, {str(tmp_path / "bands.csv")!r}
-try:
-    {code}
-except SystemExit:
-    pass
-print("loaded", sorted({slow!r} & set(sys.modules)))"""
-    words = [sys.executable, "-W", "ignore", "-c", code]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "loaded []", done.stderr
+def test_what_is_slow_to_load_is_loaded_where_it_is_needed(small_run, tmp_path) -> None:
+    command = "from mfd_bayes.cli.commands import main; main()"
+    shown = "import mfd_bayes as mb; mb.open_run(sys.argv[1])._repr_html_()"
+    sine = ("predict", small_run, "--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "500 psi")
+    sine += ("--no-figures", "-o", tmp_path / "bands.csv")
+    for code, words, slow in (
+        ("import mfd_bayes", (), {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}),
+        (command, ("--help",), {"numpy", "scipy", "pydantic", "pint", "importlib.metadata"}),
+        (shown, (small_run,), {"matplotlib", "arviz"}),
+        (command, sine, {"pint", "pandas", "scipy.optimize", "xarray"}),
+    ):
+        loaded = f"atexit.register(lambda: print('loaded', {slow!r} & {{*sys.modules}}))"
+        code = f"import atexit, sys; {loaded}; {code}"
+        python = [sys.executable, "-W", "ignore", "-c", code, *map(str, words)]
+        done = subprocess.run(python, capture_output=True, text=True, check=True)
+        assert done.stdout.splitlines()[-1] == "loaded set()", done.stderr

@@ -35,19 +35,11 @@ SERIES = (
 
 # A block whose title says so is not run; the title shows on the page.
 NOT_RUN = "not run by the tests"
-
 SCREENSHOTS = {"datasheet.png"}  # made with a browser, by a block of index.md that is not run
 
-STYLE = {
-    "savefig.dpi": 120,
-    "figure.figsize": (6.6, 3.6),
-    "figure.constrained_layout.use": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "font.size": 9,
-}
+STYLE = {"savefig.dpi": 120, "figure.figsize": (6.6, 3.6), "figure.constrained_layout.use": True}
+STYLE |= {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}
+STYLE |= {"axes.grid": True, "grid.alpha": 0.3}
 """Of the pictures that Python blocks make."""
 
 BUILT = importlib.util.find_spec("mkdocs") and importlib.util.find_spec("mkdocstrings")
@@ -182,13 +174,11 @@ def test_every_page_with_blocks_is_run():
 
 
 def test_a_broken_block_or_words_that_were_not_printed_fail_with_their_line(folder):
+    printed = "```bash\necho one\n```\n\n```text\none\n…\nthree\n```\n"
     for text, words in (
         ("```python\nfine = 1\n1 / 0\n```\n", "page.md:3: "),
         ("```bash\ntrue\nfalse\n```\n", "page.md:2: exit code 1"),
-        (
-            "```bash\necho one\n```\n\n```text\none\n…\nthree\n```\n",
-            "page.md:8: not printed: three",
-        ),
+        (printed, "page.md:8: not printed: three"),
     ):
         reader = Reader()
         *blocks, last = blocks_of("page.md", text)
@@ -258,17 +248,10 @@ def test_names_commands_and_files_that_are_named_exist():
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     out = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "mkdocs", "build", "--strict"),
-            *("-f", ROOT / "docs/mkdocs.yml", "-d", out),
-        ],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
-        timeout=300,
-        check=False,
-    )
+    words = ["mkdocs", "build", "--strict", "-f", ROOT / "docs/mkdocs.yml", "-d", out]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    how = {"capture_output": True, "text": True, "timeout": 300, "check": False}
+    done = subprocess.run([sys.executable, "-m", *words], env=environment, **how)
     assert done.returncode == 0, done.stderr
     return out
 

@@ -120,17 +120,9 @@ def test_a_cell_that_is_no_number_is_named_by_line_and_column(folder):
 
 
 CAMPAIGNS = [
-    ("title =", "titel =", ("'titel'", "'title'", "[campaign]")),
-    ("[laws]", '[laws]\nFc_fwdd = "affine"', ("'Fc_fwdd'", "'Fc_fwd'", "[laws]")),
-    ("[laws]", '[dependence]\nFc_fwd = ["speed"]', ("dependence.Fc_fwd", "'speed'")),
-    ('role = "calibrate"', 'role = "calibration"', ("role", "'p500'", "'calibration'")),
-    ('role = "calibrate"', 'role = "validate"', ("no test with role 'calibrate'",)),
     ('role = "calibrate"', 'fit = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
-    ('role = "calibrate"', ENTRY, ("campaign.toml", "two tests", "'p500'")),
     ('priors = "mfd"', 'priors = "mdf"', ("'mdf'", "brfd", "mfd")),
-    ('priors = "mfd"', 'rate = "64 s"', ("rate", "measures time", "'Hz'")),
     ('priors = "mfd"', "priors = mfd", ("campaign.toml", "not valid TOML", "line 3")),
-    ('actuation = "500 psi"', 'actuation = "500"', ("p500", "unit")),
     ('actuation = "500 psi"', 'actuation = "1,000 psi"', ("without thousands separators",)),
     ('priors = "mfd"', 'rate = "600 rpm"', ("has an angle",)),
     ('priors = "mfd"', f"rate = {'9' * 5000}", ("a number of thousands of digits",)),
@@ -138,14 +130,11 @@ CAMPAIGNS = [
     ("[[test]]", "[test]", ("begins with [[test]], in two brackets",)),
     ('actuation = "500 psi"', 'actuation = "1e999 psi"', ("not finite",)),
     ('file = "p500.csv"', 'file = "p600.csv"', ("p600.csv", "p500", "does not exist")),
-    ('file = "p500.csv"', 'file = "link.csv"', ("'p500'", "outside the campaign's folder")),
     ('"displacement_in", unit = "in"', '"displacement_in", unit = "kip"', ("measures force",)),
 ]
 
 
 def test_a_fault_in_the_campaign_is_named(folder):
-    write_csv(folder.parent / "a.csv", *signals())
-    (folder / "link.csv").symlink_to("../a.csv")
     for old, new, words in CAMPAIGNS:
         (folder / "campaign.toml").write_text(CAMPAIGN)
         change(folder, old, new)

@@ -43,21 +43,6 @@ def view_of(count, bad=(), sentence="It is so."):
     )
 
 
-def test_a_run_ends_with_its_verdict_and_what_misses(capsys, tmp_path):
-    print_end(view_of(2, bad=[1]), tmp_path / "my out")
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[:3] == [
-        "NOT USABLE: It is so.",
-        "warning: p0: it is 20.3 mm late",
-        "fail: p0: R-hat of k3: 1.2 (<= 1.01)",
-    ]
-    assert lines[3].startswith("not usable: p1: the sign is swapped")
-    assert lines[4:] == [
-        f"every check: mfd-bayes check '{tmp_path}/my out'",
-        f"look next at {tmp_path}/my out/report.html",
-    ]
-
-
 def test_the_end_has_at_most_ten_lines_of_a_hundred_columns(capsys):
     for count, words in ((50, 200), (50, 3), (1, 200), (3, 3)):
         print_end(view_of(count, range(count), "All is lost. " * words), Path("out"))

@@ -1,16 +1,12 @@
-"""Checks of tests, and tests that stand apart from the others or contradict their order."""
-
-from dataclasses import replace
-from types import SimpleNamespace
+"""Checks of tests, and tests that stand apart from the others."""
 
 import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Directions, Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.result import TestResult, quantiles_of
+from mfd_bayes.calibration.result import quantiles_of
 from mfd_bayes.evaluation.checks import (
-    contradicted_order,
     convergence_checks,
     directions_check,
     length_check,
@@ -22,7 +18,6 @@ from mfd_bayes.evaluation.summary import noise_rows
 from mfd_bayes.evaluation.views import DIRECTIONS
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.run import open_run
 
 
 def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
@@ -103,58 +98,3 @@ def test_tests_stand_apart_by_chance_as_rarely_as_stated():
     campaigns = rng.normal(size=(2000, 8, 4))
     share = np.mean([any(True for _ in standing_out(one)) for one in campaigns])
     assert share < 0.02
-
-
-# --- tests that do not begin where the one before ended, by posteriors that are made up
-
-
-@pytest.fixture(scope="module")
-def run(made_run):
-    run = open_run(made_run)
-    settings = run.manifest.settings.with_test("b", after="a")
-    return replace(run, manifest=run.manifest.changed(settings=settings))
-
-
-class Stub(TestResult):
-    __test__ = False
-
-    @property
-    def stored(self):
-        return SimpleNamespace(values=lambda: self.extras)
-
-
-def with_start(run, start, first=1.0, sampled=True):
-    test = run.tests["a"]
-    values = test.stored.values()
-    time = np.arange(201) / 50
-    spread = 0.02 * np.random.default_rng(0).normal(size=len(values["start"]))
-    ended = Trace.from_arrays(time, 5.0 - 5.0 * np.cos(0.25 * np.pi * time))  # to 10 in
-    begun = Trace.from_arrays(time, 10.0 + first * np.sin(np.pi * time))
-    names = test.posterior.names if sampled else ("Fc_fwd",)
-    stubs = {
-        name: Stub(
-            name,
-            SimpleNamespace(model=test.posterior.model, names=names, noise=None, trace=trace),
-            test.path,
-            extras={**values, "start": w0},
-        )
-        for name, trace, w0 in (
-            ("a", ended, values["start"]),
-            ("b", begun, np.clip(start + spread, 0.0, 1.0)),
-        )
-    }
-    return replace(run, tests=stubs)
-
-
-def test_a_start_far_from_the_end_of_the_test_before_is_a_question(run):
-    assert len(contradicted_order(with_start(run, 0.8, -1.0))) == 1
-    (found,) = contradicted_order(with_start(run, 0.2))
-    assert (found.subject, found.name, found.stage) == ("b", "start in the gap", "results")
-    assert str(found.message).startswith("the test begins at 0.20 [0.1")
-    assert "test a ended at 1.00 [1.00, 1.00]: check whether the device was" in str(found.message)
-    assert not found.spoils
-    for start, first in ((0.0, -1.0), (0.88, 1.0)):  # where it ended
-        assert contradicted_order(with_start(run, start, first)) == []
-    assert contradicted_order(with_start(run, 0.2, sampled=False)) == []
-    free = run.manifest.changed(settings=run.manifest.settings.with_test("b", after=""))
-    assert contradicted_order(replace(with_start(run, 0.2), manifest=free)) == []

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import stats
 
 from mfd_bayes.calibration.posterior import NOISES, Posterior, load_priors
 from mfd_bayes.errors import FitError
@@ -64,22 +64,6 @@ def test_density_of_a_left_out_block_is_that_of_a_dense_normal(name, times):
     np.testing.assert_allclose(whole, own, rtol=1e-9)
     alone = np.add.reduceat(stats.norm.logpdf(residual, scale=scale), STARTS, axis=1)
     assert (np.abs(given - alone).max() > 0.1) == (name != "iid")
-
-
-@pytest.mark.parametrize("behind", [-2.0, 3.0])
-def test_the_bridge_of_student_t_noise_is_near_the_integral_over_the_hole(behind):
-    dof, phi = 4.0, 0.8
-    width = np.sqrt(1 - phi**2)
-
-    def step(after, before):
-        return stats.t(dof).pdf((after - phi * before) / width) / width
-
-    residual = np.array([[0.5, 0.2, behind]])
-    decay, scale = np.array([[np.inf, -np.log(phi), -np.log(phi)]]), np.ones((1, 3))
-    given, _ = conditional_density(residual, decay, scale, np.arange(3), np.array([dof]))
-    hole = integrate.quad(lambda e: step(e, 0.5) * step(behind, e), -30, 30, limit=400)[0]
-    exact = np.log(step(0.2, 0.5) * step(behind, 0.2) / hole)
-    assert given[0, 1] == pytest.approx(exact, abs=0.12)
 
 
 # --- cycles

@@ -83,7 +83,6 @@ def test_the_best_law_stands_first_and_others_are_measured_by_it():
     assert other["difference_se"] == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
     assert (best["chosen"], other["chosen"]) == (False, True)
     assert "the campaign's own, proportional, is worse by 3.5 ± 0.5" in sentence
-    assert "cannot separate" not in sentence
     rows, sentence = choice(found, "compare")
     assert sentence.endswith("mix them (compared: power 0.5, proportional 0.5).")
     assert not any(row["chosen"] for row in rows)
@@ -92,8 +91,6 @@ def test_the_best_law_stands_first_and_others_are_measured_by_it():
     _, sentence = choice(near, "proportional")
     assert sentence.startswith("the power law predicts levels that were left out best, but")
     assert "the 3 levels cannot separate it from proportional:" in sentence
-    assert "constant" not in sentence
-    assert "is worse" not in sentence
 
 
 def test_a_score_that_cannot_be_trusted_is_named_and_never_best():

@@ -112,7 +112,6 @@ def test_a_bad_goal_is_found_when_the_campaign_is_read(finished_run, tmp_path):
     assert load_campaign(path).tests  # the control
     for old, new, words in (
         ('"energy"', '"energie"', "goal.quantity in {}: unknown quantity 'energie'"),
-        ("quantity", "quantty", "unknown key 'quantty' in [goal] of {}; did you mean 'quantity'"),
         ("limits", 'session = "2023"\nlimits', "goal.session in {}: no calibrated test has"),
     ):
         path.write_text(text + GOAL.replace(old, new))

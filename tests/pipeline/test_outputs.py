@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.export import Export, export
-from mfd_bayes.store.files import write_text
 from tests.command_line import contents, refusal, said, write_csv
 
 CAMPAIGN = """\
@@ -117,16 +116,6 @@ def test_a_run_is_not_replaced_with_its_inputs_in_it(home):
     shutil.copy(home / "m.csv", home / "out" / "tests")
     (home / "campaign.toml").write_text(CAMPAIGN.format(file="out/tests/m.csv"))
     lost(home / "campaign.toml", "--force", "--resume")
-
-
-def test_a_run_does_not_replace_a_link_out_of_its_folder(home):
-    place = home / "out" / "report.html"
-    place.symlink_to(home / "mine.csv")
-    words = "link out of its folder"
-    refused(home, words, "calibrate", home / "campaign.toml", "-o", home / "out", "--force")
-    with pytest.raises(StoreError, match=words):
-        write_text(place, "{}")
-    assert (home / "mine.csv").read_text() == "a,b\n1,2\n"
 
 
 def test_a_folder_that_cannot_be_used_is_refused_and_kept(home):

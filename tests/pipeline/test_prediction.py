@@ -107,18 +107,14 @@ def test_a_harmonic_motion_needs_no_file_and_starts_without_a_jump(ask, table):
 def test_a_prediction_is_given_in_the_other_system_of_units(ask, table):
     tables = []
     for units in ("us", "si"):
-        ask(*SINE, "--units", units, "--design", "--no-figures")
-        design = table("_design").set_index(["property", "basis"]).loc["peak_fwd"]
-        tables.append((table(), table("_derived").set_index("quantity"), design.loc["new_test"]))
-    (us, us_derived, us_design), (si, si_derived, si_design) = tables
+        ask(*SINE, "--units", units, "--no-figures")
+        tables += table(), table("_derived").set_index("quantity")
+    us, us_derived, si, si_derived = tables
     np.testing.assert_allclose(si["displacement_mm"], 25.4 * us["displacement_in"], atol=1e-6)
     np.testing.assert_allclose(si["median_kN"], 4.4482216 * us["median_kip"], rtol=1e-6)
     assert si_derived.loc["energy_per_cycle", "unit"] == "kN*mm"
-    peaks = (table.loc["peak_fwd"] for table in (si_derived, us_derived))
-    for metric, other in (peaks, (si_design, us_design)):
-        assert metric["unit"] == "kN"
-        assert metric["upper"] == pytest.approx(4.4482216 * other["upper"], rel=1e-5)
-    assert si_design["lambda_max"] == us_design["lambda_max"]
+    peaks = [table.loc["peak_fwd", "upper"] for table in (si_derived, us_derived)]
+    assert peaks[0] == pytest.approx(4.4482216 * peaks[1], rel=1e-5)
 
 
 def test_with_another_run_both_give_half_of_the_draws(ask, table, out, tmp_path):

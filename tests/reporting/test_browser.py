@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mfd_bayes.reporting.publish import find_browser, print_page, publish
@@ -119,22 +118,6 @@ def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report)
         for value in (0.9999, 1234.4, 123456.0, 1.25e-7, 0.00012345, -2.5, 0.0, 9.999e5, 99.95):
             for digits in (3, 4):
                 assert page.evaluate(f"written({value!r}, {digits})") == number(value, digits)
-
-
-def test_the_explorer_switches_tests_and_tells_stages(chromium, campaign, tmp_path, no_figures):
-    test = campaign.tests[0]
-    stage = np.full(test.trace.samples, 3, dtype=np.int8)
-    publish(
-        replace(campaign, tests=(replace(test, stage=stage), campaign.tests[1])), tmp_path, 1, print
-    )
-    with Watched(chromium, tmp_path / "report.html") as found:
-        page, samples = found.page, f"{MODEL}('samples').data"
-        assert page.evaluate(f"{samples}.stage[0]") == "3, build-up"
-        force = page.evaluate(f"Array.from({samples}.force)")
-        assert force == pytest.approx(test.trace.force.tolist(), abs=1e-6)
-        page.select_option("#explorer-test", "1")
-        assert page.evaluate(f"{samples}.stage[0]") == "–"
-        assert page.inner_text("#explorer-role") == "held out"
 
 
 def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, report):

@@ -10,9 +10,9 @@ import pytest
 from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test, loops
+from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test
 from mfd_bayes.reporting.figures.agg import to_png
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, stretches
+from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, stretches
 from mfd_bayes.reporting.figures.report import (
     draw_corner,
     draw_ranks,
@@ -110,23 +110,6 @@ def test_what_cannot_be_drawn_is_left_out(campaign):
 
 
 # --- loops and histories
-
-
-def test_rows_are_frequencies_and_columns_actuations(test_view, monkeypatch):
-    def at(name, frequency, level):
-        time = np.arange(300) / 25.0
-        trace = Trace.from_arrays(time, np.sin(2 * np.pi * frequency * time), level)
-        test = test_view(name, samples=300)
-        return replace(test, trace=replace(trace, force=test.trace.force))
-
-    tests = [at("a", 1.0, 0.8), at("b", 0.25, 0.8), at("c", 0.25, 0.5), at("d", 1.0, 0.5)]
-    figure = draw_overview("all", tests)
-    names = [axes.get_title(loc="left").split("\n")[0] for axes in figure.axes]
-    assert names == ["c", "b", "d", "a"]
-    monkeypatch.setattr(loops, "PANELS", 3)
-    figure = draw_overview("all", tests)
-    assert "first 3 of 4" in figure.get_suptitle()
-    assert len([axes for axes in figure.axes if axes.lines]) == 3
 
 
 def test_bands_follow_each_stretch_of_motion_and_do_not_close_the_loop(campaign):

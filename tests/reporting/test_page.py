@@ -14,12 +14,11 @@ from itertools import pairwise
 
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Pair
 from mfd_bayes.cli.console import say
 from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgement
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting.figures.loops import draw_overview
-from mfd_bayes.runs.manifest import Comparison, ComparisonRow, Finding, Use, Verdict
+from mfd_bayes.runs.manifest import Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.store.files import commented, quoted
 
@@ -192,33 +191,20 @@ def test_sections_say_so_where_there_is_nothing(campaign, written):
     assert "Which law predicts best?" not in shown
 
 
-def test_laws_and_models_are_compared_in_words(campaign, text, written):
+def test_laws_are_compared_in_words(campaign, text, written):
     assert "F<sub>c,fwd</sub>: the power law predicts best, but only just." in text
     assert "Every level held out in turn" in text
     exponent = Check("laws", FREE_EXPONENT, "Fc_fwd", 1.1, 1.0, Verdict.NOTE, note="0.9 to 1.4")
-    row = ComparisonRow(
-        *("all", "three_stage", 40, -10.0, 2.0, 9.0, 0.6, 0.1, 0.0, 0.0, 0.0, 0.05),
-        *(-12.0, 0.02, 0.4, True),
-    )
-    view = replace(campaign, checks=(exponent,), comparison=Comparison((row,), "Three stages win."))
-    shown = written(view)["report.html"]
+    shown = written(replace(campaign, checks=(exponent,)))["report.html"]
     assert "? cannot tell</span> F<sub>c,fwd</sub>: exponent 1.100 (0.9 to 1.4)" in shown
-    assert "Three stages win." in shown
 
 
 @pytest.fixture
 def hostile(campaign):
     """A report whose every free text is the name that a campaign file gave."""
     name, (one, held) = NAME, campaign.tests
-    study = one.identifiability
-    directions = replace(study.directions, names=(name, name))
-    study = replace(study, directions=directions, pairs=(Pair(name, name, 0.8),))
-    checks = (
-        *(replace(c, feature=name) for c in one.checks),
-        Check(name, name, name, 0.0, 1.0, Verdict.NOTE, note=name),
-    )
-    rows = tuple(row | {"note": name} for row in one.rows)
-    one = replace(one, rows=rows, identifiability=study, checks=checks)
+    checks = (Check(name, name, name, 0.0, 1.0, Verdict.NOTE, note=name),)
+    one = replace(one, rows=tuple(row | {"note": name} for row in one.rows), checks=checks)
     message = Message("{text}", {"text": name})
     return replace(
         campaign,

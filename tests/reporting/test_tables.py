@@ -29,9 +29,6 @@ DOCUMENT = r"""\documentclass{article}
 """
 ESTIMATE = {"name": "k3", "unit": "kip/in", "value": 14.25, "lower": 0.8, "median": 1.0}
 ESTIMATE |= {"upper": 1.2, "tolerance": 0.3, "missed": True}
-NOISE = {"name": "k3", "unit": "kip/in", "noise": "ou", "lower": 0.8, "median": 1.0, "upper": 1.2}
-NOISE |= {"other": "staged", "other_lower": 39.0, "other_median": 42.2, "other_upper": 45.6}
-NOISE |= {"decides": True}
 
 COLUMNS = {
     "parameters": "test parameter unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat contraction",
@@ -98,11 +95,10 @@ def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign, written, tmp_p
     row = next(r for r in read(texts["parameters.csv"]) if r["parameter"] == "k3")
     assert row["unit"] == "kN/mm"
     assert float(row["q97.5"]) == pytest.approx(1.2 * STIFFNESS, rel=1e-5)
-    assert (float(row["r_hat"]), float(row["contraction"])) == (1.002, 0.95)
+    assert float(row["r_hat"]) == 1.002
     estimate = float(read(texts["loop_estimates.csv"])[0]["loop_estimate"])
     assert estimate == pytest.approx(14.25 * STIFFNESS, rel=1e-5)
     assert float(read(texts["scores.csv"])[0]["crps_kN"]) == pytest.approx(0.03 * KIP, rel=1e-5)
-    assert float(read(texts["scores.csv"])[0]["coverage_95"]) == 0.95
     record = pd.read_csv(io.StringIO(texts[f"tests/{name}/record.csv"]))
     for column, values, factor in (
         ("force_kN", trace.force, KIP),
@@ -111,20 +107,14 @@ def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign, written, tmp_p
     ):
         np.testing.assert_allclose(record[column], factor * values, rtol=1e-4, atol=1e-4)
     laws = read(texts["figures/laws.csv"])
-    assert {row["what"] for row in laws} == {
-        *("mean property, 95 %", "this device tested again, 95 %"),
-        *("test a, 95 %", "test b, 95 %"),
-    }
     assert all(float(r["lower"]) <= float(r["median"]) <= float(r["upper"]) for r in laws)
     last = [row for row in laws if row["what"].startswith("mean")][-1]
     assert float(last["actuation_MPa"]) == pytest.approx(1.5 * 6.894757, rel=1e-4)
     tables = "".join(text for file, text in texts.items() if not file.endswith(".html"))
     assert "kip" not in tables
     assert all("kN/mm" in texts[f"parameters.{form}"] for form in ("csv", "json", "tex"))
-    sheets = pd.read_excel(tmp_path / "tables.xlsx", sheet_name=None)
-    table = sheets["parameters"].set_index(["test", "parameter"])
-    assert table.loc[(name, "k3"), "q50"] == pytest.approx(STIFFNESS, rel=1e-6)
-    assert sheets["laws"]["q50"].tolist() == pytest.approx([1.2 * 25.4**2])
+    laws = pd.read_excel(tmp_path / "tables.xlsx", sheet_name="laws")
+    assert laws["q50"].tolist() == pytest.approx([1.2 * 25.4**2])
 
 
 def test_json_says_what_it_holds_and_holds_what_csv_does(campaign, written):
@@ -141,23 +131,6 @@ def test_json_says_what_it_holds_and_holds_what_csv_does(campaign, written):
             assert [row["lower"], row["median"]] == [float(line["q2.5"]), float(line["q50"])]
     assert content["rows"][0]["r_hat"] is None
     assert content["rows"][0]["mean"] is None
-
-
-def test_what_the_noise_or_the_other_tests_decide_stands_beside_the_value(campaign, written):
-    name = campaign.tests[0].id
-    joint = {"joint_lower": 2.0, "joint_median": 2.5, "joint_upper": 3.0, "disagrees": True}
-    rows = (campaign.tests[0].rows[0], campaign.tests[0].rows[1] | joint)
-    view = of_two(campaign, noises=(NOISE | {"test": name},), rows=rows)
-    texts = written(view)
-    other, row = read(texts["parameters.csv"])
-    assert other["disagrees"] == "no"
-    assert (row["joint_q50"], row["disagrees"]) == ("2.5", "yes")
-    assert "staged: 42.2 {[}39.0, 45.6]" in texts["parameters.tex"]
-    assert "with the others: 2.50 {[}2.00, 3.00]" in texts["parameters.tex"]
-    metric = read(written(replace(view, metric=True))["noises.csv"])[0]
-    assert float(metric["other_q50"]) == pytest.approx(42.2 * STIFFNESS, rel=1e-5)
-    assert metric["decides"] == "yes"
-    assert "staged" not in written(campaign)["parameters.tex"]  # the control
 
 
 def test_a_word_document_holds_both_tables(campaign, written, tmp_path):

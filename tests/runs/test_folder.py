@@ -118,11 +118,10 @@ def test_another_machine_is_said(plan, out, change):
 # --- links
 
 
-@pytest.mark.parametrize("name", ["tests/a", "crossvalidation"])
-def test_nothing_is_written_through_a_link(plan, out, tmp_path, name):
+def test_nothing_is_written_through_a_link(plan, out, tmp_path):
     elsewhere = tmp_path / "elsewhere"
-    (out / name).rename(elsewhere)
-    (out / name).symlink_to(elsewhere)
+    (out / "tests/a").rename(elsewhere)
+    (out / "tests/a").symlink_to(elsewhere)
     before = {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()}
     home = plan.campaign.folder
     for act in (

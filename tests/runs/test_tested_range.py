@@ -1,13 +1,8 @@
 """What tests cover, and where a motion leaves it."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import mfd_bayes as mb
-from mfd_bayes.population.bands import Band, Forecast
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.tested_range import (
     conditions_of,
@@ -81,34 +76,3 @@ def test_a_history_reaches_from_its_least_to_its_largest_actuation():
         assert departure.reached.words(US) == words
         assert departure.times == pytest.approx(times)
         assert departure.far
-
-
-# --- a test under way, of a run that was tested at 500 and 1000 psi
-
-
-@pytest.fixture(scope="module")
-def run():
-    return mb.open_run(Path(__file__).parents[1] / "data" / "run")
-
-
-def test_what_a_test_under_way_leaves_is_said_as_planned_and_as_measured(run):
-    def said(made=1.0, actuation=1.0, planned=1.0, **plan):
-        forecaster = run.follow(planned, draws=20, refresh=False, **plan)
-        motion = sine(made, actuation=actuation)
-        draws = np.random.default_rng(1).standard_normal((20, motion.samples))
-        band = forecaster.complete(Band.of(motion.time, draws, Forecast(), "laws"), motion)
-        np.testing.assert_array_equal(band.draws, draws)
-        return band.remarks
-
-    assert said() == ()
-    for (remark,) in (said(actuation=5.0), said(planned=5.0)):
-        assert re.match("the actuation, .*far outside the tested range", remark)
-    for plan, rests in (
-        ({}, "relies only on the form of the model"),
-        ({"amplitude": 25.0, "velocity": 78.0}, "is wider, by what slip force"),
-    ):
-        stroke, speed = said(25.0, **plan)
-        assert stroke.startswith("the stroke, 50")
-        assert speed.startswith("the speed, ")
-        assert rests in stroke
-        assert rests in speed
