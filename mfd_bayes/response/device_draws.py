@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import Columns, Model, State
 from mfd_bayes.population.design import Setting
-from mfd_bayes.population.joint_fit import FINE, KNOTS, TravelBasis, slip_force_of
-from mfd_bayes.population.population import Numbers, Population
+from mfd_bayes.population.population import (
+    FINE,
+    KNOTS,
+    Numbers,
+    Population,
+    TravelBasis,
+    slip_force_of,
+)
 from mfd_bayes.response.building import Building
 
 KINDS = ("new_test", "device")

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population.joint_fit import KNOTS, TravelBasis
-from mfd_bayes.population.population import Starts
+from mfd_bayes.population.population import KNOTS, Starts, TravelBasis
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import read_building
 from mfd_bayes.response.device_draws import SETTLE, Leftover, draw_dampers
