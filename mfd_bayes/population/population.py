@@ -1,5 +1,8 @@
 """The population of tests, as draws: laws, levels, effects and scatter, and where tests begin.
 
+What the force model leaves over is a discrepancy that repeats in every cycle of every test, and
+noise; `inference` has the formula.
+
 Tests are often made one after the other with the same motion, and the device is not reset in
 between: it then stands where such a motion leaves it. So a repeat of the calibrated tests begins
 near the middle of the gap, or near the place at which its own motion ends; which of the two, and
