@@ -170,7 +170,8 @@ import mfd_bayes as mb
 
 
 class Hinge(mb.Model):
-    motion, response, parameters = {motion!r}, {response!r}, (mb.Parameter("c", "{unit}"),)
+    name, motion, response = "hinge", "{motion}", "{response}"
+    parameters = (mb.Parameter("c", "{unit}"),)
 
     def force(self, theta, trace):
         return theta * trace.velocity
