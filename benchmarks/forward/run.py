@@ -78,7 +78,7 @@ def sine_velocity(t):
 
 def compare(label, theta, trace, rounds, *, solver=False):
     """Print a table of ours and the others on a trace; which do not agree."""
-    motion, start = peers.Motion.of(trace.path), np.full(len(theta), 0.5)
+    motion, start = peers.Motion(trace.path), np.full(len(theta), 0.5)
     forces = {"numba": peers.numba_loop(), "JAX, all at once": peers.jax_batch(len(theta))}
     forces["JAX, 32 at a time"] = peers.jax_batch(32)
     field = {"ours": lambda: MODEL.force(theta, trace, start=0.5)}
@@ -141,8 +141,7 @@ def steps(samples):
 
 
 def main():
-    options = common.parser_of(__doc__, data=True).parse_args()
-    common.heading(__doc__.splitlines()[0], "numba", "jax")
+    options = common.begin(common.parser_of(__doc__, data=True), "numba", "jax")
     rounds = 1 if options.quick else 30
     count = 300 if options.quick else SAMPLES
     real = draw_theta(VECTORS, REAL, (0.03, 0.07))

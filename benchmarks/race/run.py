@@ -174,9 +174,8 @@ def main():
     parser = common.parser_of(__doc__, data=True)
     parser.add_argument("--record", choices=RECORDS, help="only this one")
     parser.add_argument("--tool", choices=TOOLS, action="append", help="only these")
-    options = parser.parse_args()
+    options = common.begin(parser, "emcee", "jax", "numpyro")
     warnings.simplefilter("ignore")
-    common.heading(__doc__.splitlines()[0], "emcee", "jax", "numpyro")
     failed, tools = [], options.tool or list(TOOLS)
     if options.quick:
         with TemporaryDirectory() as folder:
