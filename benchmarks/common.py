@@ -22,7 +22,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -222,36 +222,29 @@ def ranks_table(
 # --- long series of simulations: each is stored once finished, so that a second run goes on
 
 
-Task = tuple[Path, Callable[..., dict[str, Any]], tuple[Any, ...]]
-"""File of the result, and the function and the arguments that it comes from."""
-
-
-def fingerprint(settings: object, motion: bytes, study: str, rooms: Iterable[str]) -> str:
-    """Short hash of the settings and of the code: the study's file and some rooms' files."""
-    digest = hashlib.sha256(repr(settings).encode())
-    digest.update(motion)
-    package = Path(mfd_bayes.__file__).parent
-    code = (path for room in rooms for path in sorted((package / room).glob("*.py")))
-    for path in (Path(study), *code):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def run_series(tasks: list[Task], jobs: int, name: str) -> list[dict[str, Any]]:
-    """Results of all tasks; those that an earlier run has stored are read."""
-    left = [task for task in tasks if not task[0].is_file()]
-    print(f"{len(tasks) - len(left)} of {len(tasks)} {name} found", file=sys.stderr)
+def run_series(
+    run: Callable[..., dict[str, Any]], every: list[tuple[Any, ...]], options: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """Results of a function of all arguments; those that the same code has stored are read."""
+    digest = hashlib.sha256()
+    for folder in (Path(mfd_bayes.__file__).parent, PROJECT / "benchmarks", PROJECT / "tests"):
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.read_bytes())
+    folder = options.out / digest.hexdigest()[:12]
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{'_'.join(map(str, arguments))}.json" for arguments in every]
+    left = [(f, run, a) for f, a in zip(files, every, strict=True) if not f.is_file()]
+    print(f"{len(every) - len(left)} of {len(every)} found", file=sys.stderr)
     began = time.perf_counter()
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
         for done, _ in enumerate(pool.imap_unordered(_run_and_store, left), 1):
             minutes = (time.perf_counter() - began) / 60.0
-            print(f"{name}: {done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
-    return [json.loads(path.read_text(encoding="utf-8")) for path, _, _ in tasks]
+            print(f"{done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
+    return [json.loads(file.read_text(encoding="utf-8")) for file in files]
 
 
-def _run_and_store(task: Task) -> None:
+def _run_and_store(task: tuple[Path, Callable[..., dict[str, Any]], tuple[Any, ...]]) -> None:
     path, run, arguments = task
-    path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".part")
     beside.write_text(json.dumps(run(*arguments)), encoding="utf-8")
     beside.replace(path)

@@ -192,15 +192,9 @@ def real(options):
             row = {"record": name, "planted": words, "p": round(device.p_value, 3)}
             rows.append(row | {"verdict": device.verdict, "named": device.named})
     table(rows)
-    print("\nEach record by itself, and those of a row as one batch (Benjamini-Hochberg)")
-    counts = []
-    for words, of in pd.DataFrame(rows).groupby("planted", sort=False):
-        batch = acceptance.false_discovery(of["p"].to_numpy())
-        beyond = (of["verdict"] == "rejected").to_numpy()
-        row = {"planted": words, "differ": int((of["p"] < 0.05).sum())}
-        row |= {"rejected": int(beyond.sum()), "differ, batch": int((batch < 0.05).sum())}
-        counts.append(row | {"rejected, batch": int((beyond & (batch < 0.05)).sum())})
-    table(counts)
+    frame = pd.DataFrame(rows)
+    frame["differ"], frame["rejected"] = frame["p"] < 0.05, frame["verdict"] == "rejected"
+    print(f"\n{frame.groupby('planted', sort=False)[['differ', 'rejected']].sum().to_string()}\n")
     if options.quick:
         return
     before, rows = common.calibrated(options, "2022-07"), []

@@ -18,6 +18,7 @@ import numpy as np
 from mfd_bayes.calibration.noise import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.campaign import synthetic
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of, parse_goal
 from mfd_bayes.planning.study import Study, advise
@@ -41,12 +42,8 @@ LAWS = {"Fc_fwd": "power", "Fc_bwd": "power", "sigma0": "affine"}
 
 def medians(p, exponents=(1.0, 1.0)):
     """As in the demo, s, in, kip; slip forces K p^b."""
-    return {
-        "sigma1": 0.02, "sigma2": 0.015, "static_excess_fwd": 0.18, "static_excess_bwd": 0.12,
-        "k2": 0.6, "k3": 20.0, "d2": 0.09, "d3": 0.07, "ell": 0.02, "v_s": 0.4,
-        "noise_sd": 0.03, "noise_time": 0.1, "Fc_fwd": 1.3 * p ** exponents[0],
-        "Fc_bwd": 1.65 * p ** exponents[1], "sigma0": 15.0 + 15.0 * p,
-    }  # fmt: skip
+    slip = {"Fc_fwd": 1.3 * p ** exponents[0], "Fc_bwd": 1.65 * p ** exponents[1]}
+    return synthetic._MEDIANS | slip | {"sigma0": 15.0 + 15.0 * p}
 
 
 @dataclass(frozen=True)
@@ -167,10 +164,7 @@ def main():
     parser.add_argument("--campaigns", type=int, default=40)
     options = common.begin(parser)
     seeds = range(1, 1 + (1 if options.quick else options.campaigns))
-    rooms = ("records", "friction", "calibration", "population", "planning")
-    folder = options.out / common.fingerprint(GOAL, b"", __file__, rooms)
-    tasks = [(folder / f"{seed}.json", campaign, (seed,)) for seed in seeds]
-    show(common.run_series(tasks, options.jobs, "campaigns"))
+    show(common.run_series(campaign, [(seed,) for seed in seeds], options))
 
 
 if __name__ == "__main__":

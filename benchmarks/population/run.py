@@ -51,21 +51,6 @@ def run_campaign(seed, index, noise_time):
     }
 
 
-def run_campaigns(study, count, noise_time, options):
-    """Results of campaigns 0 to `count`; those of an earlier run are read from --work."""
-    settings = (dict(study.priors.parameters), dict(study.priors.scatter), study.single)
-    folder = options.out / common.fingerprint(
-        (*settings, study.joint, study.draws, study.seed),
-        *(study.motion.displacement.tobytes(), study_of.__file__),
-        ("records", "friction", "calibration", "population"),
-    )
-    tasks = [
-        (folder / f"{index}.json", run_campaign, (study.seed, index, noise_time))
-        for index in range(count)
-    ]
-    return common.run_series(tasks, options.jobs, "campaigns")
-
-
 def judge(campaigns, draws):
     """Print the verdict on the package's way and on the controls; return what failed."""
     ranked = [c for c in campaigns if not c["error"]]
@@ -95,9 +80,9 @@ def main():
     parser.add_argument("--white", action="store_true", help="independent noise")
     options = common.begin(parser)
     noise_time = WHITE if options.white else CORRELATED
-    study = study_of.study_of(options.seed, noise_time)
     count = 1 if options.quick else options.campaigns
-    failed = judge(run_campaigns(study, count, noise_time, options), study.draws)
+    every = [(options.seed, index, noise_time) for index in range(count)]
+    failed = judge(common.run_series(run_campaign, every, options), study_of.DRAWS)
     common.finish([] if options.quick else failed)
 
 

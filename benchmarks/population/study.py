@@ -27,6 +27,7 @@ from tests.statistical.sbc_study import narrow_priors
 Array = NDArray[np.float64]
 
 LEVELS = (0.7, 1.0, 1.0, 1.4)  # ksi: two tests at the middle one
+DRAWS = 63  # of each posterior
 UNSEEN = 1.2  # ksi: between tested levels, where the named laws hold
 LAWS = {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine", "noise_sd": "power"}
 FOLLOWERS = {"Fc": ("Fc_fwd", "Fc_bwd"), "sigma0": ("sigma0",), "noise_sd": ("noise_sd",)}
@@ -68,7 +69,7 @@ def study_of(seed: int, noise_time: float = 0.2) -> Study:
     priors = narrow_priors((*sampled, "noise_time"), noise_time=noise_time)
     single = replace(EFFORTS["quick"], ess=150, limit=1600, ensembles=2)
     joint = replace(EFFORTS["quick"], ess=190)
-    return Study(priors, motion, single, joint, draws=63, seed=seed)
+    return Study(priors, motion, single, joint, DRAWS, seed)
 
 
 def synthesize(study: Study, index: int) -> Campaign:

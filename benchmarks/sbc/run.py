@@ -46,21 +46,6 @@ def run_test(seed, index, noise, model, quick):
     return vars(sbc_study.run_test(study_of(seed, model, quick), index, noise))
 
 
-def run_tests(study, noise, count, options):
-    """Results of tests 0 to `count`; those of an earlier run are read from --work."""
-    code = common.fingerprint(
-        (dict(study.priors.parameters), study.effort, study.draws, study.seed, study.model),
-        *(study.motion.displacement.tobytes(), sbc_study.__file__),
-        ("records", "friction", "calibration"),
-    )
-    words = (noise, options.model, options.quick)
-    tasks = [
-        (options.out / code / noise / f"{i}.json", run_test, (study.seed, i, *words))
-        for i in range(count)
-    ]
-    return [Ranked(**f) for f in common.run_series(tasks, options.jobs, f"tests, {noise} noise")]
-
-
 def show(noise, tests, study):
     """Print the verdict on a series of tests, quantity by quantity; which fail."""
     ranked = [test for test in tests if not test.error]
@@ -88,7 +73,9 @@ def main():
     study = study_of(options.seed, options.model, options.quick)
     missed = []
     for noise, count in ((TRUE, options.tests), (WRONG, options.control)):
-        tests = run_tests(study, noise, count, options)
+        words = (noise, options.model, options.quick)
+        every = [(options.seed, index, *words) for index in range(count)]
+        tests = [Ranked(**result) for result in common.run_series(run_test, every, options)]
         failed = show(noise, tests, study)
         missed += [f"{noise}: {test.error}" for test in tests if test.error]
         if bool(failed) != (noise == WRONG):

@@ -6,8 +6,7 @@ takes an hour and a half on two cores (--quick: 4 tests): synthetic campaigns at
 two processes, two cycles at 0.5 and 1 Hz, ten levels of pressure, at 50 Hz. `ratio` is the time
 until the last test is stored, divided by half of the sum of the tests' own times (two processes: 1
 is ideal). Then follow the seconds and the peak memory of each stage in the main process, the sweeps
-of the population, the peak memory of the largest worker, and the sizes of what was written. How the
-cost of a force grows with samples and vectors is in `benchmarks.forward.run`.
+of the population, the peak memory of the largest worker, and the sizes of what was written.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
