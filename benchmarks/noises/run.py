@@ -38,14 +38,6 @@ class Fit:
     others: list[dict[str, Any]]
     seconds: float
 
-    def notes(self, name: str) -> list[str]:
-        """Noises under which its check says that a quantity moves."""
-        return [
-            fit["noise"]
-            for fit in self.others
-            if name in fit["quantities"] and moves(self.own[name], fit["quantities"][name])
-        ]
-
 
 def fits_of(campaign: Path, noises: Sequence[str], effort: str) -> dict[str, dict[str, Fit]]:
     """Fit of every test under every noise; what is stored is not sampled again."""
@@ -68,11 +60,6 @@ def fits_of(campaign: Path, noises: Sequence[str], effort: str) -> dict[str, dic
     return fits
 
 
-def apart(one: Bounds, other: Bounds) -> bool:
-    """Whether two intervals do not overlap."""
-    return one[0] > other[2] or other[0] > one[2]
-
-
 def table_of_intervals(fits: dict[str, dict[str, Fit]]) -> int:
     """Print each interval beside those under other noises; the number apart without a note.
 
@@ -82,16 +69,16 @@ def table_of_intervals(fits: dict[str, dict[str, Fit]]) -> int:
     print(f"{'test':5} {'quantity':8} {'noise':9} {'median [95 %]':24} under other noises")
     for test, name in itertools.product(fits, QUANTITIES):
         for noise, fit in fits[test].items():
-            told, own, words = fit.notes(name), fit.own[name], []
+            own, words = fit.own[name], []
             seen = {o["noise"]: o["quantities"][name] for o in fit.others if o["quantities"]}
+            told = [other for other, bounds in seen.items() if moves(own, bounds)]
             seen |= {o: other.own[name] for o, other in fits[test].items() if o != noise}
             for other, bounds in seen.items():
-                far = apart(own, bounds)
-                silent += far and not told
-                what = (
-                    "noted" if other in told else "apart, SILENT" if far and not told else "as it"
-                )
-                words.append(f"{other} {shown(bounds)} {'apart, ' * (far and bool(told))}{what}")
+                word = "noted" if other in told else "as it"
+                if own[0] > bounds[2] or bounds[0] > own[2]:
+                    word = f"apart, {word if told else 'SILENT'}"
+                    silent += not told
+                words.append(f"{other} {shown(bounds)} {word}")
             print(f"{test:5} {name:8} {noise:9} {shown(own):24} {'; '.join(words)}")
     return silent
 
