@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.campaign import synthetic
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write_campaign
 from mfd_bayes.evaluation import acceptance

@@ -15,9 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import Posterior, find_noise, load_priors
 from mfd_bayes.campaign import synthetic
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of, parse_goal

@@ -16,8 +16,7 @@ from scipy.special import expit
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
-from mfd_bayes.response.building import Content, building_of
-from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.building import Content, Dampers, building_of
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.time_integration import settle
 
