@@ -39,6 +39,11 @@ from mfd_bayes.runs.run import Run
 from tests.statistical.uniformity import LEVEL, Uniformity, failures
 
 PROJECT = Path(__file__).parents[1]
+FEW = {
+    "36lb": [f"36lb_{name}" for name in ("0.25Hz_0.5in", "0.25Hz_1.0in", "ImperialValleyDBE")],
+    "2022-07": [f"{tension}lb_0.50Hz_1.0in" for tension in (20, 35, 80)],
+}
+"""Tests of sessions that a quick trial takes."""
 
 HEADER = """\
 [campaign]
@@ -164,17 +169,13 @@ def lay_out(
     return campaign
 
 
-def calibrated(
-    options: argparse.Namespace,
-    session: str,
-    model: str = "three_stage",
-    only: Collection[str] = (),
-) -> Run:
-    """Calibrated run of the records of a session, kept in --out; those of `only` if quick."""
+def calibrated(options: argparse.Namespace, session: str, model: str = "three_stage") -> Run:
+    """Calibrated run of the records of a session, kept in --out; those of FEW if quick."""
+    only = FEW.get(session, ()) if options.quick else ()
     effort = "quick" if options.quick else "standard"
     out = options.out / f"{session}_{model}_{effort}"
     place = options.out / f"campaign_{out.name}"
-    campaign = lay_out(options.data, place, session, model, only if options.quick else ())
+    campaign = lay_out(options.data, place, session, model, only)
     chosen = Options(effort=effort, seed=options.seed, jobs=options.jobs, resume=out.exists())
 
     def report(step: Step) -> None:

@@ -25,7 +25,6 @@ from mfd_bayes.evaluation.crossvalidate import folds_of
 from mfd_bayes.evaluation.properties import design_rows, measured_of, measured_properties
 from mfd_bayes.runs.run import Run
 
-SMALLEST = ("20lb_0.50Hz_1.0in", "35lb_0.50Hz_1.0in", "80lb_0.50Hz_1.0in")
 PROBABILITIES = (0.5, 0.8, 0.95)
 BASIS = {
     "slip_fwd": "new_test",
@@ -83,7 +82,7 @@ def chance(groups: list[str], probability: float) -> tuple[int, int]:
 def main() -> None:
     parser = common.parser_of(__doc__ or "", data=True, jobs=2, out="out_heldout")
     options = common.begin(parser)
-    run = common.calibrated(options, "2022-07", only=SMALLEST)
+    run = common.calibrated(options, "2022-07")
     print(f"{len(run.tests)} tests, each tension left out")
     show(pd.DataFrame(bounded(run, "quick" if options.quick else "standard")))
 
