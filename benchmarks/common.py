@@ -39,8 +39,9 @@ from mfd_bayes.runs.run import Run
 from tests.statistical.uniformity import LEVEL, Uniformity, failures
 
 PROJECT = Path(__file__).parents[1]
+SHORT = ("0.25Hz_0.5in", "0.25Hz_1.0in", "0.25Hz_1.5in", "ImperialValleyDBE")
 FEW = {
-    "36lb": [f"36lb_{name}" for name in ("0.25Hz_0.5in", "0.25Hz_1.0in", "ImperialValleyDBE")],
+    "36lb": [f"36lb_{name}" for name in SHORT],
     "2022-07": [f"{tension}lb_0.50Hz_1.0in" for tension in (20, 35, 80)],
 }
 """Tests of sessions that a quick trial takes."""

@@ -10,7 +10,7 @@ session each tension in turn, and each test whose tension another test has too. 
 motion; the 30 lb tests and the earthquakes from all 36 lb tests. --given: the earthquakes alone and
 given the seconds before the shaking, by each model and by all in equal parts; then milliseconds of
 an update with 64 samples of a record at 1024 Hz, and of a band of the next 64 (follow.txt).
---quick: two tests of one tension and an earthquake, with little effort, two minutes. Exit status
+--quick: three tests of one tension and an earthquake, with little effort, two minutes. Exit status
 1: a limit was missed, or an update takes longer than its samples take to arrive. Records come from
 --data.
 """
