@@ -61,11 +61,11 @@ def draw_theta(n):
     return theta
 
 
-def sine(samples, hertz=HERTZ):
+def sine(samples):
     """Trace of 1 in, sampled at 100 Hz."""
     t = np.arange(samples) / RATE
-    angle = 2 * np.pi * hertz * t + PHASE
-    return Trace.from_arrays(t, np.sin(angle), velocity=2 * np.pi * hertz * np.cos(angle))
+    angle = 2 * np.pi * HERTZ * t + PHASE
+    return Trace.from_arrays(t, np.sin(angle), velocity=2 * np.pi * HERTZ * np.cos(angle))
 
 
 def sine_velocity(t):
@@ -76,13 +76,13 @@ def sine_velocity(t):
 def compare(label, theta, trace, rounds, *, solver=False):
     """Print a table of ours and the others on a trace; which do not agree."""
     motion, start = peers.Motion(trace.path), np.full(len(theta), 0.5)
-    forces = {"numba": peers.numba_loop(), "JAX, all at once": peers.jax_batch(len(theta))}
+    forces = {"numba": peers.numba_loop, "JAX, all at once": peers.jax_batch(len(theta))}
     forces["JAX, 32 at a time"] = peers.jax_batch(32)
     field = {"ours": lambda: MODEL.force(theta, trace, start=0.5)}
     field |= {n: lambda force=f: force(theta, motion, start) for n, f in forces.items()}
     if solver:
-        lsoda = peers.lsoda(sine_velocity)
-        field["solve_ivp, 1 vector"] = lambda: lsoda(theta[:1], motion, start[:1])
+        one = theta[:1], motion, start[:1], sine_velocity
+        field["solve_ivp, 1 vector"] = lambda: peers.lsoda(*one)
     expected = field["ours"]()
     largest, failed, first = np.abs(expected).max(axis=1), [], {}
     for name, run in field.items():
