@@ -94,6 +94,8 @@ def main() -> None:
     if options.quick:
         tests, noises, effort = TESTS[:1], EVERY[:2], "quick"
     campaign = common.lay_out(options.data, options.out / effort, "2022-07", only=tests)
+    text = campaign.read_text(encoding="utf-8")
+    campaign.write_text(text.replace("[columns]", "noise_check = true\n[columns]"), "utf-8")
     fits = fits_of(campaign, noises, effort)
     silent = table_of_intervals(fits)
     under_ou = [fit["ou"] for fit in fits.values()]
