@@ -14,10 +14,9 @@ from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
+from mfd_bayes.response.analysis import Response, settle
 from mfd_bayes.response.building import Building, Dampers, Device, Limits
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.result import Response
-from mfd_bayes.response.time_integration import settle
 
 Array = NDArray[np.float64]
 RTOL = 1e-9
