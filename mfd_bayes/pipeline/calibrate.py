@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
@@ -29,10 +29,8 @@ from mfd_bayes.evaluation.crossvalidate import (
     parts_of,
     run_folds,
 )
-from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import Progress, State, Step
-from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
+from mfd_bayes.jobs.job import Progress, State, Step, check_workers, get_ready, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.design import setting_of
@@ -70,6 +68,11 @@ from mfd_bayes.runs.manifest import (
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write_text
 from mfd_bayes.store.netcdf import save_arrays, save_trace
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mfd_bayes.evaluation.views import CampaignView
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""

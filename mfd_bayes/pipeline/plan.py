@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import platform
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,13 +17,10 @@ from mfd_bayes.calibration.diagnostics import find_effort
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
-from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError, hash_file
 from mfd_bayes.evaluation.summary import zero_pressure_sentences
-from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import State
-from mfd_bayes.jobs.local import Workplace
+from mfd_bayes.jobs.job import State, Workplace
 from mfd_bayes.messages import Message
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.population.inference import swings
@@ -32,7 +28,6 @@ from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
 from mfd_bayes.records.loops import measured_cycles
-from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace, without_spikes
 from mfd_bayes.reporting.symbols import check_symbols
 from mfd_bayes.runs.folder import MANIFEST, posterior_of
@@ -48,7 +43,15 @@ from mfd_bayes.runs.manifest import (
     with_keys,
 )
 from mfd_bayes.runs.tested_range import conditions_of
-from mfd_bayes.runs.unit_system import System
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from mfd_bayes.campaign.schema import CampaignFile, NoiseName
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.records.record import Record
+    from mfd_bayes.runs.unit_system import System
 
 WIDE, NARROW = 6.0, 1.0 / 12.0
 """A gap wider or narrower than the priors' typical one by these factors is in another unit."""

@@ -14,8 +14,7 @@ from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_peaks
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
-from mfd_bayes.jobs.job import Step
-from mfd_bayes.jobs.local import Workplace, get_ready
+from mfd_bayes.jobs.job import Step, Workplace, get_ready
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import alone_in, check_places

@@ -24,9 +24,8 @@ what was proposed, each weighted by the probability of its acceptance (waste rec
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +39,7 @@ from mfd_bayes.calibration.diagnostics import (
     measure,
 )
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import Prior, PriorFile
-from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.friction.model import Model
-from mfd_bayes.jobs.job import Progress
-from mfd_bayes.jobs.local import Evaluate, in_turn, several_processes
+from mfd_bayes.jobs.job import Evaluate, Progress, in_turn, several_processes
 from mfd_bayes.population.design import (
     CONDITIONS,
     LEVELS,
@@ -69,7 +64,14 @@ from mfd_bayes.population.law_scores import (
 from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
 from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 from mfd_bayes.population.population import LawDraws, Population, Starts, place_left, without_load
-from mfd_bayes.records.trace import Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from mfd_bayes.calibration.priors import Prior, PriorFile
+    from mfd_bayes.calibration.result import TestResult
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -19,19 +19,23 @@ of the tests are taken (Laplace).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.friction.model import Model
-from mfd_bayes.jobs.local import Evaluate, in_turn
-from mfd_bayes.population.design import Coordinates
+from mfd_bayes.jobs.job import Evaluate, in_turn
 from mfd_bayes.population.laws import ratio
-from mfd_bayes.records.trace import Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mfd_bayes.calibration.posterior import Posterior
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.population.design import Coordinates
+    from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import partial
@@ -15,9 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.views import CampaignView, TestView
-from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.jobs.local import several_processes
+from mfd_bayes.jobs.job import State, Step, several_processes
 from mfd_bayes.reporting.page import render
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import (
@@ -36,7 +33,10 @@ from mfd_bayes.reporting.tables import (
 from mfd_bayes.store.files import write_bytes, write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from mfd_bayes.evaluation.properties import Datasheet
+    from mfd_bayes.evaluation.views import CampaignView, TestView
 
 ALL_DRAWN = 12
 """In a run of more tests, the pictures of single tests are drawn only where asked for."""
