@@ -26,7 +26,7 @@ from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Score
+from mfd_bayes.runs.folder import Score
 from mfd_bayes.runs.run import Run
 
 DRAWS = 800

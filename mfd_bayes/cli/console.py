@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from mfd_bayes.evaluation.views import CampaignView, Check, Rows
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.manifest import Comparison, Finding
+    from mfd_bayes.runs.folder import Comparison, Finding
     from mfd_bayes.runs.unit_system import System
 
 
@@ -268,7 +268,7 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
 
 def missed_lines(view: CampaignView) -> list[str]:
     """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
-    from mfd_bayes.runs.manifest import Use, Verdict
+    from mfd_bayes.runs.folder import Use, Verdict
 
     system = view.system
     return [

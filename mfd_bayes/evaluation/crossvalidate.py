@@ -34,13 +34,15 @@ from mfd_bayes.jobs.job import Outcome, State, Step, Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
-from mfd_bayes.runs.manifest import (
+from mfd_bayes.runs.folder import (
+    CROSSVALIDATION,
+    MANIFEST,
     CampaignCrossValidation,
     Comparison,
     ComparisonRow,
     PartKind,
     Prediction,
+    check_stored,
 )
 from mfd_bayes.runs.run import Run, TestSequence, open_run
 from mfd_bayes.runs.unit_system import US

@@ -14,8 +14,6 @@ from mfd_bayes.calibration.posterior import derive_from_parameters
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.scores import spread_of
-from mfd_bayes.evaluation.views import Rows
-from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
@@ -30,12 +28,15 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
-from mfd_bayes.runs.manifest import Manifest, Use
+from mfd_bayes.runs.folder import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from mfd_bayes.evaluation.views import Rows
+    from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,14 @@ from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.views import Fan, Interval, Row
 from mfd_bayes.population.bands import ADVICE, Band
 from mfd_bayes.records.loops import find_loops
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Score
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.folder import Score
 from mfd_bayes.units import percent
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mfd_bayes.records.trace import Trace
+    from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 

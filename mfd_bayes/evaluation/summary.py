@@ -59,7 +59,7 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.jobs.job import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
-from mfd_bayes.runs.manifest import Finding, Manifest, Use, Verdict
+from mfd_bayes.runs.folder import Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.unit_system import SI, both_systems
 
 if TYPE_CHECKING:

@@ -7,24 +7,25 @@ have: `test`, `name` and `unit` of a quantity; `mean`, `sd`, and `lower`, `media
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Identifiability
-from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer
-from mfd_bayes.planning.study import Advice
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Comparison, Finding, Use, Verdict
-from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.folder import Comparison, Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from mfd_bayes.calibration.diagnostics import Identifiability
     from mfd_bayes.evaluation.laws import DriftRow
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.planning.study import Advice
+    from mfd_bayes.records.trace import Trace
+    from mfd_bayes.runs.tested_range import Span
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -44,26 +44,24 @@ from mfd_bayes.runs.folder import (
     OWNER,
     POPULATION,
     PRIORS,
+    CampaignCrossValidation,
+    Comparison,
+    Manifest,
+    Status,
+    Truth,
     alone_in,
     check_apart,
+    check_free,
     check_links,
     check_outputs,
     discard,
     hash_stored,
     pooled_of,
     posterior_of,
+    prepare_folder,
     record_of,
     remove_partial_files,
     remove_stale,
-)
-from mfd_bayes.runs.manifest import (
-    CampaignCrossValidation,
-    Comparison,
-    Manifest,
-    Status,
-    Truth,
-    check_free,
-    prepare_folder,
 )
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write_text

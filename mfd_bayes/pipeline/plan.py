@@ -30,14 +30,15 @@ from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace, without_spikes
 from mfd_bayes.reporting.symbols import check_symbols
-from mfd_bayes.runs.folder import MANIFEST, posterior_of
-from mfd_bayes.runs.manifest import (
+from mfd_bayes.runs.folder import (
     FORMAT,
+    MANIFEST,
     Entry,
     Finding,
     Manifest,
     Status,
     check_readable,
+    posterior_of,
     read_begun,
     this_machine,
     with_keys,

@@ -17,8 +17,7 @@ from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
 from mfd_bayes.jobs.job import Step, Workplace, get_ready
 from mfd_bayes.reporting.publish import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
-from mfd_bayes.runs.folder import alone_in, check_places
-from mfd_bayes.runs.manifest import Verdict, read_manifest
+from mfd_bayes.runs.folder import Verdict, alone_in, check_places, read_manifest
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import SI, System, named_system
 from mfd_bayes.store.files import write_bytes

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -25,7 +24,6 @@ from mfd_bayes.errors import (
     path_of,
     whole_number,
 )
-from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import (
@@ -56,13 +54,15 @@ from mfd_bayes.runs.folder import (
     MODEL,
     POPULATION,
     PRIORS,
+    Manifest,
+    Use,
     check_links,
     check_stored,
     pooled_of,
     posterior_of,
+    read_manifest,
     record_of,
 )
-from mfd_bayes.runs.manifest import Manifest, Use, read_manifest
 from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
@@ -76,6 +76,9 @@ from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mfd_bayes.friction.model import Model
     from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]

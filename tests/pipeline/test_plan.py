@@ -16,8 +16,7 @@ from mfd_bayes.pipeline.inspect import prior_check
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting import figures
-from mfd_bayes.runs.folder import hash_stored
-from mfd_bayes.runs.manifest import read_begun
+from mfd_bayes.runs.folder import hash_stored, read_begun
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import save_trace
