@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import mfd_bayes as mb
-from mfd_bayes.evaluation.scores import crps, rrse
+from mfd_bayes.evaluation.views import crps, rrse
 from mfd_bayes.population.bands import Band
 
 RECORDS = {

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
-from mfd_bayes.evaluation.scores import score
+from mfd_bayes.evaluation.views import score
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.population.bands import Forecast, Predictor

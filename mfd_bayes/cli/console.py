@@ -195,7 +195,7 @@ def print_design(rows: Rows, probability: float) -> None:
 
 def print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
     """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
-    from mfd_bayes.evaluation.scores import width_sentence
+    from mfd_bayes.evaluation.views import width_sentence
 
     if not quiet:
         ordered = sorted(shares.items(), key=lambda item: -item[1])

@@ -27,8 +27,7 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.calibration.posterior import Posterior, replicate
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
-from mfd_bayes.evaluation.scores import score, score_record
-from mfd_bayes.evaluation.views import LeftOutView, Row
+from mfd_bayes.evaluation.views import LeftOutView, Row, score, score_record
 from mfd_bayes.friction import models
 from mfd_bayes.jobs.job import Outcome, State, Step, Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole

@@ -38,7 +38,6 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
     property_rows,
 )
-from mfd_bayes.evaluation.scores import fan_of, score, score_record, spread_of
 from mfd_bayes.evaluation.views import (
     CALIBRATION,
     COVERAGE,
@@ -55,6 +54,10 @@ from mfd_bayes.evaluation.views import (
     Row,
     Rows,
     TestView,
+    fan_of,
+    score,
+    score_record,
+    spread_of,
 )
 from mfd_bayes.jobs.job import several_processes
 from mfd_bayes.messages import Message, join

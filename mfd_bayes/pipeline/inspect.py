@@ -7,9 +7,8 @@ allow beside it; and a first campaign, prior or building file, written for what 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,21 +17,25 @@ from mfd_bayes.calibration.priors import WRITTEN, PriorFile, load_priors
 from mfd_bayes.campaign.campaign import Campaign, load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors, priors_text
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.evaluation.scores import fan_of
-from mfd_bayes.evaluation.views import Fan
-from mfd_bayes.friction.model import Model
+from mfd_bayes.evaluation.views import Fan, fan_of
 from mfd_bayes.messages import Message
 from mfd_bayes.pipeline.plan import faults_for, findings_together, gap_of, tested_of
 from mfd_bayes.records.data_quality import Inspection, inspect_record
 from mfd_bayes.records.loops import Scales, scales_of
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground
 from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import split_quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from mfd_bayes.friction.model import Model
+    from mfd_bayes.records.trace import Trace
 
 
 def inspect(

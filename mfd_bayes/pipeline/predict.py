@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -12,8 +11,7 @@ from pydantic import ValidationError
 from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
-from mfd_bayes.evaluation.scores import Compared, compare, fan_of_band
-from mfd_bayes.evaluation.views import Rows
+from mfd_bayes.evaluation.views import Compared, Rows, compare, fan_of_band
 from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
@@ -28,9 +26,13 @@ from mfd_bayes.reporting.tables import (
 from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
-from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 from mfd_bayes.units import Axes, actuation_kind, parse_quantity
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mfd_bayes.runs.unit_system import System
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError, real_numbers
 from mfd_bayes.runs import run as runs
-from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
+    from mfd_bayes.runs.run import Run
     from mfd_bayes.runs.unit_system import System
 
 
@@ -39,7 +41,7 @@ class Notebook:
 
     def plot_band(self, band: Band, axes: Any, displacement: Any) -> Any:
         """Axes with a band over time, or over a displacement, in."""
-        from mfd_bayes.evaluation.scores import fan_of_band
+        from mfd_bayes.evaluation.views import fan_of_band
         from mfd_bayes.reporting.figures import loops
 
         along = None if displacement is None else _along(band, displacement)
@@ -47,7 +49,7 @@ class Notebook:
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
-        from mfd_bayes.evaluation.scores import fan_of
+        from mfd_bayes.evaluation.views import fan_of
         from mfd_bayes.reporting.figures import loops
         from mfd_bayes.store.netcdf import load_groups
 

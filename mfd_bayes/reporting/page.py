@@ -13,7 +13,6 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
@@ -26,8 +25,7 @@ from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.evaluation.next_test import AdviceInWords
-from mfd_bayes.evaluation.scores import width_sentence
-from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView
+from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView, width_sentence
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.symbols import BANDS, DATA, SKY
@@ -44,6 +42,8 @@ from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from mfd_bayes.evaluation.acceptance import Acceptance
     from mfd_bayes.evaluation.properties import Datasheet
 

@@ -3,7 +3,7 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.posterior import COVERAGES
-from mfd_bayes.evaluation.scores import crps, rrse, score
+from mfd_bayes.evaluation.views import crps, rrse, score
 
 
 def normal_crps(mean, sd, y):
