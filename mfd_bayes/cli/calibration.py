@@ -145,7 +145,7 @@ def report(
     """
     with mistakes(this_command()):
         from mfd_bayes.pipeline import report as pipeline
-        from mfd_bayes.reporting.publish import Forms
+        from mfd_bayes.reporting.page import Forms
 
         chosen, conditions = tuple(tests or ()), tuple(at or ())
         forms = Forms(pdf, word, excel, next_test, chosen, all_tests, conditions)

@@ -15,7 +15,7 @@ from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_p
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
 from mfd_bayes.jobs.job import Step, Workplace, get_ready
-from mfd_bayes.reporting.publish import PLAIN, Forms
+from mfd_bayes.reporting.page import PLAIN, Forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import Verdict, alone_in, check_places, read_manifest
 from mfd_bayes.runs.run import Run, open_run
@@ -51,7 +51,7 @@ def write_report(
     run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
 ) -> CampaignView:
     """Write the tables, figures and report of an open run, whose folder must be locked."""
-    from mfd_bayes.reporting.publish import publish
+    from mfd_bayes.reporting.page import publish
 
     try:
         at = [parse_condition(text, run.actuation_unit, run.system.axes) for text in forms.at]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfd_bayes.reporting.publish import find_browser, print_page, publish
+from mfd_bayes.reporting.page import find_browser, print_page, publish
 from mfd_bayes.reporting.symbols import number
 
 playwright = pytest.importorskip(
