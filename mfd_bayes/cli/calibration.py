@@ -93,7 +93,7 @@ def check(
       mfd-bayes check out --quiet && echo fit to use
     """
     with mistakes():
-        from mfd_bayes.pipeline import report as pipeline
+        from mfd_bayes.pipeline import calibrate as pipeline
 
         view = pipeline.check(out, units or "")
     if not quiet:
@@ -144,7 +144,7 @@ def report(
       mfd-bayes report out --tests p500_f0.05 --tests p800_f0.05
     """
     with mistakes(this_command()):
-        from mfd_bayes.pipeline import report as pipeline
+        from mfd_bayes.pipeline import calibrate as pipeline
         from mfd_bayes.reporting.page import Forms
 
         chosen, conditions = tuple(tests or ()), tuple(at or ())
@@ -172,7 +172,7 @@ def draws(
       mfd-bayes draws out --to parquet --units si
     """
     with mistakes():
-        from mfd_bayes.pipeline import report as pipeline
+        from mfd_bayes.pipeline import calibrate as pipeline
 
         written, rows = pipeline.write_draws(out, to, units or "", most)
     console.say(f"{written} written: {rows} draws")
