@@ -23,8 +23,7 @@ import pandas as pd
 from benchmarks.mistakes.plants import MISTAKES, Mistake, Planned
 from mfd_bayes.campaign.draft import draft_campaign
 from mfd_bayes.errors import MfdError
-from mfd_bayes.pipeline.inspect import inspect_campaign
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.plan import Options, inspect_campaign, plan_campaign
 
 COMMANDS = ("init", "inspect", "--dry-run")
 NAMED = 27

@@ -254,7 +254,7 @@ def init(
     """
     with mistakes():
         from mfd_bayes.campaign import draft as drafts
-        from mfd_bayes.pipeline import inspect as pipeline
+        from mfd_bayes.pipeline import plan as pipeline
 
         if building:
             target = pipeline.init_building(folder, force=force)
@@ -313,7 +313,7 @@ def inspect(
       mfd-bayes inspect campaign.toml -o looks
     """
     with mistakes():
-        from mfd_bayes.pipeline import inspect as pipeline
+        from mfd_bayes.pipeline import plan as pipeline
 
         inspections, system = pipeline.inspect(file, folder, force=force, units=units or "")
     for inspection, picture in inspections:
@@ -340,7 +340,7 @@ def prior_check(
       mfd-bayes prior-check campaign.toml -o looks
     """
     with mistakes():
-        from mfd_bayes.pipeline import inspect as pipeline
+        from mfd_bayes.pipeline import plan as pipeline
 
         checked = pipeline.prior_check(campaign, folder, force=force, units=units or "")
     for name, share, picture in checked.tests:

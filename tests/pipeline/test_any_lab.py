@@ -8,7 +8,7 @@ import pytest
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.guesses import by_loop
-from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
+from mfd_bayes.pipeline.plan import inspect_campaign, system_of_records
 from mfd_bayes.records.loops import scales_of
 from mfd_bayes.records.record import read_record
 from tests.command_line import refusal, said
