@@ -112,7 +112,7 @@ def no_figures(monkeypatch) -> None:
 def small_pictures(monkeypatch) -> None:
     """The pictures of a prediction and an inspection are empty ones, which are drawn at once."""
     from mfd_bayes.reporting import figures
-    from mfd_bayes.reporting.figures.agg import new_figure
+    from mfd_bayes.reporting.figures.loops import new_figure
 
     dot = figures.to_png(new_figure(1, 1))
     for name in ("draw_loops", "draw_history", "draw_inspection"):

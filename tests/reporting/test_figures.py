@@ -11,8 +11,13 @@ from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test, loops
-from mfd_bayes.reporting.figures.agg import to_png
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, stretches
+from mfd_bayes.reporting.figures.loops import (
+    draw_history,
+    draw_loops,
+    draw_overview,
+    stretches,
+    to_png,
+)
 from mfd_bayes.reporting.figures.report import (
     draw_corner,
     draw_laws,

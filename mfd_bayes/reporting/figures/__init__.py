@@ -1,7 +1,6 @@
 """Every figure. Only these files import matplotlib and corner, so import them late."""
 
-from mfd_bayes.reporting.figures.agg import to_png
-from mfd_bayes.reporting.figures.loops import draw_history, draw_inspection, draw_loops
+from mfd_bayes.reporting.figures.loops import draw_history, draw_inspection, draw_loops, to_png
 from mfd_bayes.reporting.figures.report import (
     OF_TEST,
     draw_batch,

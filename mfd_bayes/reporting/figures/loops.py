@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import os
 import sys
-from collections.abc import Mapping, Sequence
+import warnings
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import cycle, pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,15 +19,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
+from PIL import Image
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.views import Array, Fan, TestView
 from mfd_bayes.population.design import SAME_LEVEL
-from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
-from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.symbols import (
     BAND_NAMES,
     BANDS,
@@ -39,6 +40,116 @@ from mfd_bayes.reporting.symbols import (
 )
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System
+from mfd_bayes.units import percent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from mfd_bayes.evaluation.views import Array, Fan, Interval, TestView
+    from mfd_bayes.records.data_quality import Fault
+
+
+@contextmanager
+def _quiet_agg() -> Iterator[None]:
+    """Import with the backend Agg and without log lines; both are put back."""
+    log, backend = logging.getLogger("matplotlib"), os.environ.get("MPLBACKEND")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    os.environ["MPLBACKEND"] = "agg"
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+        del os.environ["MPLBACKEND"]
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+
+
+with _quiet_agg():
+    import matplotlib
+    import matplotlib.font_manager  # which may have to be made first
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+DPI = 105
+
+_STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.titleweight": "normal",
+    "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # where Matplotlib puts it too, after it has measured all labels
+    "figure.titlesize": 11,
+    "figure.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#666666",
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.1,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw with the report's settings of Matplotlib, not with the user's."""
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # a name from a file may have letters that DejaVu does not have
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        yield
+
+
+def new_figure(width: float, height: float, title: str = "", layout: str = "constrained") -> Figure:
+    """Empty figure of a size in inches, with its title at the left.
+
+    The constrained layout cuts nothing off, but is slow with many panels.
+    """
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout)  # type: ignore[arg-type]
+    if title:
+        figure.suptitle(plain(title), x=0.01, ha="left")
+    return figure
+
+
+@style()
+def to_png(figure: Figure) -> bytes:
+    """PNG of a figure, the same bytes each time; 256 colours make it a third of the size."""
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()  # once: savefig would draw twice where there is a layout
+    size = canvas.get_width_height()
+    drawn = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
+    few = drawn.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    packed = io.BytesIO()
+    few.save(packed, "png", compress_level=6)
+    return packed.getvalue()
+
+
+def shades(fan: Fan) -> Iterator[tuple[Interval, str]]:
+    """Intervals of a fan, widest first, each with its colour."""
+    wide, narrow, _ = BANDS[fan.kind]
+    ordered = sorted(fan.intervals, key=lambda i: (not i.whole, -i.probability))
+    for index, interval in enumerate(ordered):
+        yield interval, wide if index == 0 else narrow
+
+
+def percents(fan: Fan) -> str:
+    """Probabilities of a fan's intervals: "50 and 95 %"."""
+    chances = sorted(i.probability for i in fan.intervals if not i.whole)
+    pale = "; pale: of the whole history" if any(i.whole for i in fan.intervals) else ""
+    return " and ".join(percent(chance) for chance in chances) + f" %{pale}"
+
 
 POINTS = 4000
 """Most points of a line: a screen cannot show more."""
@@ -62,7 +173,7 @@ def in_units(system: System, trace: Trace, fans: Sequence[Fan]) -> tuple[Trace, 
     return trace, [fan.times(force) for fan in fans]
 
 
-@look.style()
+@style()
 def draw_loops(
     title: str,
     trace: Trace,
@@ -71,7 +182,7 @@ def draw_loops(
 ) -> Figure:
     """Force against displacement and against velocity, over bands, the widest fan first."""
     trace, fans = in_units(system, trace, fans)
-    figure = look.new_figure(10, 4.3, title)
+    figure = new_figure(10, 4.3, title)
     left, *others = figure.subplots(1, 2 if trace.timed else 1, sharey=True, squeeze=False)[0]
     _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
     left.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
@@ -85,7 +196,7 @@ def draw_loops(
     return figure
 
 
-@look.style()
+@style()
 def draw_history(
     title: str,
     trace: Trace,
@@ -105,7 +216,7 @@ def draw_history(
     whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
     rows = 3 if fans and whole else 2
     windows = _windows(trace)
-    figure = look.new_figure(10, 2.6 + 0.9 * rows, title)
+    figure = new_figure(10, 2.6 + 0.9 * rows, title)
     shared: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False}
     grid = figure.subplots(rows, len(windows), height_ratios=(1.0, 2.6, 1.5)[:rows], **shared)
     for column, window in zip(grid.T, windows, strict=True):
@@ -140,7 +251,7 @@ def draw_history(
     return figure
 
 
-@look.style()
+@style()
 def draw_overview(
     title: str,
     tests: Sequence[TestView],
@@ -154,7 +265,7 @@ def draw_overview(
     """
     shown = tests[:PANELS]
     places, rows, columns = _places(shown, actuation_unit)
-    figure = look.new_figure(max(2.5 * columns, 6.0), 2.2 * rows + 0.7)
+    figure = new_figure(max(2.5 * columns, 6.0), 2.2 * rows + 0.7)
     more = "" if len(tests) == len(shown) else f" (first {PANELS} of {len(tests)} tests)"
     figure.suptitle(f"{plain(title)}{more}", x=0.01, ha="left")
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
@@ -224,7 +335,7 @@ def draw_band(
     by, fan = system.factor("kip"), fan.times(system.factor("kip"))
     if axes is None:
         pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
-        figure = look.new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
+        figure = new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
         axes = figure.add_subplot()
     if not isinstance(axes, Axes):
         raise ReportError(f"axes must be axes of Matplotlib, got {axes!r}")
@@ -238,7 +349,7 @@ def draw_band(
         _draw_loop(axes, [fan], displacement, turns, None if force is None else force * by)
         axes.set_xlabel(system.label("displacement", "in"))
     axes.set_ylabel(system.label("force", "kip"))
-    axes.set_title(f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}", fontsize=9)
+    axes.set_title(f"{BAND_NAMES[fan.kind]}, {percents(fan)}", fontsize=9)
     return axes
 
 
@@ -266,7 +377,7 @@ def _draw_loop(
     """
     step = max(1, abscissa.size // POINTS)
     for fan in fans:
-        for interval, colour in look.shades(fan):
+        for interval, colour in shades(fan):
             outlines = []
             for part in stretches(turns, abscissa.size):
                 pick = np.append(np.arange(part.start, part.stop, step), part.stop - 1)
@@ -298,7 +409,7 @@ def _draw_bands(
     axes: Axes, time: Array, fan: Fan, at: slice = slice(None), base: Array | float = 0.0
 ) -> None:
     """Fill the bands of a fan, less a base, (T,), over a window of time."""
-    for interval, colour in look.shades(fan):
+    for interval, colour in shades(fan):
         there, lower = thinned(time, (interval.lower - base)[at])
         _, upper = thinned(time, (interval.upper - base)[at])
         axes.fill_between(there, lower, upper, facecolor=colour, edgecolor=colour, lw=0.6)
@@ -325,7 +436,7 @@ def _legend(
         handles.append(Line2D([], [], color=DATA, linewidth=0.9, label="measured"))
     for fan in fans:
         wide, narrow, _ = BANDS[fan.kind]
-        text = f"{BAND_NAMES[fan.kind]}, {look.percents(fan)}"
+        text = f"{BAND_NAMES[fan.kind]}, {percents(fan)}"
         handles.append(Patch(facecolor=narrow, edgecolor=wide, linewidth=3, label=text))
     handles += [Patch(facecolor=colour, label=name) for name, colour in (shades or {}).items()]
     if handles:
@@ -337,7 +448,7 @@ _COLOURS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY)
 _MARKS = 60  # more of one kind would hide the curve
 
 
-@look.style()
+@style()
 def draw_inspection(
     title: str, trace: Trace, faults: Sequence[Fault] = (), system: System = US
 ) -> Figure:
@@ -347,7 +458,7 @@ def draw_inspection(
     a force there is only the displacement.
     """
     trace, _ = in_units(system, trace, ())
-    figure, x, time = look.new_figure(10, 5.6, title), trace.displacement, trace.time
+    figure, x, time = new_figure(10, 5.6, title), trace.displacement, trace.time
     curves: list[tuple[Axes, Array, Array]]
     if trace.force is None:
         place = figure.subplots()

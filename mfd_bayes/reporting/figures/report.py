@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
 
 from mfd_bayes.evaluation.checks import INFORMED
 from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, Rows, TestView
-from mfd_bayes.planning.study import Advice
-from mfd_bayes.reporting.figures import agg as look
+from mfd_bayes.reporting.figures import loops as look
 from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, draw_overview, in_units
 from mfd_bayes.reporting.symbols import (
     BAND_NAMES,
@@ -31,11 +27,17 @@ from mfd_bayes.reporting.symbols import (
     Symbols,
     plain,
 )
-from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from mfd_bayes.evaluation.acceptance import Acceptance
+    from mfd_bayes.planning.study import Advice
+    from mfd_bayes.runs.unit_system import System
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
 RANKS = 10
