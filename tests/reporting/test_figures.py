@@ -12,19 +12,17 @@ from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test, loops
 from mfd_bayes.reporting.figures.loops import (
+    draw_corner,
     draw_history,
+    draw_laws,
     draw_loops,
     draw_overview,
-    stretches,
-    to_png,
-)
-from mfd_bayes.reporting.figures.report import (
-    draw_corner,
-    draw_laws,
     draw_ranks,
     draw_residuals,
     draw_truth,
     spread,
+    stretches,
+    to_png,
 )
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.runs.unit_system import SI, US
