@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,8 @@ from mfd_bayes.evaluation.views import LawView, Row, Rows, fan_of, spread_of
 from mfd_bayes.population.design import CONDITIONS, Setting
 from mfd_bayes.population.law_scores import LARGEST_K, LawScore
 from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit, shapes_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.population.population import Population
-    from mfd_bayes.runs.run import Run
+from mfd_bayes.population.population import Population
+from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

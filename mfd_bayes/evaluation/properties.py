@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.posterior import derive_from_parameters
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.evaluation.views import spread_of
+from mfd_bayes.evaluation.views import Rows, spread_of
+from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
@@ -34,9 +35,6 @@ from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mfd_bayes.evaluation.views import Rows
-    from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 

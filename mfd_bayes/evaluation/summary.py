@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,15 +63,11 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.jobs.job import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.design import Design
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import Finding, Manifest, Use, Verdict
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from mfd_bayes.population.design import Design
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.run import Run
 
 MAX_PLOTTED_DRAWS = 2000
 """Most draws of a quantity in figures."""

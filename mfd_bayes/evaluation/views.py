@@ -1,4 +1,4 @@
-"""What a report shows, in internal units: computed here, drawn and written in `reporting`.
+"""What a report shows, in internal units, and how bands are scored against a measured force.
 
 Tables are records, one dict for each row, all with the same keys. The keys that several tables
 have: `test`, `name` and `unit` of a quantity; `mean`, `sd`, and `lower`, `median` and `upper`, its
@@ -7,6 +7,7 @@ have: `test`, `name` and `unit` of a quantity; `mean`, `sd`, and `lower`, `media
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -14,25 +15,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.diagnostics import Identifiability
 from mfd_bayes.calibration.posterior import COVERAGES
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer
+from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.bands import ADVICE, Band
 from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import Comparison, Finding, Score, Use, Verdict
+from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.calibration.diagnostics import Identifiability
     from mfd_bayes.evaluation.laws import DriftRow
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.planning.study import Advice
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.tested_range import Span
-    from mfd_bayes.runs.unit_system import System
 
 
 Array = NDArray[np.float64]

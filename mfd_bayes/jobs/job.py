@@ -1,4 +1,9 @@
-"""A job for another process: what it must offer, and the news of its progress and end."""
+"""Jobs: what one must offer, the news of its progress and end, and the processes that do them.
+
+On Linux processes are forked from a server, which has imported the libraries that they need: each
+then starts in some hundredths of a second instead of two or three seconds. Elsewhere each starts
+anew, and also where the path of the folder of temporary files is too long for the server's socket.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +25,11 @@ from enum import StrEnum
 from itertools import islice
 from multiprocessing import resource_tracker
 from multiprocessing.context import ForkServerContext, SpawnContext
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol, TypeVar
 
 from mfd_bayes.errors import FitError, StoreError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import ModuleType
 
 
 class State(StrEnum):

@@ -1,7 +1,8 @@
 """Calibration of a campaign into a run folder: every test's posterior, then the population.
 
-And what is built on it: cross-validation, where each part of a campaign is predicted from all
-others, and the comparison of a campaign under several models or noises.
+And what is built on it: the report of a run, its checks and the table of its draws;
+cross-validation, where each part of a campaign is predicted from all others; and the comparison of
+a campaign under several models or noises.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,11 +81,7 @@ from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write
 from mfd_bayes.store.netcdf import save_arrays, save_trace
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import pandas as pd
-
-    from mfd_bayes.evaluation.views import CampaignView
 
 
 def report(

@@ -1,22 +1,29 @@
-"""Samples of a new device for other programs: quoFEM, OpenSees, and CSV."""
+"""A run for other programs: samples for quoFEM, OpenSees and CSV, and a server.
+
+The server answers by the protocol of UM-Bridge (Seelinger et al., 2023). It is small, so that the
+standard library answers it: for this machine alone, and in valid JSON.
+"""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace, parse_sine
@@ -27,12 +34,6 @@ from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span, departures, far_sentences
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 from mfd_bayes.units import parse_actuation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mfd_bayes.calibration.posterior import Posterior
-    from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 

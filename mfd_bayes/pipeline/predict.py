@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -26,13 +27,9 @@ from mfd_bayes.reporting.tables import (
 from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 from mfd_bayes.units import Axes, actuation_kind, parse_quantity
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mfd_bayes.runs.unit_system import System
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""

@@ -1,4 +1,4 @@
-"""The report as HTML pages that load nothing from the network.
+"""The files of a report: tables, figures, and HTML pages that load nothing from the network.
 
 A page holds each number once, in internal units, with its unit: `<span data-value="1.2"
 data-unit="kip">1.20</span>`. One small script writes all of them in the units that the reader
@@ -17,6 +17,7 @@ import shutil
 import subprocess
 import tempfile
 import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cache, partial
@@ -61,11 +62,8 @@ from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from mfd_bayes.evaluation.acceptance import Acceptance
     from mfd_bayes.evaluation.properties import Datasheet
-    from mfd_bayes.evaluation.views import CampaignView, TestView
 
 
 Pair = tuple[System, System]

@@ -10,15 +10,18 @@ import pytest
 from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test, loops
-from mfd_bayes.reporting.figures.loops import (
+from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.figures import (
     draw_corner,
     draw_history,
+    draw_inspection,
     draw_laws,
     draw_loops,
     draw_overview,
     draw_ranks,
     draw_residuals,
+    draw_shared,
+    draw_test,
     draw_truth,
     spread,
     stretches,
@@ -129,7 +132,7 @@ def test_rows_are_frequencies_and_columns_actuations(test_view, monkeypatch):
     figure = draw_overview("all", tests)
     names = [axes.get_title(loc="left").split("\n")[0] for axes in figure.axes]
     assert names == ["c", "b", "d", "a"]
-    monkeypatch.setattr(loops, "PANELS", 3)
+    monkeypatch.setattr(figures, "PANELS", 3)
     figure = draw_overview("all", tests)
     assert "first 3 of 4" in figure.get_suptitle()
     assert len([axes for axes in figure.axes if axes.lines]) == 3

@@ -20,7 +20,7 @@ from mfd_bayes.cli.console import say
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgement
 from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.reporting.figures.loops import draw_overview
+from mfd_bayes.reporting.figures import draw_overview
 from mfd_bayes.reporting.page import read_glossary
 from mfd_bayes.runs.folder import Comparison, ComparisonRow, Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SI

@@ -1,4 +1,9 @@
-"""Force against displacement, velocity and time: of tests, of bands, and of a record as read."""
+"""Every figure of a report: of a record, a test, the laws, the next test and devices.
+
+Only this file and `building_figures` import matplotlib and corner, so import them late. A notebook
+gives its programs a backend that other environments do not have, and Matplotlib writes to stderr
+where it cannot write to its home. Figures here are drawn by Agg and need neither.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +12,32 @@ import logging
 import os
 import sys
 import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import cycle, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
+from numpy.typing import NDArray
 from PIL import Image
 
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.checks import INFORMED
-from mfd_bayes.evaluation.views import Array, CampaignView, LawView, Marginal, Rows, TestView
+from mfd_bayes.evaluation.views import (
+    Array,
+    CampaignView,
+    Fan,
+    Interval,
+    LawView,
+    Marginal,
+    Rows,
+    TestView,
+)
+from mfd_bayes.planning.study import Advice
 from mfd_bayes.population.design import SAME_LEVEL
+from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import Loops, find_loops
 from mfd_bayes.records.trace import HYSTERESIS, Trace, turning_points
 from mfd_bayes.reporting.symbols import (
@@ -50,16 +63,7 @@ from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
     from mfd_bayes.evaluation.acceptance import Acceptance
-    from mfd_bayes.evaluation.views import Array, Fan, Interval, TestView
-    from mfd_bayes.planning.study import Advice
-    from mfd_bayes.records.data_quality import Fault
-    from mfd_bayes.runs.unit_system import System
 
 
 @contextmanager
@@ -81,8 +85,13 @@ def _quiet_agg() -> Iterator[None]:
 with _quiet_agg():
     import matplotlib
     import matplotlib.font_manager  # which may have to be made first
+    from matplotlib.axes import Axes
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
 
 DPI = 105
 
