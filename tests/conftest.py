@@ -83,7 +83,7 @@ if __name__ == "__main__":
     if {"calibrate", "crossvalidate", "report"} & set(sys.argv):
         from contextlib import nullcontext
 
-        from mfd_bayes.jobs.job import in_turn
+        from mfd_bayes.jobs.local import in_turn
         from mfd_bayes.reporting import figures, page
 
         figures.draw_shared = figures.draw_test = lambda *_: iter(())

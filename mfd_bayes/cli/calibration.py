@@ -51,7 +51,7 @@ def calibrate(
     if out is None and not dry_run:
         raise typer.BadParameter("missing: give the run folder to write", param_hint="-o")
     with mistakes("" if dry_run else resumption()):
-        from mfd_bayes.jobs.job import get_ready
+        from mfd_bayes.jobs.local import get_ready
 
         if not dry_run:
             get_ready()  # before this process imports the rest
@@ -209,7 +209,7 @@ def demo(
         return shlex.join(["mfd-bayes", "calibrate", *run, *words, "--resume"])
 
     with mistakes(resume):
-        from mfd_bayes.jobs.job import get_ready
+        from mfd_bayes.jobs.local import get_ready
 
         get_ready()
         from mfd_bayes.pipeline import calibrate as pipeline

@@ -32,7 +32,8 @@ from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
 from mfd_bayes.evaluation.views import LeftOutView, Row, score, score_record
 from mfd_bayes.friction import models
-from mfd_bayes.jobs.job import Outcome, State, Step, Workplace, run_jobs
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import infer_population

@@ -60,7 +60,7 @@ from mfd_bayes.evaluation.views import (
     score_record,
     spread_of,
 )
-from mfd_bayes.jobs.job import several_processes
+from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design

@@ -39,7 +39,8 @@ from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_p
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import Progress, State, Step, Workplace, check_workers, get_ready, run_jobs
+from mfd_bayes.jobs.job import Progress, State, Step
+from mfd_bayes.jobs.local import Workplace, check_workers, get_ready, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.population.inference import infer_population

@@ -31,7 +31,8 @@ from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.evaluation.views import Fan, fan_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import State, Workplace
+from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.messages import Message
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.population.inference import swings

@@ -39,7 +39,8 @@ from mfd_bayes.calibration.diagnostics import (
     measure,
 )
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.jobs.job import Evaluate, Progress, in_turn, several_processes
+from mfd_bayes.jobs.job import Progress
+from mfd_bayes.jobs.local import Evaluate, in_turn, several_processes
 from mfd_bayes.population.design import (
     CONDITIONS,
     LEVELS,

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from mfd_bayes.jobs.job import Evaluate, in_turn
+from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.laws import ratio
 
 if TYPE_CHECKING:

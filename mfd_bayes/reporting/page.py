@@ -35,7 +35,8 @@ from mfd_bayes.calibration.noise import NOISES
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView, width_sentence
-from mfd_bayes.jobs.job import State, Step, several_processes
+from mfd_bayes.jobs.job import State, Step
+from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.symbols import BANDS, DATA, SKY, Symbols

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from mfd_bayes.jobs.job import Outcome, State, Step, Workplace, run_jobs
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.response.device_draws import Dampers, ElastoPlastic, no_dampers, plain_friction
 from mfd_bayes.response.result import PER_DRAW, PER_GROUND, Response, combined
 

@@ -19,7 +19,8 @@ from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import FitError
 from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
-from mfd_bayes.jobs.job import Progress, run_in_processes
+from mfd_bayes.jobs.job import Progress
+from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import posterior_of

@@ -17,10 +17,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.jobs.job import (
-    Outcome,
-    State,
-    Step,
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import (
     context,
     run_in_processes,
     several_processes,
@@ -96,7 +94,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the s
 POOL = """
 import sys, time
 from concurrent.futures import ProcessPoolExecutor
-from mfd_bayes.jobs.job import context, get_ready, started_alike
+from mfd_bayes.jobs.local import context, get_ready, started_alike
 from mfd_bayes.jobs.signals import end_on_signals
 if __name__ == "__main__":
     get_ready("colorsys")

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.jobs.job import in_turn
+from mfd_bayes.jobs.local import in_turn
 from mfd_bayes.reporting import figures, page
 
 
