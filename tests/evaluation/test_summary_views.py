@@ -9,7 +9,7 @@ import pytest
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.summary import views_of_tests
-from mfd_bayes.jobs import job
+from mfd_bayes.jobs import local
 from mfd_bayes.runs.run import open_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"
@@ -17,7 +17,7 @@ DATA = Path(__file__).parents[1] / "data" / "run"
 
 @pytest.fixture
 def run(monkeypatch):
-    monkeypatch.setattr(job, "FEWEST", 2)
+    monkeypatch.setattr(local, "FEWEST", 2)
     return open_run(DATA)
 
 
