@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
-from mfd_bayes.calibration.priors import units
+from mfd_bayes.calibration.posterior import units
 from mfd_bayes.evaluation.acceptance import DEFAULT_LIMITS
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.properties import sessions_of
 from mfd_bayes.evaluation.views import LawView, Row, Rows, fan_of, spread_of
-from mfd_bayes.population.design import CONDITIONS, Setting
-from mfd_bayes.population.law_scores import LARGEST_K, LawScore
-from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit, shapes_of
-from mfd_bayes.population.population import Population
-from mfd_bayes.runs.run import Run
+from mfd_bayes.population.design import (
+    COMPARE,
+    CONDITIONS,
+    INTERCEPTS,
+    LAW_NAMES,
+    LAWS,
+    Setting,
+    law_unit,
+    shapes_of,
+)
+from mfd_bayes.population.mixed_model import LARGEST_K, LawScore
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mfd_bayes.population.population import Population
+    from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,11 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfd_bayes.calibration.priors import units
+from mfd_bayes.calibration.posterior import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, MfdError, ReportError, StoreError
@@ -82,6 +81,8 @@ from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write
 from mfd_bayes.store.netcdf import save_arrays, save_trace
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pandas as pd
 
 
