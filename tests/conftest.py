@@ -84,11 +84,11 @@ if __name__ == "__main__":
         from contextlib import nullcontext
 
         from mfd_bayes.jobs.local import in_turn
-        from mfd_bayes.reporting import figures, page
+        from mfd_bayes.reporting import figures, publish
 
         figures.draw_shared = figures.draw_test = lambda *_: iter(())
         # tests are drawn in this process
-        page.several_processes = lambda functions, _: nullcontext(in_turn(functions))
+        publish.several_processes = lambda functions, _: nullcontext(in_turn(functions))
     main()
 """
 

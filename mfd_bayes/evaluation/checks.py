@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.posterior import COVERAGES, Posterior, Replicas, check_predictive, units
+from mfd_bayes.calibration.diagnostics import (
+    COVERAGES,
+    Directions,
+    Effort,
+    Replicas,
+    check_predictive,
+)
+from mfd_bayes.calibration.posterior import Posterior, units
 from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import (
     EXTREME,
@@ -32,15 +40,10 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.design import Setting
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.folder import Finding, Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from mfd_bayes.calibration.diagnostics import Directions, Effort
-    from mfd_bayes.population.design import Setting
-    from mfd_bayes.records.loops import MeasuredCycles
-    from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

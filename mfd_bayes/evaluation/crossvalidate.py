@@ -12,19 +12,22 @@ without it.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, get_args
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
-from mfd_bayes.calibration.posterior import NOISES, Posterior, replicate
+from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, replicate, tempering
+from mfd_bayes.calibration.posterior import NOISES, Posterior
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
+from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
 from mfd_bayes.evaluation.views import LeftOutView, Row, score, score_record
 from mfd_bayes.friction import models
@@ -33,6 +36,7 @@ from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import infer_population
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import (
     CROSSVALIDATION,
     MANIFEST,
@@ -46,13 +50,6 @@ from mfd_bayes.runs.folder import (
 from mfd_bayes.runs.run import Run, TestSequence, open_run
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.files import AtLeastOne, Part, check, read_json, write_json
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from mfd_bayes.calibration.result import Task, TestResult
-    from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +27,8 @@ from mfd_bayes.population.design import (
     shapes_of,
 )
 from mfd_bayes.population.mixed_model import LARGEST_K, LawScore
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mfd_bayes.population.population import Population
-    from mfd_bayes.runs.run import Run
+from mfd_bayes.population.population import Population
+from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 

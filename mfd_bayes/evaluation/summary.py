@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Effort, contraction, identify, log_if_positive
-from mfd_bayes.calibration.posterior import SCALED, Posterior, replicate, units
+from mfd_bayes.calibration.diagnostics import (
+    Effort,
+    contraction,
+    identify,
+    log_if_positive,
+    replicate,
+)
+from mfd_bayes.calibration.posterior import SCALED, Posterior, units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
@@ -61,15 +68,11 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.design import Design
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import Finding, Manifest, Use, Verdict
+from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from mfd_bayes.population.design import Design
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.run import Run
 
 MAX_PLOTTED_DRAWS = 2000
 """Most draws of a quantity in figures."""

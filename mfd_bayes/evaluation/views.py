@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Identifiability
-from mfd_bayes.calibration.posterior import COVERAGES
+from mfd_bayes.calibration.diagnostics import COVERAGES, Identifiability
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer

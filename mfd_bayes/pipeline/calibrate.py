@@ -15,6 +15,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,8 +82,6 @@ from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write
 from mfd_bayes.store.netcdf import save_arrays, save_trace
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import pandas as pd
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from scipy.optimize import least_squares
 from mfd_bayes.calibration.posterior import Posterior, units
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.friction.bouc_wen import BoucWen
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace, parse_sine
@@ -30,11 +32,6 @@ from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span, departures, far_sentences
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 from mfd_bayes.units import parse_actuation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 

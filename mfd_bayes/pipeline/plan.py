@@ -10,11 +10,12 @@ import hashlib
 import platform
 import time
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -23,9 +24,11 @@ from mfd_bayes.calibration.posterior import WRITTEN, Posterior, PriorFile, load_
 from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors, priors_text
+from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError, MfdError, RecordError, hash_file
 from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.evaluation.views import Fan, fan_of
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
@@ -64,13 +67,6 @@ from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import System, named_system, system_of
 from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import split_quantity
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from mfd_bayes.campaign.schema import CampaignFile, NoiseName
-    from mfd_bayes.friction.model import Model
 
 WIDE, NARROW = 6.0, 1.0 / 12.0
 """A gap wider or narrower than the priors' typical one by these factors is in another unit."""

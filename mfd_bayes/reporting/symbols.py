@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Callable, Mapping
 from html import unescape
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup, escape
 
@@ -15,9 +16,6 @@ from mfd_bayes.calibration.posterior import known_quantities
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model, html_of
 from mfd_bayes.population.bands import KIND_NAMES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 _SYMBOLS = {
     "gap_width": (r"D_\mathrm{slip}", "travel from slip to slip"),

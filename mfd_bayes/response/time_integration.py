@@ -11,10 +11,11 @@ bend: where they do so too much, the step is halved, for each draw by itself.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,9 @@ from scipy import linalg
 
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
-from mfd_bayes.response.device_draws import Dampers, ElastoPlastic, no_dampers, plain_friction
+from mfd_bayes.response.building import Building, Dampers, ElastoPlastic, no_dampers, plain_friction
+from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import PER_DRAW, PER_GROUND, Response, combined
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mfd_bayes.response.building import Building
-    from mfd_bayes.response.ground import Ground
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

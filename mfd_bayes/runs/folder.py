@@ -21,17 +21,23 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
+from io import FileIO
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.posterior import PriorFile
+from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError, hash_file
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.signals import before_end
+from mfd_bayes.messages import Message
+from mfd_bayes.population.mixed_model import DependenceScore, LawScore
 from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.unit_system import System, system_of
 from mfd_bayes.store.files import (
@@ -52,15 +58,6 @@ from mfd_bayes.store.files import (
     write_json,
 )
 from mfd_bayes.units import DAMPER, Axes
-
-if TYPE_CHECKING:
-    from io import FileIO
-
-    from mfd_bayes.calibration.diagnostics import Effort
-    from mfd_bayes.calibration.posterior import PriorFile
-    from mfd_bayes.campaign.schema import CampaignFile, Id, Role
-    from mfd_bayes.messages import Message
-    from mfd_bayes.population.mixed_model import DependenceScore, LawScore
 
 MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -23,6 +24,7 @@ from mfd_bayes.errors import (
     path_of,
     whole_number,
 )
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import (
@@ -75,9 +77,6 @@ from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mfd_bayes.friction.model import Model
     from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noise import NOISES, find_noise
-from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.posterior import NOISES, Posterior, find_noise
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.friction.three_stage import LuGre
 from mfd_bayes.records.trace import Trace

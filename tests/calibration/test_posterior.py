@@ -7,9 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import Prior, load_priors
+from mfd_bayes.calibration.posterior import NOISES, Posterior, Prior, load_priors
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.posterior import (
-    Posterior,
-    derive_from_parameters,
-    replicate,
-)
+from mfd_bayes.calibration.diagnostics import derive_from_parameters, replicate
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import RecordError
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.records.loops import cycle_values

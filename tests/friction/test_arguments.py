@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.models import MODELS, find_model
 from mfd_bayes.records.trace import Trace

@@ -4,7 +4,7 @@ import numpy as np
 
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.device_draws import ElastoPlastic
+from mfd_bayes.response.building import ElastoPlastic
 from tests.friction.test_arguments import some_values
 
 TIME = np.arange(0.0, 8.0, 0.01)

@@ -6,7 +6,7 @@ import pytest
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.design import design_of, setting_of
-from mfd_bayes.population.joint_fit import TestLikelihood, fit_jointly
+from mfd_bayes.population.inference import TestLikelihood, fit_jointly
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(160) / 32.0

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population.design import Coordinates
-from mfd_bayes.population.laws import (
+from mfd_bayes.population.design import (
     LAWS,
+    Coordinates,
     complete_laws,
     default_laws,
     ratio,

@@ -22,7 +22,7 @@ HUGE = 1_250_000_000  # of doubles: 10 GB
 READER = """\
 import json, resource, sys, time
 from pathlib import Path
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.readers import read_table

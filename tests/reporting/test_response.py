@@ -15,7 +15,8 @@ from mfd_bayes.pipeline.respond import (
     sweep_frame,
     sweep_sentence,
 )
-from mfd_bayes.reporting.figures import new_figure, to_png
+from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.figures import to_png
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.response.result import Sweep
 from mfd_bayes.runs.tested_range import Span
@@ -79,7 +80,7 @@ def view():
 
 
 def test_a_page_of_a_response_has_both_systems_of_units():
-    dot = to_png(new_figure(1, 1))
+    dot = to_png(figures.new_figure(1, 1))
     names = ("profile", "building", "history_1", "history_2", "loops_1", "loops_2")
     images = {f"{name}_{system}": dot for name in names for system in ("us", "si")}
     text = render_response(view(), images)
