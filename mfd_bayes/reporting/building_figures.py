@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from mfd_bayes.reporting.figures import agg, new_figure
+from mfd_bayes.reporting.figures import new_figure, style
 from mfd_bayes.reporting.symbols import BANDS, ORANGE, VERMILLION, plain
+from mfd_bayes.response.building import Building
+from mfd_bayes.response.result import Response, Sweep
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import GRAVITY
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
-
-    from mfd_bayes.response.building import Building
-    from mfd_bayes.response.result import Response, Sweep
-    from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 
@@ -30,7 +25,7 @@ _BARE, _PLAIN = "#777777", ORANGE
 DAMPERS = 12  # most loops that are drawn
 
 
-@agg()
+@style()
 def draw_building(building: Building, system: System) -> Figure:
     """The building to scale, with its dampers."""
     heights = np.where(np.isfinite(building.heights), building.heights, 144.0)
@@ -67,7 +62,7 @@ def _quantiles(values: Array) -> Array:
     return np.asarray(np.quantile(values, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0))
 
 
-@agg()
+@style()
 def draw_profile(response: Response, system: System) -> Figure:
     """Storey drift and floor acceleration against height, with bands, for each ground motion."""
     grounds, building = response.grounds, response.building
@@ -107,7 +102,7 @@ def draw_profile(response: Response, system: System) -> Figure:
     return figure
 
 
-@agg()
+@style()
 def draw_histories(response: Response, ground: int, system: System) -> Figure:
     """Drift of every storey against time, with bands, and that without dampers behind."""
     values = response.histories[ground][response.usable(ground)]
@@ -130,7 +125,7 @@ def draw_histories(response: Response, ground: int, system: System) -> Figure:
     return figure
 
 
-@agg()
+@style()
 def draw_damper_loops(response: Response, ground: int, system: System) -> Figure:
     """Force against travel of the dampers, of some draws."""
     travels, forces = response.travels[ground], response.forces[ground]
@@ -156,7 +151,7 @@ def draw_damper_loops(response: Response, ground: int, system: System) -> Figure
     return figure
 
 
-@agg()
+@style()
 def draw_sweep(sweep: Sweep, system: System) -> Figure:
     """Largest drift and acceleration against the actuation, with bands and the best one."""
     figure = new_figure(8.4, 3.2)
