@@ -18,9 +18,7 @@ from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex, to_csv
-from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.ground import Ground, parse_acceleration
-from mfd_bayes.response.result import (
+from mfd_bayes.response.analysis import (
     REFERENCES,
     Response,
     Row,
@@ -30,6 +28,8 @@ from mfd_bayes.response.result import (
     sweep_of,
     variance_shares,
 )
+from mfd_bayes.response.building import Building, read_building
+from mfd_bayes.response.ground import Ground, parse_acceleration
 from mfd_bayes.runs.folder import Use, check_folder
 from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
 from mfd_bayes.runs.run import Run, open_run
