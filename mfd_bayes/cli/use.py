@@ -502,7 +502,7 @@ def serve(
       mfd-bayes serve my_damper.py:Viscous --motion quake.csv --actuation "1 ksi"
     """
     with mistakes():
-        from mfd_bayes.pipeline import serve as pipeline
+        from mfd_bayes.pipeline import export as pipeline
 
         pipeline.serve(source, port, motion, sine, actuation, console.say)
 

@@ -6,7 +6,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from mfd_bayes.errors import (
     path_of,
     whole_number,
 )
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State
 from mfd_bayes.planning.candidate import (
@@ -48,18 +50,21 @@ from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Ending, Population
 from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.response.analysis import Response
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
     MODEL,
     POPULATION,
     PRIORS,
+    Manifest,
+    Use,
     check_links,
     check_stored,
     pooled_of,
     posterior_of,
+    read_manifest,
     record_of,
 )
-from mfd_bayes.runs.manifest import Manifest, Use, read_manifest
 from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
@@ -71,12 +76,6 @@ from mfd_bayes.runs.unit_system import System, named_system
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.response.analysis import Response
 
 Array = NDArray[np.float64]
 
