@@ -77,13 +77,6 @@ def write(folder, text):
     return path
 
 
-def test_figures_are_converted_to_internal_units(tmp_path):
-    body = 'family = "normal"\nmean = "1000 lbf"\nsd = "4.4482216 kN"\n'
-    prior = load_priors(str(write(tmp_path, prior_text(body)))).parameters["Fc_fwd"]
-    assert prior.figures["mean"] == pytest.approx(1.0)
-    assert prior.figures["sd"] == pytest.approx(1.0, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("text", "name"),
     [

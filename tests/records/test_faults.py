@@ -425,19 +425,6 @@ def test_a_test_with_half_of_its_neighbours_force_is_named():
         assert [name for name, _, _ in compared(tests)] == odd
 
 
-def test_scatter_of_one_device_seldom_makes_a_test_odd():
-    rng = np.random.default_rng(0)
-    alarms = 0
-    for seed in range(12):
-        sizes = np.exp(0.12 * rng.normal(size=5))
-        tests = [
-            put(f"t{n}", trace_of(level, 10 * seed + n, force=by))
-            for n, (level, by) in enumerate(zip(LEVELS, sizes, strict=True))
-        ]
-        alarms += bool(compared(tests))
-    assert alarms <= 1
-
-
 # --- one measurement in two files
 
 
