@@ -11,13 +11,11 @@ import h5py
 import numpy as np
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import find_priors, units
+from mfd_bayes.calibration.posterior import Posterior, find_priors, units
 from mfd_bayes.evaluation.crossvalidate import Fold
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.design import design_of, setting_of
+from mfd_bayes.population.design import LAW_NAMES, design_of, setting_of
 from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
-from mfd_bayes.population.laws import LAW_NAMES
 from mfd_bayes.population.population import LawDraws, Population, Starts, save_population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored

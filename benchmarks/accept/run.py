@@ -22,7 +22,7 @@ import pandas as pd
 import mfd_bayes as mb
 from benchmarks.accept.simulated import CYCLES, production_test, set_scatter
 from benchmarks.common import data_folder
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.evaluation.acceptance import (
     Acceptance,
     Level,

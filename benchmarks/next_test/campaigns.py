@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import PriorFile, load_priors
+from mfd_bayes.calibration.posterior import Posterior, PriorFile, find_noise, load_priors
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import Candidate, Goal, Limits, harmonic_of, parse_goal
 from mfd_bayes.planning.study import Advice, Study, advise

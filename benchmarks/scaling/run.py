@@ -26,8 +26,7 @@ from statistics import median
 
 import numpy as np
 
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import find_priors, load_priors
+from mfd_bayes.calibration.posterior import Posterior, find_priors, load_priors
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibrate import calibrate_campaign

@@ -34,8 +34,7 @@ from mfd_bayes.planning.candidate import (
     parse_limits,
     parse_tests,
 )
-from mfd_bayes.population.design import CONDITIONS
-from mfd_bayes.population.laws import complete_laws, default_laws
+from mfd_bayes.population.design import CONDITIONS, complete_laws, default_laws
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import (
     NO_ACTUATION,

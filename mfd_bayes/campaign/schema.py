@@ -24,10 +24,10 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from mfd_bayes.calibration import noise as noises
+from mfd_bayes.calibration.posterior import NOISES
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
-from mfd_bayes.population.laws import complete_laws, default_laws
+from mfd_bayes.population.design import complete_laws, default_laws
 from mfd_bayes.records.record import NO_ACTUATION, Source, Subtracted, step_of
 from mfd_bayes.records.table import COLUMNS, NAME
 from mfd_bayes.units import (
@@ -241,7 +241,7 @@ ModelName = Annotated[
         lambda: ("my_file.py:MyClass", *models.model_names()), lambda name, _: models.file_of(name)
     ),
 ]
-NoiseName = Annotated[str, _one_of(lambda: noises.NOISES)]
+NoiseName = Annotated[str, _one_of(lambda: NOISES)]
 SampleRate = Annotated[str, _understood(lambda text: step_of(text, "rate"))]
 Text = Annotated[str, Field(max_length=100)]
 QuantityText = Annotated[str, Field(max_length=200)]

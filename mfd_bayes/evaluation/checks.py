@@ -9,9 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import Directions, Effort
-from mfd_bayes.calibration.posterior import COVERAGES, Posterior, Replicas, check_predictive
-from mfd_bayes.calibration.priors import units
+from mfd_bayes.calibration.diagnostics import (
+    COVERAGES,
+    Directions,
+    Effort,
+    Replicas,
+    check_predictive,
+)
+from mfd_bayes.calibration.posterior import Posterior, units
 from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import (
     EXTREME,

@@ -24,9 +24,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
-from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.posterior import Posterior, replicate
+from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, replicate, tempering
+from mfd_bayes.calibration.posterior import NOISES, Posterior
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError

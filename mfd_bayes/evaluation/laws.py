@@ -11,15 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
-from mfd_bayes.calibration.priors import units
+from mfd_bayes.calibration.posterior import units
 from mfd_bayes.evaluation.acceptance import DEFAULT_LIMITS
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.properties import sessions_of
 from mfd_bayes.evaluation.scores import fan_of, spread_of
 from mfd_bayes.evaluation.views import LawView, Row, Rows
-from mfd_bayes.population.design import CONDITIONS, Setting
-from mfd_bayes.population.law_scores import LARGEST_K, LawScore
-from mfd_bayes.population.laws import COMPARE, INTERCEPTS, LAW_NAMES, LAWS, law_unit, shapes_of
+from mfd_bayes.population.design import (
+    COMPARE,
+    CONDITIONS,
+    INTERCEPTS,
+    LAW_NAMES,
+    LAWS,
+    Setting,
+    law_unit,
+    shapes_of,
+)
+from mfd_bayes.population.mixed_model import LARGEST_K, LawScore
 from mfd_bayes.population.population import Population
 from mfd_bayes.runs.run import Run
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.posterior import COVERAGES
+from mfd_bayes.calibration.diagnostics import COVERAGES
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.views import Fan, Interval, Row
 from mfd_bayes.population.bands import ADVICE, Band

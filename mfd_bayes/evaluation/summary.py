@@ -11,9 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Effort, contraction, identify, log_if_positive
-from mfd_bayes.calibration.posterior import Posterior, replicate
-from mfd_bayes.calibration.priors import SCALED, units
+from mfd_bayes.calibration.diagnostics import (
+    Effort,
+    contraction,
+    identify,
+    log_if_positive,
+    replicate,
+)
+from mfd_bayes.calibration.posterior import SCALED, Posterior, units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks

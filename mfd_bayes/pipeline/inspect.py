@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import WRITTEN, PriorFile, load_priors
+from mfd_bayes.calibration.posterior import WRITTEN, Posterior, PriorFile, load_priors
 from mfd_bayes.campaign.campaign import Campaign, load_campaign
 from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors, priors_text
 from mfd_bayes.errors import CampaignError, MfdError, RecordError

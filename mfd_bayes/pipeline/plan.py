@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.calibration.diagnostics import find_effort
-from mfd_bayes.calibration.priors import PriorFile, load_priors
+from mfd_bayes.calibration.posterior import PriorFile, load_priors
 from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import CampaignFile, NoiseName
@@ -26,9 +26,8 @@ from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.messages import Message
-from mfd_bayes.population.design import Design, design_of
+from mfd_bayes.population.design import Design, complete_laws, design_of
 from mfd_bayes.population.inference import swings
-from mfd_bayes.population.laws import complete_laws
 from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import Fault, contradictions, find_faults
 from mfd_bayes.records.loops import measured_cycles

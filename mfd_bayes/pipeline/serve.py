@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import units
+from mfd_bayes.calibration.posterior import Posterior, units
 from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model

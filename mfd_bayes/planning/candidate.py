@@ -11,8 +11,14 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, UnitError, real_number
-from mfd_bayes.population.design import SAME_LEVEL, Setting, levels_of, same_level, setting_of
-from mfd_bayes.population.laws import default_laws
+from mfd_bayes.population.design import (
+    SAME_LEVEL,
+    Setting,
+    default_laws,
+    levels_of,
+    same_level,
+    setting_of,
+)
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import MOST_CYCLES, Trace
 from mfd_bayes.store.files import nearest

@@ -39,14 +39,15 @@ from mfd_bayes.calibration.diagnostics import (
     intervals_of,
     measure,
 )
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import Prior, PriorFile
+from mfd_bayes.calibration.posterior import Posterior, Prior, PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.local import Evaluate, in_turn, several_processes
 from mfd_bayes.population.design import (
+    COMPARE,
     CONDITIONS,
+    LAW_NAMES,
     LEVELS,
     TESTS,
     Design,
@@ -54,20 +55,23 @@ from mfd_bayes.population.design import (
     design_of,
     levels_of,
     setting_of,
+    usual_shapes,
     varies,
 )
 from mfd_bayes.population.joint_fit import JointFit, TestLikelihood, fit_jointly
-from mfd_bayes.population.law_scores import (
+from mfd_bayes.population.mixed_model import (
+    LARGEST,
     DependenceScore,
     LawScore,
+    MixedModel,
     TestGaussians,
+    backward,
     compare_dependence,
     compare_laws,
     extrapolation_weights,
+    forward,
     free_exponents,
 )
-from mfd_bayes.population.laws import COMPARE, LAW_NAMES, usual_shapes
-from mfd_bayes.population.mixed_model import LARGEST, MixedModel, backward, forward
 from mfd_bayes.population.population import LawDraws, Population, Starts, place_left, without_load
 from mfd_bayes.records.trace import Trace
 

@@ -29,8 +29,7 @@ from scipy.linalg import block_diag
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.local import Evaluate, in_turn
-from mfd_bayes.population.design import Coordinates
-from mfd_bayes.population.laws import ratio
+from mfd_bayes.population.design import Coordinates, ratio
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]

@@ -24,12 +24,21 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, betaln, expit, logit, ndtr, softmax
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.priors import Prior, PriorFile
+from mfd_bayes.calibration.posterior import Prior, PriorFile
 from mfd_bayes.errors import FitError, MfdError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.design import WIDER, Design, Setting, design_of, folds_beyond, same_level
+from mfd_bayes.population.design import (
+    INTERCEPTS,
+    TIED,
+    WIDER,
+    Design,
+    Setting,
+    design_of,
+    folds_beyond,
+    ratio,
+    same_level,
+)
 from mfd_bayes.population.joint_fit import Residual, TravelBasis
-from mfd_bayes.population.laws import INTERCEPTS, TIED, ratio
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays

@@ -24,7 +24,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from mfd_bayes.calibration.noise import NOISES
+from mfd_bayes.calibration.posterior import NOISES
 from mfd_bayes.evaluation.next_test import AdviceInWords
 from mfd_bayes.evaluation.scores import width_sentence
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView

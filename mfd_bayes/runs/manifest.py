@@ -18,13 +18,13 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.priors import PriorFile
+from mfd_bayes.calibration.posterior import PriorFile
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
 from mfd_bayes.messages import Message
-from mfd_bayes.population.law_scores import DependenceScore, LawScore
+from mfd_bayes.population.mixed_model import DependenceScore, LawScore
 from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.folder import (
     CROSSVALIDATION,

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.priors import PriorFile, load_priors
+from mfd_bayes.calibration.posterior import PriorFile, find_noise, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
 from mfd_bayes.errors import (

@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.posterior import Posterior, derive_from_parameters
-from mfd_bayes.calibration.priors import Prior, load_priors
+from mfd_bayes.calibration.diagnostics import derive_from_parameters
+from mfd_bayes.calibration.posterior import NOISES, Posterior, Prior, load_priors
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.records.trace import Trace

@@ -44,9 +44,9 @@ def draws_of(density, begin, seed=1, effort=EFFORT, **more):
 
 
 def agrees(chains, mean, sd):
-    """Whether means lie within 4 standard errors and standard deviations within 12 %."""
+    """Whether means lie within 5 standard errors and standard deviations within 12 %."""
     q, ess = chains.q.reshape(-1, DIM), chains.convergence.ess_bulk[:DIM]
-    near = np.abs(q.mean(axis=0) - mean) < 4.0 * sd / np.sqrt(ess)
+    near = np.abs(q.mean(axis=0) - mean) < 5.0 * sd / np.sqrt(ess)
     return bool(np.all(near) and np.all(np.abs(q.std(axis=0) / sd - 1.0) < 0.12))
 
 

@@ -9,8 +9,7 @@ from scipy import stats
 
 import mfd_bayes as mb
 from mfd_bayes.calibration.diagnostics import Effort, psis
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import Posterior, load_priors
 from mfd_bayes.calibration.proposal import Evidence
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.errors import CampaignError, FitError

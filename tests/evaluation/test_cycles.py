@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from mfd_bayes.calibration.noise import NOISES
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import NOISES, Posterior, load_priors
 from mfd_bayes.errors import FitError
 from mfd_bayes.evaluation.crossvalidate import (
     FEWEST_CYCLES,

@@ -6,13 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.evaluation.laws import FEWEST, law_choices, law_score_rows, mixed_rows
 from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.design import Setting, design_of
-from mfd_bayes.population.law_scores import LawScore
-from mfd_bayes.population.laws import LAW_NAMES
+from mfd_bayes.population.design import LAW_NAMES, Setting, design_of
+from mfd_bayes.population.mixed_model import LawScore
 from mfd_bayes.runs.unit_system import US
 
 REFERENCE = 2.0  # ksi

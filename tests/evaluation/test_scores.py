@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.posterior import COVERAGES
+from mfd_bayes.calibration.diagnostics import COVERAGES
 from mfd_bayes.evaluation.scores import crps, rrse, score
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.noise import find_noise
+from mfd_bayes.calibration.posterior import find_noise
 from mfd_bayes.errors import CampaignError, NotThereError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.noise import find_noise
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import find_noise, load_priors
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import Predictor
-from mfd_bayes.population.design import Setting, design_of, setting_of
+from mfd_bayes.population.design import LAW_NAMES, Setting, design_of, setting_of, usual_shapes
 from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
-from mfd_bayes.population.laws import LAW_NAMES, usual_shapes
 from mfd_bayes.population.population import LawDraws, Population, Starts
 from mfd_bayes.records.trace import Trace
 

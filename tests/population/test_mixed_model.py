@@ -6,10 +6,21 @@ import numpy as np
 import pytest
 from scipy import linalg, special, stats
 
-from mfd_bayes.population.design import Coordinates, Setting, design_of, levels_of
-from mfd_bayes.population.law_scores import TestGaussians, compare_laws, extrapolation_weights
-from mfd_bayes.population.laws import LAW_NAMES, LAWS, ratio
-from mfd_bayes.population.mixed_model import MixedModel
+from mfd_bayes.population.design import (
+    LAW_NAMES,
+    LAWS,
+    Coordinates,
+    Setting,
+    design_of,
+    levels_of,
+    ratio,
+)
+from mfd_bayes.population.mixed_model import (
+    MixedModel,
+    TestGaussians,
+    compare_laws,
+    extrapolation_weights,
+)
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
 SOME_LAWS = {"Fc_fwd": "power", "sigma0": "affine"}

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.noise import OU
-from mfd_bayes.calibration.priors import load_priors
+from mfd_bayes.calibration.posterior import OU, load_priors
 from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace

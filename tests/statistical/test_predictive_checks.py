@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.posterior import Posterior, PredictiveCheck, check_predictive, replicate
+from mfd_bayes.calibration.diagnostics import Effort, PredictiveCheck, check_predictive, replicate
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.trace import Trace
 
