@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -94,6 +94,7 @@ def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
     assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
 
 
+@settings(deadline=None)
 @given(
     amplitude=st.floats(0.1, 5.0),
     frequency=st.sampled_from([0.5, 1.0, 2.0]),
