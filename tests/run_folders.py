@@ -15,8 +15,15 @@ from mfd_bayes.calibration.posterior import Posterior, find_priors, units
 from mfd_bayes.evaluation.crossvalidate import Fold
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.design import LAW_NAMES, design_of, setting_of
-from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
-from mfd_bayes.population.population import LawDraws, Population, Starts, save_population
+from mfd_bayes.population.population import (
+    KNOTS,
+    LawDraws,
+    Population,
+    Residual,
+    Starts,
+    TravelBasis,
+    save_population,
+)
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.store.files import write_json

@@ -14,8 +14,7 @@ from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
-from mfd_bayes.response.building import Building, Device, Limits
-from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.building import Building, Dampers, Device, Limits
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.time_integration import settle

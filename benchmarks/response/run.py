@@ -26,8 +26,7 @@ from benchmarks.response import opensees
 from benchmarks.response.oscillators import CASES, compared, three_stage_row
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.response.building import Content, building_of
-from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.building import Content, Dampers, building_of
 from mfd_bayes.response.ground import read_ground
 from mfd_bayes.response.time_integration import response_of, settle
 

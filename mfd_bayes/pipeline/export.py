@@ -14,8 +14,7 @@ from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.building import Building, Device, Limits
-from mfd_bayes.response.device_draws import draw_dampers
+from mfd_bayes.response.building import Building, Device, Limits, draw_dampers
 from mfd_bayes.runs.folder import POPULATION, check_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span, departures, far_sentences

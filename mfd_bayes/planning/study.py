@@ -20,8 +20,7 @@ from mfd_bayes.errors import MOST_DRAWS, CampaignError, FitError, NotThereError,
 from mfd_bayes.planning.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
 from mfd_bayes.population.bands import Drawn, Predictor
 from mfd_bayes.population.design import Setting, setting_of
-from mfd_bayes.population.joint_fit import slip_force_of
-from mfd_bayes.population.population import Numbers
+from mfd_bayes.population.population import Numbers, slip_force_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]

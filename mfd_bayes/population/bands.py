@@ -16,8 +16,7 @@ from mfd_bayes.calibration.result import Extras, needed
 from mfd_bayes.errors import MOST_DRAWS, FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Design, Setting, setting_of
-from mfd_bayes.population.joint_fit import slip_force_of
-from mfd_bayes.population.population import Ending, Numbers, Population
+from mfd_bayes.population.population import Ending, Numbers, Population, slip_force_of
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent

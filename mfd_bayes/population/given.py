@@ -34,8 +34,8 @@ from mfd_bayes.errors import FitError, RecordError, real_numbers
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
 from mfd_bayes.population.design import ZERO, Setting
-from mfd_bayes.population.joint_fit import Residual, slip_force_of, strokes_of
 from mfd_bayes.population.mixed_model import LARGEST_K
+from mfd_bayes.population.population import Residual, slip_force_of, strokes_of
 from mfd_bayes.records.record import checked_window
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, check_trace
 

@@ -1,5 +1,8 @@
 """The population of tests, as draws: laws, levels, effects and scatter, and where tests begin.
 
+What the force model leaves over is a discrepancy that repeats in every cycle of every test, and
+noise; `inference` has the formula.
+
 Tests are often made one after the other with the same motion, and the device is not reset in
 between: it then stands where such a motion leaves it. So a repeat of the calibrated tests begins
 near the middle of the gap, or near the place at which its own motion ends; which of the two, and
@@ -38,7 +41,6 @@ from mfd_bayes.population.design import (
     ratio,
     same_level,
 )
-from mfd_bayes.population.joint_fit import Residual, TravelBasis
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import load_arrays, save_arrays
@@ -53,6 +55,8 @@ STROKE, RATE = 0.2, 0.1
 LIKE = 1.1
 LIKE_STROKES = 0.25  # difference in the share of full strokes up to which motions are of one kind
 OCTAVE = 0.25  # octaves between the actuations at which deviations along a history are drawn
+KNOTS = 16  # knots of the discrepancy in each direction
+FINE = 20.0  # knots are even in log(1 + FINE · travel/stroke): finest after a turn
 SHAPES = np.geomspace(1.0, 100.0, 41)  # of the Beta densities: from anywhere (1) to one place
 ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere
 # probability, before the tests of a run, that tests begin without load and not anywhere. All
@@ -65,6 +69,111 @@ SLOW = 1e3  # time between two displacements of a motion without speed, s
 FORMAT = "mixed model 1"  # kind of stored population; others are not read
 _RESIDUAL = ("mean", "covariance", "log_shape")
 _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
+
+
+# --- discrepancy and noise ------------------------------------------------------------------------
+
+
+def strokes_of(trace: Trace) -> Index:
+    """Number of the stroke to which each sample belongs, (T,), from 0."""
+    turns = trace.turning_points
+    return np.asarray(np.searchsorted(turns, np.arange(trace.samples), side="right"))
+
+
+@dataclass(frozen=True)
+class TravelBasis:
+    """Piecewise linear functions of the travel since a turn, for each direction of motion.
+
+    All are zero beyond the longest full stroke, and where the stroke before the turn was less than
+    half of the shortest one: what repeats in full cycles says nothing of such motions.
+    """
+
+    shortest: float  # in: full strokes of the tests from which functions are learned
+    longest: float
+
+    def __call__(self, trace: Trace) -> Array:
+        """Values at each sample, (T, 2 · KNOTS)."""
+        x, stroke = trace.displacement, strokes_of(trace)
+        turns = np.concatenate([[0], trace.turning_points, [trace.samples - 1]])
+        length = np.diff(x[turns])
+        before = np.concatenate([[0.0], np.abs(length[:-1])])[stroke]
+        travel, forward = np.abs(x - x[turns[stroke]]), length[stroke] > 0
+        place = np.log1p(FINE * travel / self.longest) / np.log1p(FINE) * (KNOTS - 1)
+        hats = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
+        hats *= np.clip(4.0 * before / self.shortest - 2.0, 0.0, 1.0)[:, None]
+        return np.concatenate([hats * forward[:, None], hats * ~forward[:, None]], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Discrepancy and noise that the tests of a device have in common."""
+
+    basis: TravelBasis
+    mean: Array  # (K,), (K, K), kip: posterior of δ at the knots
+    covariance: Array
+    log_shape: Array  # (K,): log g at the knots
+    slip_force: float  # kip: typical slip force, at which δ stands as it is
+    stroke_share: float  # h
+    lag_one: float  # correlation of neighbouring samples of ε in the tests
+    # s and in: correlation time of ε, and mean travel between neighbouring samples of the tests
+    noise_time: float
+    travel: float
+
+    @property
+    def information(self) -> float:
+        """Share of independent samples in a record, (1 - φ)/(1 + φ)."""
+        return (1.0 - self.lag_one) / (1.0 + self.lag_one)
+
+    def shape(self, trace: Trace) -> Array:
+        """Shape g of the noise's standard deviation, (T,)."""
+        return np.asarray(np.exp(self.basis(trace) @ self.log_shape))
+
+    def draw_knots(self, rng: np.random.Generator, n: int) -> Array:
+        """Draws of δ at the knots, (n, K), kip."""
+        return rng.multivariate_normal(self.mean, self.covariance, size=n, method="eigh")
+
+    def discrepancy(self, trace: Trace, slip_force: Array, knots: Array) -> Array:
+        """Discrepancy f δ(u), (n, T), kip, for slip forces (n,) and values at the knots (n, K)."""
+        relative = slip_force / self.slip_force
+        return np.asarray(relative[:, None] * (knots @ self.basis(trace).T))
+
+    def draw_noise(
+        self,
+        rng: np.random.Generator,
+        trace: Trace,
+        sd: Array,
+        rest: ArrayLike = 1.0,
+        level: float = 1.0,
+    ) -> Array:
+        """Draws of the noise for these standard deviations (n,), (n, T), kip.
+
+        ε is multiplied by `rest`, and the levels of the strokes by `level`.
+        """
+        e = rng.standard_normal((len(sd), trace.samples))
+        for t, f in enumerate(np.exp(-np.diff(trace.time) / self.noise_time), start=1):
+            e[:, t] = f * e[:, t - 1] + np.sqrt(1.0 - f * f) * e[:, t]
+        strokes, h = strokes_of(trace), self.stroke_share
+        levels = rng.standard_normal((len(sd), int(strokes[-1]) + 1))
+        noise = np.sqrt(1.0 - h * h) * rest * e + h * level * levels[:, strokes]
+        return np.asarray(sd[:, None] * self.shape(trace) * noise)
+
+    def counts(self, trace: Trace) -> Array:
+        """Independent samples that each sample counts for, (T,).
+
+        What the model leaves over changes with the travel, not with time: neighbours are correlated
+        by φ to the power of their travel over that of the tests, and a device at rest shows its
+        force once, however long one looks at it. The first sample counts once.
+        """
+        travel = np.abs(np.diff(trace.displacement)) / self.travel
+        phi = self.lag_one**travel
+        return np.concatenate([[1.0], (1.0 - phi) / (1.0 + phi)])
+
+
+def slip_force_of(model: Model, values: Mapping[str, Array]) -> Array:
+    """Mean of the forward and backward slip forces, (n,), kip; 1 where the model names none."""
+    theta = model.theta(values)
+    columns = [model.parameters.index(name) for name in model.slip_forces]
+    return np.asarray(theta[:, columns].mean(axis=1)) if columns else np.ones(len(theta))
 
 
 # --- start in the gap -----------------------------------------------------------------------------

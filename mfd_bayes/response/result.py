@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, NotThereError, UnitError
-from mfd_bayes.response.building import Building, Limits
-from mfd_bayes.response.device_draws import Dampers
+from mfd_bayes.response.building import Building, Dampers, Limits
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.units import GRAVITY, parse_actuation, percent
 

@@ -23,8 +23,7 @@ from scipy import linalg
 
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
-from mfd_bayes.response.building import Building
-from mfd_bayes.response.device_draws import Dampers, ElastoPlastic, no_dampers, plain_friction
+from mfd_bayes.response.building import Building, Dampers, ElastoPlastic, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.result import PER_DRAW, PER_GROUND, Response, combined
 

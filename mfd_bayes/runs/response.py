@@ -12,8 +12,14 @@ import numpy as np
 
 from mfd_bayes.errors import MOST_DRAWS, BuildingError, path_of, real_number, whole_number
 from mfd_bayes.jobs.job import Step
-from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.device_draws import FEWEST, KINDS, bound_dampers, draw_dampers
+from mfd_bayes.response.building import (
+    FEWEST,
+    KINDS,
+    Building,
+    bound_dampers,
+    draw_dampers,
+    read_building,
+)
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.response.result import Response
 from mfd_bayes.response.time_integration import response_of

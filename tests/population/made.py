@@ -14,8 +14,14 @@ from mfd_bayes.calibration.posterior import find_noise, load_priors
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.design import LAW_NAMES, Setting, design_of, setting_of, usual_shapes
-from mfd_bayes.population.joint_fit import KNOTS, Residual, TravelBasis
-from mfd_bayes.population.population import LawDraws, Population, Starts
+from mfd_bayes.population.population import (
+    KNOTS,
+    LawDraws,
+    Population,
+    Residual,
+    Starts,
+    TravelBasis,
+)
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.population.joint_fit import KNOTS, TravelBasis
-from mfd_bayes.population.population import Starts
+from mfd_bayes.population.population import KNOTS, Starts, TravelBasis
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.building import read_building
-from mfd_bayes.response.device_draws import SETTLE, Leftover, draw_dampers
+from mfd_bayes.response.building import SETTLE, Leftover, draw_dampers, read_building
 from tests.population.made import make_predictor
 
 STOREY = '[[storey]]\nweight = "20 kip"\nheight = "144 in"\nstiffness = "8 kip/in"\n'

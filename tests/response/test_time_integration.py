@@ -11,8 +11,7 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.building import Content, building_of
-from mfd_bayes.response.device_draws import Dampers, no_dampers, plain_friction
+from mfd_bayes.response.building import Content, Dampers, building_of, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
 from mfd_bayes.response.time_integration import integrate, settle
 
