@@ -31,11 +31,9 @@ def test_factors_match_the_definitions():
         ("%", "dimensionless", 0.01),
         ("pounds/in^2", "pressure", 1e-3),
         ("kgf", "force", 9.80665e-3 / 4.4482216152605),
-        ("tf", "force", 9.80665 / 4.4482216152605),
         ("mils", "displacement", 1e-3),
         ("µm", "displacement", 1e-3 / 25.4),
         ('"', "displacement", 1.0),
-        ("lb./in.", "stiffness", 1e-3),
     ):
         assert factor(unit, kind) == pytest.approx(expected, rel=1e-12), unit
 
@@ -43,17 +41,13 @@ def test_factors_match_the_definitions():
 def test_the_usual_spellings_of_laboratories_are_understood():
     for kind, plain, spellings in (
         ("time", "s", "S sec Sec SEC secs Secs sec. second Seconds SECONDS"),
-        ("time", "ms", "msec mSec Msec millisecond Milliseconds"),
         ("displacement", "in", "In IN in. inch Inch inches Inches"),
-        ("displacement", "ft", "FT Ft foot Feet"),
         ("displacement", "mm", "MM millimeter Millimetres"),
         ("force", "lbf", "lb Lb LB lbs Lbs lbs. LBF Lbf pounds Pounds"),
         ("force", "kip", "Kip KIP kips Kips KIPS klbf Klbf"),
         ("force", "kN", "KN Kn kn kilonewtons"),
         ("force", "N", "newton Newtons"),
         ("pressure", "psi", "Psi PSI psig PSIG"),
-        ("pressure", "kPa", "KPA kpa Kilopascals"),
-        ("pressure", "MPa", "MPA Mpa"),
         ("stiffness", "kip/in", "Kips/In kips/inch"),
     ):
         for spelling in spellings.split():

@@ -179,19 +179,15 @@ def test_what_is_not_there_is_named(folder):
 WRONG = [
     # as a class
     ('"kip"', '"kipp"', "'kipp'"),
-    ('"kip"', "5", "unit 5"),
     ('"alpha"', '"c"', "two parameters 'c'"),
     ('"alpha"', '"noise_sd"', "'noise_sd'"),
     ('"alpha"', '"my alpha"', "'my alpha'"),
     ("=True", '="quadratic"', "'quadratic'"),
-    ('symbol=r"\\alpha"', 'prior="wide"', "'wide'"),
     ('name = "viscous"', "", "needs name"),
     ('"viscous"', '"lugre"', "'lugre'"),
     ("    parameters = (", "    others = (", "needs parameters"),
-    ("    parameters = (", "    parameters = () and (", "tuple of Parameter"),
     ("def force", "def forces", "function force"),
     ("class Viscous(mb.Model)", "class Viscous", "mfd_bayes.Model"),
-    ("import numpy as np", "import numpie as np", "line 2"),
     ("def force", "deff force", "line 13"),
     ('name = "viscous"', 'name = "viscous"; response = "stress, Mpaa"', "Mpaa"),
     ("class Viscous", "raise SystemExit\nclass Viscous", "line 6"),
@@ -199,7 +195,6 @@ WRONG = [
     # by its force, before it is sampled
     ("return c * np.sign(trace", "return 1.0 or np.sign(trace", "shape (1, 256)"),
     ("** alpha\n", "** (alpha * np.nan)\n", "c = 0.4496"),
-    ("** alpha\n", "** trace.alpha\n", "AttributeError"),
     ("** alpha\n", "** exit()\n", "SystemExit"),
     ("return c * np.sign(trace", "return 'f' or np.sign(trace", "real"),
     ("trace, scales):", "trace):\n        scales = {'c': 1}", "the actuation changes"),

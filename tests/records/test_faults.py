@@ -394,6 +394,7 @@ def test_the_test_that_is_wrong_is_named_with_its_cause(wrong, kind, words):
 
 def test_tests_of_one_device_are_not_named_and_two_cannot_tell_which_is_wrong():
     assert compared(campaign()) == []
+    assert compared([*campaign(), put("t0", trace_of(35.0, 7, actuation=0.0))]) == []
     assert compared(campaign(0, length=25.4)[:2]) == []
     assert compared(campaign(1, force=-1.0)[:2]) == []
     ((test, name, _),) = compared(campaign(1, force=-1.0)[:3])

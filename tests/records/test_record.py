@@ -237,6 +237,7 @@ def test_of_a_time_with_gaps_the_longest_piece_inside_the_window_is_used(tmp_pat
     record = mb.read_record(path)
     assert record.time[-1] == 6.0
     assert "2 gaps, the longest of 4.005 s" in record.gap
+    assert "39% of the record" in record.gap
     inside = mb.read_record(path, fit="7 s to 10.5 s")
     assert (inside.time[0], inside.time[-1]) == (7.505, 10.5)
     np.testing.assert_array_equal(inside.displacement, MOTION[(TIME > 6) & (TIME <= 9)])

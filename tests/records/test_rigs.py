@@ -250,7 +250,7 @@ def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path):
         assert ("which is it" in inspected(tmp_path, unit=unit)) == warned, head
 
 
-@pytest.mark.parametrize("name", ["Scan", ""])
+@pytest.mark.parametrize("name", ["Scan", "Time"])
 def test_a_counter_is_no_time(tmp_path, name):
     path = tmp_path / "run_5bar.csv"
     write(path, f"{name},Stroke (mm),Load (N)", range(1, 241), TRAVEL, FORCE)

@@ -112,11 +112,8 @@ def test_a_matrix_that_is_none_or_declared_huge_or_complex_is_refused(made):
 
 WRONG = [
     ('weight = "100 kip"', 'weight = "0 kip"', r"storey 1\.weight in b.toml.*greater than 0"),
-    ('"326.32 kip/in"', '"-3 kip/in"', r"storey 1\.stiffness in b.toml.*greater than 0"),
-    ('mass = "22.7 Mg"', 'mass = "22.7 in"', r"storey 2\.mass in b.toml: expected a mass"),
     ('weight = "100 kip"', "", r"storey 1 in b.toml: give either mass or weight"),
     ("storey = 2", "storey = 7", r"damper 1\.storey in b.toml: expected floors of 0.* to 2"),
-    ("storey = 2", "between = [1, 1]", r"damper 1\.between in b.toml.*two different"),
     ("storey = 2", "", r"damper 1 in b.toml: give either storey, or between"),
     ("count = 2", "count = 3", r"one for each of the 3 dampers"),
     ('"900 psi"', '"900 in"', r"damper 1\.actuation.*actuation needs a pressure"),
