@@ -122,23 +122,11 @@ def small_pictures(monkeypatch) -> None:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A small synthetic campaign that the command has calibrated.
+    """A small synthetic campaign that the command has calibrated."""
 
-    Attributes
-    ----------
-    campaign : Path
-        Campaign file of three tests and one held out.
-    truth : dict
-        The parameters that the records are made with.
-    out : Path
-        Run folder. Tests read it, or change a copy of it.
-    stdout, stderr : str
-        What the command printed.
-    """
-
-    campaign: Path
-    truth: dict[str, Any]
-    out: Path
+    campaign: Path  # of three tests and one held out
+    truth: dict[str, Any]  # the parameters that the records are made with
+    out: Path  # tests read it, or change a copy of it
     stdout: str
     stderr: str
 
@@ -187,18 +175,14 @@ def calibrate_once(home: Path) -> dict[str, Any]:
 @pytest.fixture(scope="session")
 def made_run(tmp_path_factory) -> Path:
     """A finished run of a and b, with c held out, that no sampler has seen. Tests read it."""
-    return make_run(tmp_path_factory, small=False)
+    from tests.run_folders import write_run
+
+    return write_run(tmp_path_factory.mktemp("made") / "out", small=False)
 
 
 @pytest.fixture(scope="session")
 def small_run(tmp_path_factory) -> Path:
     """As `made_run`, of a alone, with a model of fewer parameters."""
-    return make_run(tmp_path_factory, small=True)
-
-
-def make_run(tmp_path_factory, *, small: bool) -> Path:
     from tests.run_folders import write_run
 
-    folder = tmp_path_factory.mktemp("made") / "out"
-    write_run(folder, small=small)
-    return folder
+    return write_run(tmp_path_factory.mktemp("made") / "out", small=True)

@@ -68,8 +68,8 @@ def plan_of(*, small: bool) -> Plan:
         return plan_campaign(folder / "campaign.toml", Options(effort="quick"))
 
 
-def write_run(folder: Path, *, small: bool = False) -> None:
-    """Write a finished run folder with its hashes."""
+def write_run(folder: Path, *, small: bool) -> Path:
+    """A finished run folder with its hashes, which is written."""
     plan = plan_of(small=small)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "priors.toml").write_text(PRIORS, encoding="utf-8")
@@ -85,11 +85,13 @@ def write_run(folder: Path, *, small: bool = False) -> None:
     score = {"coverage": [0.5, 0.9, 0.95], "width": 1.0, "interval_score": 1.2}
     score |= {"crps": 0.1, "rrse": 0.2}
     predictions = [{"part": "a", "test": "a", "score": score, "fitted": score}]
-    stored = {"key": asdict(_fold()), "predictions": predictions}
-    write_json(folder / "crossvalidation" / _fold().file, stored)
+    fold = Fold("a", "test_1.json", ("a",), ("b",), "quick", 1)
+    stored = {"key": asdict(fold), "predictions": predictions}
+    write_json(folder / "crossvalidation" / fold.file, stored)
     names = [p.relative_to(folder).as_posix() for p in folder.rglob("*.*") if p.suffix != ".json"]
     about = _about(plan, predictions) | {"files": hash_stored(folder, names)}
     write_json(folder / "manifest.json", {**plan.manifest.content, **about})
+    return folder
 
 
 def _write_posterior(path, posterior, rng):
@@ -157,9 +159,6 @@ def _about(plan, predictions):
             law | {"law": "power", "levels": [1.0, 1.0]},
             law | {"law": "affine", "levels": [0.5, 0.2]},
         ],
-        "free_exponents": {"Fc_bwd": [0.9, 1.0, 1.1]},
-        "dependence_scores": [law | {"covariate": "velocity", "difference": 3.0}],
-        "population_sampler": {"accepted": {"h": 0.3}, "sweeps": 240},
         "crossvalidation": {"by": "test", "predictions": predictions},
         "comparison": {
             "rows": [compared | {"model": model} for model in ("lugre", "bouc_wen")],
@@ -167,10 +166,6 @@ def _about(plan, predictions):
         },
         "seconds": 1.0,
     }
-
-
-def _fold():
-    return Fold("a", "test_1.json", ("a",), ("b",), "quick", 1)
 
 
 def content(path):

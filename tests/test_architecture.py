@@ -58,7 +58,7 @@ def place_of(module: str) -> int:
 
 
 def calls_of(tree: ast.AST) -> set[str]:
-    """Names of functions that are called by their name alone, and of keyword arguments."""
+    """Functions that are called by their name alone, and keyword arguments."""
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     names = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
     return names | {str(keyword.arg) for call in calls for keyword in call.keywords}
@@ -111,8 +111,19 @@ def test_the_command_line_computes_nothing() -> None:
     assert rooms <= {"pipeline", "cli", "jobs", "runs", "evaluation", "reporting", "campaign"}
 
 
-def test_import_is_quick_and_starts_nothing() -> None:
-    heavy = {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}
-    code = f"import sys, mfd_bayes; print({heavy!r} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
+def test_what_is_slow_to_load_is_loaded_where_it_is_needed(small_run, tmp_path) -> None:
+    command = "from mfd_bayes.cli.commands import main; main()"
+    shown = "import mfd_bayes as mb; mb.open_run(sys.argv[1])._repr_html_()"
+    sine = ("predict", small_run, "--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "500 psi")
+    sine += ("--no-figures", "-o", tmp_path / "bands.csv")
+    for code, words, slow in (
+        ("import mfd_bayes", (), {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}),
+        (command, ("--help",), {"numpy", "scipy", "pydantic", "pint", "importlib.metadata"}),
+        (shown, (small_run,), {"matplotlib", "arviz"}),
+        (command, sine, {"pint", "pandas", "scipy.optimize", "xarray"}),
+    ):
+        loaded = f"atexit.register(lambda: print('loaded', {slow!r} & {{*sys.modules}}))"
+        code = f"import atexit, sys; {loaded}; {code}"
+        python = [sys.executable, "-W", "ignore", "-c", code, *map(str, words)]
+        done = subprocess.run(python, capture_output=True, text=True, check=True)
+        assert done.stdout.splitlines()[-1] == "loaded set()", done.stderr

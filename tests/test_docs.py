@@ -1,7 +1,6 @@
 """The documentation: its blocks run, its names exist, and the site is built without a warning."""
 
 import importlib.util
-import inspect
 import os
 import re
 import shlex
@@ -36,19 +35,11 @@ SERIES = (
 
 # A block whose title says so is not run; the title shows on the page.
 NOT_RUN = "not run by the tests"
-
 SCREENSHOTS = {"datasheet.png"}  # made with a browser, by a block of index.md that is not run
 
-STYLE = {
-    "savefig.dpi": 120,
-    "figure.figsize": (6.6, 3.6),
-    "figure.constrained_layout.use": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "font.size": 9,
-}
+STYLE = {"savefig.dpi": 120, "figure.figsize": (6.6, 3.6), "figure.constrained_layout.use": True}
+STYLE |= {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}
+STYLE |= {"axes.grid": True, "grid.alpha": 0.3}
 """Of the pictures that Python blocks make."""
 
 BUILT = importlib.util.find_spec("mkdocs") and importlib.util.find_spec("mkdocstrings")
@@ -83,7 +74,7 @@ def runnable(page):
 
 
 class Reader:
-    """Someone who types in the blocks of a page one after the other, in one folder."""
+    """Someone who types in the blocks of a page one after the other."""
 
     def __init__(self, commands=Path(sys.executable).parent):
         path = [str(commands), str(Path(sys.executable).parent), os.environ["PATH"]]
@@ -183,13 +174,11 @@ def test_every_page_with_blocks_is_run():
 
 
 def test_a_broken_block_or_words_that_were_not_printed_fail_with_their_line(folder):
+    printed = "```bash\necho one\n```\n\n```text\none\n…\nthree\n```\n"
     for text, words in (
         ("```python\nfine = 1\n1 / 0\n```\n", "page.md:3: "),
         ("```bash\ntrue\nfalse\n```\n", "page.md:2: exit code 1"),
-        (
-            "```bash\necho one\n```\n\n```text\none\n…\nthree\n```\n",
-            "page.md:8: not printed: three",
-        ),
+        (printed, "page.md:8: not printed: three"),
     ):
         reader = Reader()
         *blocks, last = blocks_of("page.md", text)
@@ -258,19 +247,11 @@ def test_names_commands_and_files_that_are_named_exist():
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The site, built as `.ci/run` builds it."""
     out = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "mkdocs", "build", "--strict"),
-            *("-f", ROOT / "docs/mkdocs.yml", "-d", out),
-        ],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
-        timeout=300,
-        check=False,
-    )
+    words = ["mkdocs", "build", "--strict", "-f", ROOT / "docs/mkdocs.yml", "-d", out]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    how = {"capture_output": True, "text": True, "timeout": 300, "check": False}
+    done = subprocess.run([sys.executable, "-m", *words], env=environment, **how)
     assert done.returncode == 0, done.stderr
     return out
 
@@ -286,33 +267,3 @@ def test_the_site_is_built_and_loads_nothing_from_elsewhere(site):
     assert "arithmatex" not in pages["model.md"]
     for command in get_command(app).commands:
         assert f"<code>mfd-bayes {command}</code>" in pages["commands.md"]
-
-
-def functions_of(name):
-    """Functions of a name on the page of Python: itself, and the public methods of a class."""
-    module, _, what = name.rpartition(".")
-    found = getattr(importlib.import_module(module), what)
-    yield name, found
-    for method, function in vars(found).items() if inspect.isclass(found) else ():
-        function = getattr(function, "__func__", function)
-        if inspect.isfunction(function) and not method.startswith("_"):
-            yield f"{name}.{method}", function
-
-
-def test_defaults_on_the_page_are_those_of_python():
-    griffe = pytest.importorskip("griffe", reason='needs the extra "docs": pip install ".[docs]"')
-    package = griffe.load("mfd_bayes", search_paths=[ROOT], docstring_parser="numpy")
-    names = re.findall(r"^::: (\S+)", PAGES["python.md"].read_text("utf-8"), re.MULTILINE)
-    checked = 0
-    for path, function in (found for name in names for found in functions_of(name)):
-        described = package[path.removeprefix("mfd_bayes.")].docstring
-        sections = described.parsed if described else []
-        for item in (i for s in sections if s.kind.value == "parameters" for i in s.value):
-            if item.default is not None:
-                module = importlib.import_module(function.__module__)
-                named = vars(module).get(str(item.default))
-                shown = str(item.default).strip("'\"") if named is None else str(named)
-                real = inspect.signature(function).parameters[item.name].default
-                assert shown == str(real), f"{path}: {item.name}"
-                checked += 1
-    assert checked > 10

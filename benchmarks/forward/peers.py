@@ -9,7 +9,6 @@ transitions and the carried force (model.md sections 2 to 4). Each takes theta (
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import jax
@@ -25,47 +24,25 @@ SATURATED = 40.0
 """Transition lengths after which the scalar loops take a transition as complete, as ours does."""
 
 
-@dataclass(frozen=True)
 class Motion:
-    """What the peers need of a path, worked out once and outside the timing.
+    """What the peers need of a path, worked out once and outside the timing."""
 
-    `dx` and `rate` are the steps of displacement and their velocity, (P - 1,); `stretch` is the
-    number of turning points before each sample, (P,).
-    """
-
-    time: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    dx: np.ndarray
-    rate: np.ndarray
-    turns: np.ndarray
-    direction: int
-    stretch: np.ndarray
-
-    @classmethod
-    def of(cls, path):
-        """Motion of a trace's path."""
-        x, turns = np.ascontiguousarray(path.displacement), path.turning_points
-        dx = np.diff(x)
-        begins = np.zeros(x.size, dtype=np.int64)
-        begins[turns + 1] = 1
-        return cls(
-            time=path.time,
-            x=x,
-            v=np.ascontiguousarray(path.velocity),
-            dx=dx,
-            rate=dx / np.diff(path.time),
-            turns=np.asarray(turns, dtype=np.int64),
-            direction=int(path.direction),
-            stretch=np.cumsum(begins),
-        )
+    def __init__(self, path):
+        self.time, self.direction = path.time, int(path.direction)
+        self.x = np.ascontiguousarray(path.displacement)
+        self.v = np.ascontiguousarray(path.velocity)
+        self.dx = np.diff(self.x)
+        self.rate = self.dx / np.diff(path.time)
+        self.turns = np.asarray(path.turning_points, dtype=np.int64)
+        # number of turning points before each sample, and the direction after each of them
+        self.stretch = np.searchsorted(self.turns, np.arange(self.x.size))
+        self.headings = self.direction * (-1.0) ** np.arange(1, self.turns.size + 1)
 
     @cached_property
     def on_device(self):
-        """JAX's copy, with the directions of motion after each turn."""
-        arrays = {name: getattr(self, name) for name in ("x", "v", "dx", "rate", "turns")}
-        headings = self.direction * (-1.0) ** np.arange(1, self.turns.size + 1)
-        arrays |= {"stretch": self.stretch, "headings": headings}
+        """JAX's copy."""
+        names = ("x", "v", "dx", "rate", "turns", "stretch", "headings")
+        arrays = {name: getattr(self, name) for name in names}
         return jax.device_put(arrays | {"direction": float(self.direction)})
 
 

@@ -59,7 +59,6 @@ def folder(tmp_path):
 
 
 def change(folder, old, new, name="campaign.toml"):
-    """Replace a text in a file."""
     text = (folder / name).read_text()
     assert old in text
     (folder / name).write_text(text.replace(old, new, 1))
@@ -89,7 +88,6 @@ def accepted(folder):
 
 
 def column(number, values):
-    """A record with another column."""
     columns = signals()
     columns[number] = values
     return columns
@@ -98,14 +96,12 @@ def column(number, values):
 TIME = signals()[0]
 RECORDS = [
     (column(1, 0.25), ("displacement", "constant")),
-    (column(1, TIME), ("0 turning points",)),
     (column(2, 0.0), ("zero throughout",)),
     (column(2, 1e12 * signals()[2]), ("too large to use",)),
     (column(0, np.where(TIME == 4.0, 2.0**64, TIME)), ("too large to use",)),  # an overflow
     (column(0, np.where(TIME == 0.18, 0.16, TIME)), ("does not increase at line 11",)),
     (signals()[:, :60], ("1 turning point", "at least 2")),
     (signals()[:, :10], ("10 samples", "at least 20")),
-    (signals()[:, :0], ("no data",)),
 ]
 
 
@@ -118,45 +114,27 @@ def test_a_record_that_cannot_be_used_is_refused(folder):
 
 def test_a_cell_that_is_no_number_is_named_by_line_and_column(folder):
     text = write_csv(folder / "p500.csv", *signals()).read_text().splitlines()
-    for row, name in (
-        ("nan,0.8,0.9", "time_s"),
-        ("0.3,fast,0.9", "displacement_in"),
-        ("0.3,0.8,", "force_kip"),
-    ):
+    for row, name in (("0.3,１２,0.9", "displacement_in"), ("0.3,0.8,", "force_kip")):
         (folder / "p500.csv").write_text("\n".join([*text[:16], row, *text[17:]]))
         assert_refused(folder, "p500.csv", "line 17", name, "expected a finite number")
 
 
 CAMPAIGNS = [
-    ("title =", "titel =", ("'titel'", "'title'", "[campaign]")),
-    ("[laws]", '[laws]\nFc_fwdd = "affine"', ("'Fc_fwdd'", "'Fc_fwd'", "[laws]")),
-    ("[laws]", '[laws]\nFs_fwd = "affine"', ("Fs_fwd", "Fc_fwd", "'affine'")),
-    ("[laws]", '[dependence]\nFc_fwd = ["speed"]', ("dependence.Fc_fwd", "'speed'")),
-    ('role = "calibrate"', 'role = "calibration"', ("role", "'p500'", "'calibration'")),
-    ('role = "calibrate"', 'role = "validate"', ("no test with role 'calibrate'",)),
     ('role = "calibrate"', 'fit = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
-    ('role = "calibrate"', ENTRY, ("campaign.toml", "two tests", "'p500'")),
     ('priors = "mfd"', 'priors = "mdf"', ("'mdf'", "brfd", "mfd")),
-    ('priors = "mfd"', 'model = "maxwell"', ("model", "'maxwell'", "'three_stage'")),
-    ('priors = "mfd"', 'rate = "64 s"', ("rate", "measures time", "'Hz'")),
     ('priors = "mfd"', "priors = mfd", ("campaign.toml", "not valid TOML", "line 3")),
-    ('actuation = "500 psi"', 'actuation = "500"', ("p500", "unit")),
-    ('actuation = "500 psi"', 'actuation = "0 psi"', ("actuation above zero",)),
+    ('actuation = "500 psi"', 'actuation = "1,000 psi"', ("without thousands separators",)),
+    ('priors = "mfd"', 'rate = "600 rpm"', ("has an angle",)),
+    ('priors = "mfd"', f"rate = {'9' * 5000}", ("a number of thousands of digits",)),
+    ('"force_kip", unit', '"displacement_in", unit', ("given for displacement and force",)),
+    ("[[test]]", "[test]", ("begins with [[test]], in two brackets",)),
     ('actuation = "500 psi"', 'actuation = "1e999 psi"', ("not finite",)),
     ('file = "p500.csv"', 'file = "p600.csv"', ("p600.csv", "p500", "does not exist")),
-    ('file = "p500.csv"', 'file = "../a.csv"', ("'p500'", "outside the campaign's folder")),
-    ('file = "p500.csv"', 'file = "/etc/passwd"', ("'p500'", "outside the campaign's folder")),
-    ('file = "p500.csv"', 'file = "link.csv"', ("'p500'", "outside the campaign's folder")),
-    ('id = "p500"', 'id = "../p500"', ("id", "../p500")),
     ('"displacement_in", unit = "in"', '"displacement_in", unit = "kip"', ("measures force",)),
-    ('unit = "kip"', 'unit = "kipp"', ("p500.csv", "'kipp'", "unknown", "'kN'")),
-    (FORCE, "", ("p500", "force")),
 ]
 
 
 def test_a_fault_in_the_campaign_is_named(folder):
-    write_csv(folder.parent / "a.csv", *signals())
-    (folder / "link.csv").symlink_to("../a.csv")
     for old, new, words in CAMPAIGNS:
         (folder / "campaign.toml").write_text(CAMPAIGN)
         change(folder, old, new)
@@ -164,25 +142,19 @@ def test_a_fault_in_the_campaign_is_named(folder):
 
 
 def own_priors(folder, old, new):
-    """Priors of the user's own, with another text."""
     (folder / "own.toml").write_text(PRIORS.read_text())
     change(folder, old, new, "own.toml")
     (folder / "campaign.toml").write_text(CAMPAIGN.replace('"mfd"', '"own.toml"'))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('family = "lognormal"', 'family = "log"', ("sigma0", "'log'", "lognormal")),
+def test_a_fault_in_the_priors_is_named(folder):
+    for old, new, words in (
         ('"80 kip/in"', '"80 kip"', ("sigma0", "median", "stiffness")),
-        ("[parameters.k3]", "[parameters.k4]", ("k4", "unknown parameter")),
         ('parameters = ["sigma0"]', "parameters = []", ("[scatter]", "sigma0")),
         ('"1.5 kip"', '"1e30 kip"', ("'p500'", "no mass at any start")),
-    ],
-)
-def test_a_fault_in_the_priors_is_named(folder, old, new, words):
-    own_priors(folder, old, new)
-    assert_refused(folder, "own.toml", *words)
+    ):
+        own_priors(folder, old, new)
+        assert_refused(folder, "own.toml", *words)
 
 
 def test_a_campaign_file_that_is_not_there_is_named_with_one_like_it(folder, tmp_path):
@@ -194,21 +166,6 @@ def test_a_campaign_file_that_is_not_there_is_named_with_one_like_it(folder, tmp
 
 
 # --- run folders
-
-
-def test_a_place_of_other_things_is_refused_and_kept(folder):
-    out = folder.parent / "out"
-    for options in [(), ("--force",), ("--resume",)]:
-        out.mkdir()
-        (out / "thesis.txt").write_text("years of work")
-        assert_refused(folder, str(out), arguments=options)
-        (out / "thesis.txt").unlink()
-        out.rmdir()
-        out.write_text("a file")
-        assert_refused(folder, str(out), arguments=options)
-        out.unlink()
-        below = folder / "p500.csv" / "out"
-        assert_refused(folder, str(below), arguments=("-o", below, *options))
 
 
 @pytest.mark.parametrize("name", ["mine.csv", "campaign/mine.csv"])
@@ -225,19 +182,17 @@ def test_a_demo_does_not_replace_what_is_not_its_own(tmp_path, name):
     assert contents(tmp_path / "campaign") == before
 
 
-def test_a_folder_without_a_finished_run_is_refused(folder, tmp_path):
+def test_a_folder_without_a_finished_run_is_refused(tmp_path):
     out = tmp_path / "out"
-    asked = ("--motion", folder / "p500.csv", "--actuation", "1 ksi", "-o", folder / "bands.csv")
-    for command, manifest, more in (
-        ("report", None, ()),
-        ("check", "{", ()),
-        ("predict", '{"status": "running"}', asked),
-    ):
-        if manifest:
-            out.mkdir(exist_ok=True)
-            (out / "manifest.json").write_text(manifest)
+    asked = ("--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "1 ksi", "-o", tmp_path / "b.csv")
+    assert str(out) in refusal("report", out)
+    assert not out.exists()
+    assert len(refusal("check", "9" * 5000)) < 500
+    out.mkdir()
+    for command, content in ((("check",), "{"), (("predict", *asked), '{"status": "running"}')):
+        (out / "manifest.json").write_text(content)
         before = contents(tmp_path)
-        assert str(out) in refusal(command, out, *more)
+        assert str(out) in refusal(command[0], out, *command[1:])
         assert contents(tmp_path) == before
 
 
@@ -260,15 +215,6 @@ def test_init_writes_a_campaign_that_a_dry_run_accepts_and_keeps_one_that_is_the
     assert (folder / "campaign.toml").read_text() == CAMPAIGN
     said("init", folder, "--force")
     assert (folder / "campaign.toml").read_text() != CAMPAIGN
-
-
-def test_init_refuses_a_folder_without_tests(tmp_path):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "file").write_text("a file")
-    before = contents(tmp_path)
-    for name in ("empty", "file", "missing"):
-        assert str(tmp_path / name) in refusal("init", tmp_path / name)
-    assert contents(tmp_path) == before
 
 
 # --- looking
@@ -323,26 +269,17 @@ def test_prior_check_draws_what_the_priors_allow_and_refuses_what_it_cannot(fold
 # --- parts that are left out, and models that are compared
 
 
-@pytest.mark.parametrize(
-    ("by", "first", "second", "words"),
-    [
-        ("month", "", "", ("--by", "test, level, session", "'month'")),
-        ("test", "", "", ("campaign.toml", "two tests")),
-        ("session", "", 'actuation = "700 psi"', ("no calibrated test", "session =")),
-        (
-            "session",
-            MONDAY := '\nsession = "Monday"',
-            f'actuation = "700 psi"{MONDAY}',
-            ("two sessions",),
-        ),
-    ],
-)
-def test_what_cannot_be_left_out_is_refused(folder, by, first, second, words):
-    text = CAMPAIGN.replace('"500 psi"', f'"500 psi"{first}')
-    if second:
-        text += f'[[test]]\nid = "again"\nfile = "p500.csv"\n{second}\n'
-    (folder / "campaign.toml").write_text(text)
-    assert_refused(folder, *words, command="crossvalidate", arguments=("--by", by))
+def test_what_cannot_be_left_out_is_refused(folder):
+    monday = '\nsession = "Monday"'
+    again = '[[test]]\nid = "again"\nfile = "p500.csv"\nactuation = "700 psi"'
+    for by, text, words in (
+        ("month", CAMPAIGN, ("--by", "test, level, session", "'month'")),
+        ("test", CAMPAIGN, ("campaign.toml", "two tests")),
+        ("session", CAMPAIGN + again, ("no calibrated test", "session =")),
+        ("session", f"{CAMPAIGN.rstrip()}{monday}\n{again}{monday}", ("two sessions",)),
+    ):
+        (folder / "campaign.toml").write_text(text)
+        assert_refused(folder, *words, command="crossvalidate", arguments=("--by", by))
 
 
 def test_what_cannot_be_compared_is_refused(folder):

@@ -3,7 +3,7 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-from mfd_bayes.cli.console import LINES, WIDTH, clean, print_checks, print_end
+from mfd_bayes.cli.console import LINES, WIDTH, clean, print_end
 from mfd_bayes.evaluation.views import Check, Judgement
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.runs.manifest import Finding, Use, Verdict
@@ -12,11 +12,9 @@ from mfd_bayes.runs.unit_system import SI
 
 def test_text_has_no_commands_to_the_terminal():
     for text, shown in [
-        ("p500_f0.25", "p500_f0.25"),
         ("[red]stop[/red] [link=x]", "[red]stop[/red] [link=x]"),
         ("\x1b[2J\x1b[1;1Htop", "top"),
         ("\x1b]0;title\x07text", "text"),
-        ("\x1b]8;;http://x\x1b\\link\x1b]8;;\x1b\\", "link"),
         ("\x1b", ""),
         ("a\r\nb\tc\x08d\x00", "a  b c d "),
         ("\u202egnp.exe", " gnp.exe"),  # turns what follows around
@@ -43,32 +41,6 @@ def view_of(count, bad=(), sentence="It is so."):
         sentences=[Message(sentence)],
         system=SI,
     )
-
-
-def test_a_table_shows_names_as_they_are(capsys):
-    check = Check("[red]p[/red]", ":smile:", "\x1b[31mk3", 1.0, 1.0, Verdict.PASS)
-    view = view_of(0)
-    view.checks = [check]
-    print_checks(view, every=True)
-    out = capsys.readouterr().out
-    assert "[red]p[/red]" in out
-    assert ":smile:" in out
-    assert "\x1b" not in out
-
-
-def test_a_run_ends_with_its_verdict_and_what_misses(capsys, tmp_path):
-    print_end(view_of(2, bad=[1]), tmp_path / "my out")
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[:3] == [
-        "NOT USABLE: It is so.",
-        "warning: p0: it is 20.3 mm late",
-        "fail: p0: R-hat of k3: 1.2 (<= 1.01)",
-    ]
-    assert lines[3].startswith("not usable: p1: the sign is swapped")
-    assert lines[4:] == [
-        f"every check: mfd-bayes check '{tmp_path}/my out'",
-        f"look next at {tmp_path}/my out/report.html",
-    ]
 
 
 def test_the_end_has_at_most_ten_lines_of_a_hundred_columns(capsys):

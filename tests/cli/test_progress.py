@@ -15,36 +15,28 @@ from mfd_bayes.jobs.job import Progress, Step
 SAMPLED = Progress(1200, 2400, 1.0123, 432.1, 10.0, 0.5)
 
 
-def steps():
-    yield Step("a", "waiting")
-    yield Step("b", "kept")
-    yield Step("a", "sampling", SAMPLED)
-    yield Step("a", "begins again:", message="its worker was lost")
-    yield Step("processes", "note:", message="one was killed")
-    yield Step("a", "failed", message="no\x1b[2J [b]mass[/b]")
-    yield Step("c", "done", SAMPLED)
-
-
-ALARMS = [
-    "a: begins again: its worker was lost",
-    "processes: note: one was killed",
-    "a: failed no [b]mass[/b]",
-]
-
-
-def test_without_a_terminal_steps_are_lines_and_quiet_prints_only_what_must_be_known(capsys):
-    for quiet in [False, True]:
-        with show_progress(quiet=quiet) as observe:
-            for step in steps():
-                observe(step)
-        lines = [
-            "b: done before",
-            "a: sampling, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s, at most 10 s left",
-            *ALARMS,
-            "c: done, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s",
-        ]
-        out, err = capsys.readouterr()
-        assert (out.splitlines(), err.splitlines()) == (([], ALARMS) if quiet else (lines, []))
+@pytest.mark.parametrize("quiet", [False, True])
+def test_without_a_terminal_steps_are_lines_and_quiet_prints_what_must_be_known(capsys, quiet):
+    steps = (
+        Step("a", "waiting"),
+        Step("b", "kept"),
+        Step("a", "sampling", SAMPLED),
+        Step("a", "begins again:", message="its worker was lost"),
+        Step("a", "failed", message="no\x1b[2J [b]mass[/b]"),
+        Step("c", "done", SAMPLED),
+    )
+    with show_progress(quiet=quiet) as observe:
+        for step in steps:
+            observe(step)
+    alarms = ["a: begins again: its worker was lost", "a: failed no [b]mass[/b]"]
+    lines = [
+        "b: done before",
+        "a: sampling, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s, at most 10 s left",
+        *alarms,
+        "c: done, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s",
+    ]
+    out, err = capsys.readouterr()
+    assert (out.splitlines(), err.splitlines()) == (([], alarms) if quiet else (lines, []))
 
 
 def test_after_a_silence_a_line_says_what_is_at_work_and_what_is_missing(capsys, monkeypatch):
@@ -66,7 +58,6 @@ termios = pytest.importorskip("termios")
 pty = pytest.importorskip("pty")
 fcntl = pytest.importorskip("fcntl")
 
-# What a calibration tells its observer, a test after the other.
 DRIVER = """\
 import sys
 import time
@@ -99,8 +90,8 @@ def on_terminal(folder, *options, pause=0.05, term="xterm-256color"):
     driver.write_text(DRIVER.format(pause=pause))
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    plain = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
-    plain |= {"TERM": term, "PYTHONPATH": os.pathsep.join(sys.path)}
+    plain = os.environ | {"TERM": term, "PYTHONPATH": os.pathsep.join(sys.path)}
+    plain = {k: v for k, v in plain.items() if k not in ("COLUMNS", "LINES")}
     command = [sys.executable, str(driver), *options]
     streams = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
     with subprocess.Popen(command, **streams, env=plain, start_new_session=True) as process:
@@ -115,15 +106,10 @@ def on_terminal(folder, *options, pause=0.05, term="xterm-256color"):
     return written.decode()
 
 
-def lines_of(written):
-    """All lines that were ever drawn, without colours and movements."""
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
-    return [line.rstrip() for line in re.split(r"[\r\n]+", text) if line.strip()]
-
-
 def test_a_terminal_shows_bars_and_keeps_a_line_of_each_test(tmp_path):
     written = on_terminal(tmp_path, pause=0.15)
-    lines = lines_of(written)
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)  # without colours and movements
+    lines = [line.rstrip() for line in re.split(r"[\r\n]+", text) if line.strip()]
     for k in range(3):
         done = f"p{500 + k}[red]_f0.25: done, 300 steps, R-hat 1.012, ESS 432, 100 steps/s"
         assert lines.count(done) == 1

@@ -1,6 +1,7 @@
 """Which model is favoured, by how much, and the warnings where that cannot be trusted."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -8,10 +9,8 @@ import pytest
 from scipy import stats
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.diagnostics import Effort, psis
-from mfd_bayes.calibration.posterior import Posterior, load_priors
+from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.calibration.proposal import Evidence
-from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.evaluation.crossvalidate import (
     ALL,
@@ -20,13 +19,11 @@ from mfd_bayes.evaluation.crossvalidate import (
     candidates,
     compare_runs,
     comparison_of,
-    cross_validate,
-    difference,
     log_evidence,
     psis_loo,
     standard_error,
 )
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.reporting.tables import comparison_csv
 from tests.command_line import said, write_csv
 
@@ -38,11 +35,6 @@ CAMPAIGN = """\
 [campaign]
 priors = "brfd"
 rate = "40 Hz"
-
-[columns]
-time = { name = "time_s", unit = "s" }
-displacement = { name = "displacement_in", unit = "in" }
-force = { name = "force_kip", unit = "kip" }
 
 [laws]
 Fc_fwd = "power"
@@ -64,7 +56,6 @@ def validation(name, model, *, psis_k=0.3, k=0.3, scale=1.0, short=False, eviden
 
 
 def compared(tests="ab", lost=(), **figures):
-    """Comparison of three models on given tests, with changed figures of some models."""
     scores = {
         model: {name: validation(name, model, **figures.get(model, {})) for name in tests}
         for model in BETTER
@@ -92,26 +83,24 @@ def test_the_best_model_is_favoured_and_stands_first():
 GOOD, ROUGH = "The diagnostics of this comparison are good.", "(a rough estimate of the error"
 
 
+FAVOURED = (
+    "The records favour three_stage over bouc_wen: elpd higher",
+    f"over 2 tests of 12 cycles in all {ROUGH}, from so few).",
+    "about another cycle of the same tests, not about another test",
+    "Log evidence of three_stage is higher than that of bouc_wen by 12 ± 0.04",
+)
+
+
 @pytest.mark.parametrize(
     ("figures", "words"),
     [
-        (
-            {},
-            (
-                "The records favour three_stage over bouc_wen: elpd higher",
-                f"over 2 tests of 12 cycles in all {ROUGH}, from so few).",
-                "about another cycle of the same tests, not about another test",
-                "Log evidence of three_stage is higher than that of bouc_wen by 12 ± 0.04",
-            ),
-        ),
+        ({}, FAVOURED),
         ({m: {"scale": 0.0} for m in BETTER}, ("The records cannot decide between ",)),
         ({"three_stage": {"psis_k": 1.2}}, ("12 of 12 cycles of three_stage (worst 1.20)", GOOD)),
         ({"bouc_wen": {"psis_k": 1.2, "k": 0.9}}, ("Do not rely on this result as it is",)),
-        ({"bouc_wen": {"k": 0.9}}, ("k stays above 0.7 in 12 cycles of bouc_wen",)),
         ({"lugre": {"psis_k": 1.2, "k": 0.9}}, (GOOD,)),  # which is neither best nor second
         ({"bouc_wen": {"short": True}}, ("the sampling of bouc_wen fell short in a, b",)),
         ({"lugre": {"evidence_k": 1.2}}, ("Do not trust the log evidence of lugre",)),
-        ({"tests": "a"}, (f"6 cycles of 1 test {ROUGH}, from so few)",)),
         ({"tests": "a", "lost": ["b"]}, ("not every model could be calibrated: b.",)),
     ],
 )
@@ -125,23 +114,19 @@ def test_cycles_without_a_trusted_score_are_counted():
     bad = compared(bouc_wen={"psis_k": 1.2, "k": 0.9}, lugre={"psis_k": 1.2, "evidence_k": 1.2})
     figures = [(row.bad, row.unsettled, row.evidence_trusted) for row in bad.rows[-3:]]
     assert figures == [(0.0, 0.0, True), (1.0, 1.0, True), (1.0, 0.0, False)]
-
-
-def test_runs_without_a_test_in_common_are_refused():
-    class Nothing:
-        def __init__(self, *tests):
-            self.tests = dict.fromkeys(tests)
-
     with pytest.raises(FitError, match="nothing to compare"):
-        compare_runs({"lugre": Nothing("a"), "bouc_wen": Nothing("b")})
+        compare_runs({m: SimpleNamespace(tests={m: None}) for m in BETTER})
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
 def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     # Bouc-Wen's force with white noise, which LuGre cannot follow in its spring behind the knee
-    trace = record_of("bouc_wen", "iid", seed=2)
-    write_csv(tmp_path / "slow.csv", trace.time, trace.displacement, trace.force)
+    time = np.arange(0, 4, 1 / 40)
+    trace = mb.Trace.from_arrays(time, np.sin(2 * np.pi * time), 0.03)
+    force = BoucWen().force(np.array([[40.0, 0.02, 2.0, 1.7, 0.7, 2.0, 0.01]]), trace)[0]
+    noisy = force + 0.05 * np.random.default_rng(2).normal(size=time.size)
+    write_csv(tmp_path / "slow.csv", time, trace.displacement, noisy)
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     out = tmp_path / "out"
     words = ["compare", tmp_path / "campaign.toml", "-o", out, "--effort", "quick"]
@@ -153,41 +138,26 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     assert found.elpd_difference["slow", "lugre"] < -20
     assert found.rrse_in_sample["slow", "bouc_wen"] < 0.05
     assert found.log_evidence["slow", "lugre"] < found.log_evidence["slow", "bouc_wen"] - 20
-    assert found.log_evidence_se.max() < 0.1
     stored = mb.open_run(out / "lugre").tests["slow"].log_evidence()
     assert stored.value == pytest.approx(found.log_evidence["slow", "lugre"])
-    assert "Log evidence of bouc_wen is higher than that of lugre" in printed
     laws = json.loads((out / "bouc_wen" / "manifest.json").read_text())["settings"]["laws"]
     assert (laws["Fy_fwd"], laws["Fy_bwd"]) == ("power", "proportional")  # as F_c's
     assert (out / "lugre" / "report.html").is_file()
-
-    files = [*out.glob("*/tests/slow/posterior.nc"), out / "comparison.csv"]
-    before = {path: path.read_bytes() for path in files}
-    made = {path: path.stat().st_mtime_ns for path in files[:-1]}
-    assert len(made) == 2
+    before = {p: p.stat().st_mtime_ns for p in out.glob("*/tests/slow/posterior.nc")}
+    table = (out / "comparison.csv").read_bytes()
     said(*words, "--resume")
-    assert {path: path.read_bytes() for path in files} == before
-    assert {path: path.stat().st_mtime_ns for path in files[:-1]} == made
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert (out / "comparison.csv").read_bytes() == table
 
 
-def test_candidates_are_every_model_with_every_noise():
-    for models, noises, expected in (
-        (["lugre", "three_stage"], [], ["three_stage", "lugre"]),
-        ([], ["staged", "ou"], ["ou", "staged"]),
-        (["lugre"], ["iid", "ou"], ["ou", "iid"]),
-        (["lugre", "three_stage"], ["staged"], ["three_stage_staged", "lugre_staged"]),
-    ):
-        found = candidates(models, noises)
-        assert [candidate.name for candidate in found] == expected
-        assert {candidate.model for candidate in found} == (set(models) or {None})
-        assert {candidate.noise for candidate in found} == (set(noises) or {None})
-
-
-def test_what_cannot_be_compared_is_refused():
+def test_models_and_noises_make_candidates_or_are_refused():
+    found = candidates(["lugre", "three_stage"], ["staged"])
+    assert [each.name for each in found] == ["three_stage_staged", "lugre_staged"]
+    assert [each.name for each in candidates([], ["staged", "ou"])] == ["ou", "staged"]
+    assert {each.noise for each in candidates(["lugre", "three_stage"], [])} == {None}
     for models, noises, offender in (
         ([], ["ou", "white"], "--noises must name .* got 'ou', 'white'"),
         ([], ["ou", "ou"], "--noises .* each once"),
-        ([], ["ou"], "--noises must name two or more"),
         (["lugre"], ["ou"], "--noises must name two or more"),
         (["lugree"], ["ou", "iid"], "--models must name .* got 'lugree'"),
         (["lugre"], [], "--models must name two or more"),
@@ -197,13 +167,6 @@ def test_what_cannot_be_compared_is_refused():
 
 
 # --- leave-one-cycle-out where the truth is known
-
-FILE = load_priors("brfd")
-SHORT = Effort(ess=60, limit=400, r_hat=1.1, length=2.0, ensembles=2, walkers=32, kept=800)
-THETA = {
-    "bouc_wen": np.array([[40.0, 0.02, 2.0, 1.7, 0.7, 2.0, 0.01]]),
-    "lugre": np.array([[60.0, 0.02, 0.01, 2.2, 2.0, 1.9, 1.7, 0.5]]),
-}
 
 
 def test_psis_weights_are_normalised_and_k_is_the_tail_of_the_weights():
@@ -288,31 +251,3 @@ def test_the_error_of_a_sum_is_that_of_tests_whose_cycles_resemble_each_other():
     assert 1.0 <= standard_error(figures, test) / standard_error(figures, alone) < 1.5
     balanced = np.tile([1.0, -1.0], test.size // 2)  # whose tests agree by chance
     assert standard_error(balanced, test) == standard_error(balanced, alone)
-
-
-def record_of(model, noise="ou", seed=5):
-    """Four cycles of a model's force with some noise."""
-    time = np.arange(0, 4, 1 / 40)
-    motion = np.sin(2 * np.pi * time)
-    trace = Trace.from_arrays(time, motion, 0.03, np.zeros(time.size))
-    posterior = Posterior(trace, FILE, noise, model)
-    force = posterior.model.force(THETA[model], trace)[0]
-    values = {"noise_sd": np.array([0.05]), "noise_time": np.array([0.03])}
-    noise = posterior.noise.draw(np.random.default_rng(seed), time, values)[0]
-    return Trace.from_arrays(time, motion, 0.03, force + noise)
-
-
-@pytest.mark.slow
-def test_the_model_that_a_record_is_from_predicts_its_cycles_best():
-    found, trace = {}, record_of("lugre")  # the command above has a record of Bouc-Wen
-    for model in ("lugre", "bouc_wen"):
-        posterior = Posterior(trace, FILE, "ou", model)
-        draws = sample(posterior, SHORT, 1)
-        values = {name: column.reshape(-1) for name, column in draws.values.items()}
-        how = len(draws.q), draws.chains.walkers, np.random.default_rng(0)
-        found[model] = cross_validate(posterior, values, *how)
-        assert np.all(found[model]["k"] <= LARGEST_K)
-        assert np.all(found[model]["lppd"] >= found[model]["elpd"])
-    apart, error = difference(found["lugre"].assign(test="a"), found["bouc_wen"])
-    assert apart > 2 * error
-    assert apart > 5.0

@@ -6,11 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.evaluation.laws import FEWEST, law_choices, law_score_rows, mixed_rows
-from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.design import LAW_NAMES, Setting, design_of
+from mfd_bayes.population.design import LAW_NAMES
 from mfd_bayes.population.mixed_model import LawScore
 from mfd_bayes.runs.unit_system import US
 
@@ -66,7 +64,6 @@ def test_each_law_has_its_own_constants():
 
 
 def scores(**levels):
-    """Scores of the laws of one quantity, from their terms at three levels."""
     return [
         LawScore("Fc_fwd", law, sum(terms), 0.5, 1.0 / len(levels), tuple(terms))
         for law, terms in levels.items()
@@ -74,7 +71,6 @@ def scores(**levels):
 
 
 def choice(scores, law):
-    """Rows of the laws of one quantity, and the sentence."""
     rows = law_score_rows(scores, {"Fc_fwd": law})
     return rows, law_choices(rows, {"Fc_fwd": law})["Fc_fwd"]
 
@@ -87,7 +83,6 @@ def test_the_best_law_stands_first_and_others_are_measured_by_it():
     assert other["difference_se"] == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
     assert (best["chosen"], other["chosen"]) == (False, True)
     assert "the campaign's own, proportional, is worse by 3.5 ± 0.5" in sentence
-    assert "cannot separate" not in sentence
     rows, sentence = choice(found, "compare")
     assert sentence.endswith("mix them (compared: power 0.5, proportional 0.5).")
     assert not any(row["chosen"] for row in rows)
@@ -96,8 +91,6 @@ def test_the_best_law_stands_first_and_others_are_measured_by_it():
     _, sentence = choice(near, "proportional")
     assert sentence.startswith("the power law predicts levels that were left out best, but")
     assert "the 3 levels cannot separate it from proportional:" in sentence
-    assert "constant" not in sentence
-    assert "is worse" not in sentence
 
 
 def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
@@ -107,20 +100,5 @@ def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
     assert [row["law"] for row in rows] == ["proportional", "power"]
     assert sentence.startswith("the proportional law predicts")
     assert "the score of power (Pareto k 0.93) cannot be trusted" in sentence
-    _, none = choice([replace(s, pareto_k=1.5) for s in found], "compare")
-    assert none.startswith("the laws have no weights; the score of power (Pareto k 1.50)")
     _, control = choice([replace(s, pareto_k=0.6) for s in found], "compare")
     assert "trusted" not in control  # the control
-
-
-def test_laws_that_do_not_learn_from_a_test_at_zero_are_named():
-    def sentences(laws, levels=(0.0, 0.5, 1.0)):
-        names, settings = ("Fc_fwd", "Fc_bwd", "sigma0", "k3"), [Setting(p) for p in levels]
-        design = design_of(load_priors("mfd"), names, settings, laws)
-        return zero_pressure_sentences(design, ("idle", "low", "high"))
-
-    (sentence,) = sentences({"Fc_bwd": "affine"})
-    assert "from idle nothing is learned about Fc_fwd (proportional)." in sentence
-    assert "Fc_bwd" not in sentence
-    assert sentences(dict.fromkeys(("Fc_fwd", "Fc_bwd"), "residual_power")) == []
-    assert sentences({}, (0.2, 0.5, 1.0)) == []

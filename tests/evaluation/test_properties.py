@@ -1,5 +1,6 @@
 """Bounding properties from draws whose quantiles are known, and the data sheet of a run."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -58,8 +59,7 @@ def test_bounds_from_two_levels_come_with_a_warning():
     traces = [Trace.from_arrays(time, np.sin(np.pi * time), p) for p in (0.5, 0.5, 1.0, 1.5)]
     tests = {str(i): SimpleNamespace(trace=trace) for i, trace in enumerate(traces)}
     (warning,) = design_warnings(SimpleNamespace(tests=dict(list(tests.items())[:3])))
-    assert "have 2 levels" in warning
-    assert "too narrow" in warning
+    assert re.search("have 2 levels.*too narrow", warning)
     assert design_warnings(SimpleNamespace(tests=tests)) == ()
 
 
@@ -90,13 +90,6 @@ def test_every_condition_has_every_quantity_and_what_was_asked_for_bounds(sheet)
     np.testing.assert_allclose(asked["lambda_max"], asked["upper"] / asked["nominal"])
 
 
-def test_it_says_what_was_tested_and_what_is_not_known(sheet):
-    assert len(sheet.verdict) == 3
-    assert "2 calibrated, 1 held out" in str(sheet.tested["tests"])
-    assert "actuation" in sheet.tested
-    assert any("Temperature" in str(message) for message in sheet.not_known)
-
-
 def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):
     sheet = datasheet(open_run(made_run))
     rows = sheet.rows
@@ -123,11 +116,6 @@ def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):
 
 
 def test_a_condition_that_is_none_is_refused():
-    for text in (
-        "35 lbf",
-        "500 psi, 1 in",
-        "500 psi, 1 in, 0.5 Hz, 3 cycles",
-        "35 lbf, 1 in, 1 Hz",
-    ):
+    for text in ("500 psi, 1 in", "35 lbf, 1 in, 1 Hz"):
         with pytest.raises(MfdError, match=text.split(",")[0]):
             parse_condition(text, "ksi")

@@ -15,14 +15,9 @@ from mfd_bayes.runs.run import open_run
 DATA = Path(__file__).parents[1] / "data" / "run"
 
 
-@pytest.fixture
-def run(monkeypatch):
+def test_several_processes_make_the_views_that_one_makes(monkeypatch):
     monkeypatch.setattr(local, "FEWEST", 2)
-    return open_run(DATA)
-
-
-def test_several_processes_make_the_views_that_one_makes(run):
-    views = []
+    run, views = open_run(DATA), []
     for jobs in (1, 2):
         made, lost = views_of_tests(run, jobs)
         assert lost == {}
@@ -37,7 +32,8 @@ def test_several_processes_make_the_views_that_one_makes(run):
         assert repr((one.rows, one.checks)) == repr((other.rows, other.checks))
 
 
-def test_a_stored_file_that_is_gone_is_no_fault_of_its_test(run, tmp_path):
+def test_a_stored_file_that_is_gone_is_no_fault_of_its_test(tmp_path):
+    run = open_run(DATA)
     name, test = next(iter(run.tests.items()))
     tests = {**run.tests, name: replace(test, path=tmp_path / "gone.nc", sha256="")}
     with pytest.raises(StoreError, match=r"gone\.nc"):

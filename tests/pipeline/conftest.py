@@ -11,13 +11,11 @@ from mfd_bayes.reporting import figures, publish
 
 @pytest.fixture(scope="session")
 def out(finished_run):
-    """Folder of the finished run."""
     return finished_run.out
 
 
 @pytest.fixture(scope="session")
 def run(out):
-    """The finished run."""
     return mb.open_run(out)
 
 

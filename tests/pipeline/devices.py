@@ -17,38 +17,24 @@ RATE, CYCLES = 100.0, 4
 _OF_FORCE = ("Fc_fwd", "Fc_bwd", "offset", "noise_sd")
 _OF_LENGTH = ("d2", "d3", "ell", "v_s")
 _STIFF = ("sigma0", "sigma1", "sigma2", "k2", "k3")
-_MEDIANS = {
-    "sigma0": 40.0,
-    "sigma1": 0.02,
-    "sigma2": 0.015,
-    "static_excess_fwd": 0.15,
-    "static_excess_bwd": 0.10,
-    "k2": 0.6,
-    "k3": 20.0,
-    "d2": 0.09,
-    "d3": 0.07,
-    "ell": 0.02,
-    "v_s": 0.4,
-    "noise_sd": 0.03,
-    "noise_time": 0.1,
-}
+_MEDIANS = {  # kip, in, s
+    "sigma0": 40.0, "sigma1": 0.02, "sigma2": 0.015, "static_excess_fwd": 0.15,
+    "static_excess_bwd": 0.10, "k2": 0.6, "k3": 20.0, "d2": 0.09, "d3": 0.07, "ell": 0.02,
+    "v_s": 0.4, "noise_sd": 0.03, "noise_time": 0.1,
+}  # fmt: skip
 _SCATTER = 0.05
 
 
 @dataclass(frozen=True)
 class Device:
-    """A device: its slip force at the higher level and its stroke, each with its unit.
-
-    `force` and `length` are numbers in `force_unit` and `length_unit`; the stroke is from end to
-    end. `named` is whether the files have a row of names.
-    """
+    """A device, of the demo's shape but of any size."""
 
     name: str
-    force: float
+    force: float  # of slip at the higher level
     force_unit: str
-    length: float
+    length: float  # stroke from end to end
     length_unit: str
-    named: bool = True
+    named: bool = True  # whether the files have a row of names
 
     @property
     def by(self) -> tuple[float, float]:
@@ -95,27 +81,14 @@ def _write_test(
     force = model.force(model.theta(values), Trace.from_arrays(time, motion), values["start"])[0]
     force = force + values["offset"] + find_noise("ou").draw(rng, time, values)[0]
     by_force, by_length = device.by
-    rows = np.column_stack(
-        [
-            time,
-            motion * by_length / factor(device.length_unit, "displacement"),
-            force * by_force / factor(device.force_unit, "force"),
-        ]
-    )
+    travel = motion * by_length / factor(device.length_unit, "displacement")
+    rows = np.column_stack([time, travel, force * by_force / factor(device.force_unit, "force")])
     head = f"time_s\ttravel_{device.length_unit}\tload_{device.force_unit}"
     above = head if device.named else "Logger 7\nthree channels: clock, LVDT, load cell"
     np.savetxt(path, rows, "%.9g", "\t", header=above, comments="")
-    return {name: _scaled(name, float(value[0]), device) for name, value in values.items()}
-
-
-def _scaled(name: str, value: float, device: Device) -> float:
-    """A value of the demo's device as this one has it."""
-    force, length = device.by
-    if name in _OF_FORCE:
-        return value * force
-    if name in _STIFF:
-        return value * force / length
-    return value * length if name in _OF_LENGTH else value
+    scales = dict.fromkeys(_OF_FORCE, by_force) | dict.fromkeys(_OF_LENGTH, by_length)
+    scales |= dict.fromkeys(_STIFF, by_force / by_length)
+    return {name: float(value[0]) * scales.get(name, 1.0) for name, value in values.items()}
 
 
 def complete(campaign: Path, device: Device) -> None:

@@ -7,10 +7,7 @@ import pytest
 
 from mfd_bayes.calibration.posterior import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
-from mfd_bayes.campaign.guesses import by_loop
 from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
-from mfd_bayes.records.loops import scales_of
-from mfd_bayes.records.record import read_record
 from tests.command_line import refusal, said
 from tests.pipeline import devices
 
@@ -89,19 +86,3 @@ def test_priors_of_another_device_are_found_wrong_with_what_would_mend_them(tmp_
     assert "the prior most wrong is that of Fc_" in words
     assert "kN, and the plateau of the loop is" in words
     assert "give it a median of about" in words
-
-
-def test_a_loop_is_told_from_its_force_and_a_pressure_and_has_the_scales_of_the_device(tmp_path):
-    truth = devices.write_device(tmp_path, DAMPER)
-    for path in sorted(tmp_path.glob("*.txt")):
-        _, travel, load = np.loadtxt(path, skiprows=1).T
-        pressure = 3.0 + 0.01 * np.random.default_rng(0).normal(size=travel.size)
-        assert by_loop({"p": pressure, "f": load, "x": travel})[:2] == ["x", "f"]
-    columns = {"time": "time_s", "displacement": "travel_mm", "force": "load_kN"}
-    record = read_record(tmp_path / "6bar_0.25Hz.txt", columns)
-    scales, known = scales_of(record.trace()), truth["6bar_0.25Hz"]
-    slip = 0.5 * (known["Fc_fwd"] + known["Fc_bwd"])
-    assert scales.force == pytest.approx(slip, rel=0.15)
-    assert scales.build_up == pytest.approx(known["k3"], rel=1.0)
-    assert 0.3 < scales.length / (known["d2"] + known["d3"]) < 3.0
-    assert scales.noise < known["noise_sd"]

@@ -24,13 +24,11 @@ limits = "10 in/s, 6 in, 20 kip"
 
 @pytest.fixture(scope="module")
 def copied(out, tmp_path_factory):
-    """A copy of the run folder."""
     return shutil.copytree(out, tmp_path_factory.mktemp("next") / "out")
 
 
 @pytest.fixture(scope="module")
 def words(copied):
-    """Function that gives the words of the command, by its options."""
     return lambda *options: ("next", copied, *options, "--draws", 300)
 
 
@@ -58,8 +56,6 @@ def test_it_advises_and_writes_table_json_picture_and_draft(words, copied, tmp_p
     assert {entry["actuation"] for entry in entries} <= {"1000 psi", "1900 psi"}
     advice = mb.open_run(copied).next_test(candidates=FEW, draws=300)  # the same in Python
     assert list(table["expected_reduction"]) == pytest.approx(advice["reduction"], rel=1e-4)
-    assert list(table["error"]) == pytest.approx(advice["error"], rel=1e-4)
-    assert list(table["cost_h"]) == pytest.approx([row.cost for row in advice], rel=1e-4)
 
 
 def test_candidates_of_a_file_within_limits_in_metric_units(words, copied, tmp_path):
@@ -86,11 +82,9 @@ def test_mistakes_end_in_one_sentence(words, tmp_path):
     for options, offender in (
         (("--goal", "bend"), "unknown quantity 'bend'; did you mean 'band'?"),
         (("--limits", "0.01 in"), "forbid every candidate"),
-        (("--limits", "10 lbf"), "limit of the force, 0.01 kip"),
         (("-o", tmp_path / "a.png"), "must not end in .png"),
         (("--write", other), "other.toml exists: give another name, or --force"),
         (("--candidates", empty), "has no test"),
-        (("--candidates", tmp_path / "none.txt"), "there is no file"),
         (("--tests", 2), "give --write too"),
     ):
         assert offender in refusal(*words(*options))
@@ -118,8 +112,6 @@ def test_a_bad_goal_is_found_when_the_campaign_is_read(finished_run, tmp_path):
     assert load_campaign(path).tests  # the control
     for old, new, words in (
         ('"energy"', '"energie"', "goal.quantity in {}: unknown quantity 'energie'"),
-        ("500|1000 psi", "500|1000", "goal.candidates in {}: a test reads"),
-        ("quantity", "quantty", "unknown key 'quantty' in [goal] of {}; did you mean 'quantity'"),
         ("limits", 'session = "2023"\nlimits', "goal.session in {}: no calibrated test has"),
     ):
         path.write_text(text + GOAL.replace(old, new))

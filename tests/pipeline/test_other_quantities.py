@@ -57,16 +57,6 @@ KSI = 6.894757
 NOT_ITS_WORDS = r"(?i)\b(forces?|displacements?|velocit\w+|strokes?|slip|kip|kN|Hz|gap|actuation)\b"
 
 
-def write(folder, seed, samples=60, cycles=2.0):
-    rng = np.random.default_rng(seed)
-    strain = 0.01 * np.sin(np.linspace(0, 2 * np.pi * cycles, samples)) * (1 + 0.1 * seed)
-    stress = 420 * np.exp(0.02 * rng.normal()) * np.tanh(200e3 * strain / 420)
-    stress += 4 * rng.normal(size=samples)
-    table = pd.DataFrame({"eps": 100 * strain, "sig_ksi": stress / KSI})
-    table.to_csv(folder / f"bar{seed}.csv", index=False)
-    return stress
-
-
 @pytest.fixture
 def folder(tmp_path):
     return written(tmp_path)
@@ -75,7 +65,12 @@ def folder(tmp_path):
 def written(folder):
     text = CAMPAIGN
     for seed in range(1, 5):
-        write(folder, seed)
+        rng = np.random.default_rng(seed)
+        strain = 0.01 * np.sin(np.linspace(0, 4 * np.pi, 60)) * (1 + 0.1 * seed)
+        stress = 420 * np.exp(0.02 * rng.normal()) * np.tanh(200e3 * strain / 420)
+        stress += 4 * rng.normal(size=60)
+        columns = {"names": ("eps", "sig_ksi")}
+        write_csv(folder / f"bar{seed}.csv", 100 * strain, stress / KSI, **columns)
         role = '\nrole = "validate"' if seed == 4 else ""
         text += f'\n[[test]]\nid = "bar{seed}"\nfile = "bar{seed}.csv"{role}\n'
     for name, content in {"steel.py": STEEL, "own.toml": PRIORS, "all.toml": text}.items():
@@ -139,8 +134,7 @@ def test_every_command_takes_it(finished, tmp_path):
     assert "narrow" in said("next", out, "-o", tmp_path / "next.csv")
     assert "Hz" not in (tmp_path / "next.csv").read_text()
     assert "--actuation" in refusal(*sine, "--actuation", "5 psi")
-    for motion in ("1 %, 0.5 Hz, 3 cycles", "1 in, 3 cycles", "1 deg, 3 cycles"):
-        assert "strain" in refusal("predict", out, "--sine", motion, *plain)
+    assert "strain" in refusal("predict", out, "--sine", "1 in, 3 cycles", *plain)
     ended = said("accept", out, folder / "bar4.csv", "-o", tmp_path / "qc")
     names = pd.read_csv(tmp_path / "qc" / "acceptance.csv", comment="#")["name"].tolist()
     assert "peak_fwd" in names
@@ -151,16 +145,12 @@ def test_every_command_takes_it(finished, tmp_path):
 FAULTS = [
     ("all.toml", 'unit = "%"', 'unit = "mm"', ("bar1.csv", "'mm'", "strain")),
     ("all.toml", ', unit = "%"', "", ("bar1.csv", "'eps'", "no unit", "strain")),
-    ("all.toml", '"sig_ksi"', '"sig_ksi", unit = "kN"', ("bar1.csv", "'kN'", "stress")),
     ("all.toml", "strain =", "displacement =", ("all.toml", "'displacement'", "strain")),
-    ("all.toml", "strain =", "strian =", ("all.toml", "'strian'")),
     ("all.toml", '"iid"', '"iid"\nrate = "64 Hz"', ("all.toml", "rate", "rate-independent")),
     ("all.toml", 'file = "bar1', 'fit = "0 s to 2 s"\nfile = "bar1', ("bar1", "0 to 300")),
     ("all.toml", 'file = "bar1', 'actuation = "5 psi"\nfile = "bar1', ("bar2", "in all tests")),
     ("steel.py", "rate_independent = True", "", ("bar1.csv", "no column for time", "rate")),
-    ("steel.py", '"stress, MPa"', '"stress, mm"', ("steel.py", "Steel", "response", "'mm'")),
     ("steel.py", '"stress, MPa"', '"tension"', ("steel.py", "Steel", "response", "unit")),
-    ("steel.py", '"strain"', '"strain, MPaa"', ("steel.py", "Steel", "motion", "MPaa")),
     ("own.toml", '"1 MPa"', '"1 kip"', ("own.toml", "offset", "'kip'")),
 ]  # fmt: skip
 
@@ -175,95 +165,45 @@ def test_what_does_not_fit_is_one_sentence(folder, tmp_path, file, old, new, wor
     assert not (tmp_path / "out").exists()
 
 
-def test_a_part_of_the_samples_is_fitted(folder):
-    text = (folder / "all.toml").read_text()
-    (folder / "all.toml").write_text(text.replace('"bar1.csv"', '"bar1.csv"\nfit = "10 to 49"'))
-    assert "bar1 (40 samples)" in said("calibrate", folder / "all.toml", "-o", "o", "--dry-run")
-
-
 HINGE = """
-import numpy as np
 import mfd_bayes as mb
 
 
 class Hinge(mb.Model):
-    name = "hinge"
-    motion = "{motion}"
-    response = "{response}"
-    parameters = (mb.Parameter("c", "{unit}", follows_actuation=True), mb.Parameter("arm", "in"))
+    name, motion, response = "hinge", "{motion}", "{response}"
+    parameters = (mb.Parameter("c", "{unit}"),)
 
-    def force(self, theta, trace, scales):
-        return theta[:, :1] * scales["c"] * np.tanh(trace.velocity / 0.01) + 0 * theta[:, 1:]
-"""
-
-
-HINGE_PRIORS = """
-[parameters]
-c = {{ family = "lognormal", median = "5 {unit}", spread = 0.5 }}
-arm = {{ family = "lognormal", median = "100 mm", spread = 0.1 }}
-offset = {{ family = "normal", mean = "0 {unit}", sd = "1 {unit}" }}
-noise_sd = {{ family = "half_normal", sd = "1 {unit}" }}
-
-[scatter]
-all = {{ parameters = ["c", "arm", "noise_sd"], sd = 0.1 }}
-offset = {{ parameters = ["offset"], sd = "1 {unit}" }}
-"""
-HINGE_CAMPAIGN = """
-[campaign]
-model = "hinge.py:Hinge"
-priors = "p.toml"
-noise = "iid"
-
-[columns]
-time = {{ name = "time_s" }}
-{} = {{ name = "{}" }}
-{} = {{ name = "{}" }}
-
-[[test]]
-id = "a"
-file = "a.csv"
-actuation = "3 A"
+    def force(self, theta, trace):
+        return theta * trace.velocity
 """
 
 
 @pytest.mark.parametrize(
-    ("motion", "response", "unit", "heads", "scale", "energy"),
+    ("motion", "response", "unit", "heads", "scale"),
     [
-        ("rotation", "moment", "kN*m", ("rot_deg", "M_kip-in"), (57.29578, 8.850746), True),
-        ("flow", "pressure, kPa", "kPa", ("Q_gpm", "p_bar"), (0.26417205, 0.01), False),
-        ("flow, m^3/s", "pressure", "MPa", ("Q [L/min]", "p (psi)"), (6e4, 145.03774), False),
-        ("curvature, 1/m", "torque, N*m", "N*m", ("k (1/mm)", "T_kNm"), (1e-3, 1e-3), True),
+        ("rotation", "moment", "kN*m", ("rot_deg", "M_kip-in"), (57.29578, 8.850746)),
+        ("flow", "pressure, kPa", "kPa", ("Q_gpm", "p_bar"), (0.26417205, 0.01)),
+        ("flow, m^3/s", "pressure", "MPa", ("Q [L/min]", "p (psi)"), (6e4, 145.03774)),
+        ("curvature, 1/m", "torque, N*m", "N*m", ("k (1/mm)", "T_kNm"), (1e-3, 1e-3)),
     ],
 )
-def test_each_quantity_is_read_in_any_of_its_units(
-    tmp_path, motion, response, unit, heads, scale, energy
-):
+def test_each_quantity_is_read_in_any_of_its_units(tmp_path, motion, response, unit, heads, scale):
     names = [text.partition(",")[0] for text in (motion, response)]
     time = np.arange(0, 8, 0.02)
     x, y = 0.02 * np.sin(2 * time), 5 * np.tanh(4 * np.cos(2 * time))
     write_csv(tmp_path / "a.csv", time, scale[0] * x, scale[1] * y, names=("time_s", *heads))
     code = HINGE.format(motion=motion, response=response, unit=unit)
     (tmp_path / "hinge.py").write_text(code)
-    (tmp_path / "p.toml").write_text(HINGE_PRIORS.format(unit=unit))
-    text = HINGE_CAMPAIGN.format(names[0], heads[0], names[1], heads[1])
-    (tmp_path / "c.toml").write_text(text)
     columns = {"time": "time_s", names[0]: heads[0], names[1]: heads[1]}
     axes = find_model("hinge.py:Hinge", tmp_path).axes
     record = mb.read_record(tmp_path / "a.csv", columns, axes=axes)
     np.testing.assert_allclose(record.displacement, x, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(record.force, y, rtol=1e-6)
-    look = said("inspect", tmp_path / "c.toml", "-o", tmp_path)
-    assert f"peak {names[1]}" in look
-    assert ("energy per cycle" in look) == energy
-    assert "slip force" not in look
-    assert "a (" in said("calibrate", tmp_path / "c.toml", "-o", tmp_path / "out", "--dry-run")
 
 
 def test_a_model_that_needs_time_refuses_a_trace_without(tmp_path):
     (tmp_path / "steel.py").write_text(STEEL.replace("rate_independent = True", ""))
     trace = mb.Trace.from_arrays(None, 0.01 * np.sin(np.arange(50)))
-    np.testing.assert_array_equal(trace.time, np.arange(50))
-
     with pytest.raises(mb.MfdError, match="steel needs the time"):
         find_model("steel.py:Steel", tmp_path).force([[200.0, 400.0]], trace)
 

@@ -3,13 +3,13 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import CampaignError, StoreError
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.pipeline.export import Export, export
-from mfd_bayes.store.files import write_text
 from tests.command_line import contents, refusal, said, write_csv
 
 CAMPAIGN = """\
@@ -35,7 +35,6 @@ def home(small_run, tmp_path):
 
 
 def refused(home, words, *command):
-    """Refuse with a sentence that holds some words, and change nothing."""
     before = contents(home)
     assert words in refusal(*command)
     assert contents(home) == before
@@ -48,9 +47,7 @@ def test_a_prediction_is_not_written_over_inputs_or_a_run(home):
     for bands, motion, words in [
         ("m.csv", "m.csv", "is an input of this command"),
         ("x.csv", "x_derived.csv", "is an input of this command"),
-        ("out/laws.csv", "m.csv", "is a file of the run"),
         ("out/population.nc", "m.csv", "is a file of the run"),
-        ("..", "m.csv", "name of a file"),
         ("mine.csv/b.csv", "m.csv", "b.csv"),
     ]:
         asked = ("--motion", home / motion, "--actuation", "500 psi", "--no-figures", "--force")
@@ -60,17 +57,15 @@ def test_a_prediction_is_not_written_over_inputs_or_a_run(home):
     assert before.items() <= contents(home).items()
 
 
-@pytest.mark.parametrize("kind", ["pipe", "link"])
-def test_a_prediction_is_not_written_over_what_is_no_file(home, kind):
+def test_a_prediction_is_not_written_over_what_is_no_file(home):
     place = home / "there" / "band_design.csv"
     place.parent.mkdir()
-    if kind == "pipe":
-        os.mkfifo(place)
-    else:
-        place.symlink_to(home / "mine.csv")
-    words = "link out of its folder" if kind == "link" else "a device or a pipe"
     asked = (*SINE, "--design", "--force", "-o", home / "there/band.csv")
-    refused(home, words, "predict", home / "out", *asked)
+    os.mkfifo(place)
+    refused(home, "a device or a pipe", "predict", home / "out", *asked)
+    place.unlink()
+    place.symlink_to(home / "mine.csv")
+    refused(home, "link out of its folder", "predict", home / "out", *asked)
 
 
 @pytest.mark.usefixtures("small_pictures")
@@ -100,7 +95,6 @@ def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
         ("calibrate", "campaign.toml", "-o", ""),
         ("demo", ""),
         ("check", " "),
-        ("predict", "out", "--motion", "", "--actuation", "1 ksi", "-o", "b.csv"),
         ("predict", "out", "--sine", "1 in", "--actuation", "1 ksi", "-o", "b.csv", "--given", ""),
         ("next", "out", "--goal", ""),
     ]:
@@ -111,29 +105,17 @@ def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
 # --- runs
 
 
-@pytest.mark.parametrize("name", ["tests/m.csv", "figures/campaign.toml", "campaign.toml"])
-def test_a_run_is_not_replaced_with_its_inputs_in_it(home, name):
-    place = home / "out" / name
-    place.parent.mkdir(exist_ok=True)
-    if place.suffix == ".csv":
-        shutil.copy(home / "m.csv", place)
-        campaign = home / "campaign.toml"
-        campaign.write_text(CAMPAIGN.format(file=f"out/{name}"))
-    else:
-        shutil.copy(home / "m.csv", place.parent)
-        campaign = shutil.copy(home / "campaign.toml", place)
-    for option in ("--force", "--resume") if name == "tests/m.csv" else ("--force",):
-        refused(home, "would be lost", "calibrate", campaign, "-o", home / "out", option)
+def test_a_run_is_not_replaced_with_its_inputs_in_it(home):
+    def lost(campaign, *options):
+        for option in options:
+            refused(home, "would be lost", "calibrate", campaign, "-o", home / "out", option)
 
-
-def test_a_run_does_not_replace_a_link_out_of_its_folder(home):
-    place = home / "out" / "report.html"
-    place.symlink_to(home / "mine.csv")
-    words = "link out of its folder"
-    refused(home, words, "calibrate", home / "campaign.toml", "-o", home / "out", "--force")
-    with pytest.raises(StoreError, match=words):
-        write_text(place, "{}")
-    assert (home / "mine.csv").read_text() == "a,b\n1,2\n"
+    for name in ("m.csv", "campaign.toml"):
+        shutil.copy(home / name, home / "out")
+    lost(home / "out" / "campaign.toml", "--force")
+    shutil.copy(home / "m.csv", home / "out" / "tests")
+    (home / "campaign.toml").write_text(CAMPAIGN.format(file="out/tests/m.csv"))
+    lost(home / "campaign.toml", "--force", "--resume")
 
 
 def test_a_folder_that_cannot_be_used_is_refused_and_kept(home):
@@ -145,12 +127,11 @@ def test_a_folder_that_cannot_be_used_is_refused_and_kept(home):
         ("out", ("--dry-run", "--resume", "--force"), "give either --resume or --force"),
         ("other", ("--resume",), "give another folder by -o"),
         ("other", ("--force",), "exists and"),
+        ("mine.csv", ("--force",), "mine.csv"),
     ]:
         refused(home, words, *run, "-o", home / out, *options)
     assert "would calibrate p500 (" in said(*run, "--dry-run")  # which needs no folder
     assert "-o: missing: give the run folder to write" in said(*run, code=2)
-    where = home / "no" / "campaign.toml"
-    refused(home, f"there is no folder {where.parent}", "calibrate", where, "--dry-run")
 
 
 # --- buildings and responses
@@ -164,9 +145,6 @@ def test_a_first_building_has_the_actuation_of_the_campaign_beside_it(home):
     (home / "campaign.toml").write_text(campaign)
     said("init", "--building", home, "--force")
     assert (home / "building.toml").read_text().count('actuation = "36 lbf"') == 3
-    (home / "other").mkdir()
-    said("init", "--building", home / "other")  # without a campaign
-    assert 'actuation = "1000 psi"' in (home / "other" / "building.toml").read_text()
 
 
 def test_an_earlier_response_goes_and_what_is_anothers_stays(home, monkeypatch):
@@ -226,13 +204,10 @@ def test_samples_of_another_actuation_do_not_stay_beside_new_ones(small_run, sam
 
 
 def test_an_actuation_outside_is_warned_of_and_one_far_outside_refused(small_run, samples):
-    before = contents(samples)
     far = Export("csv", samples, "50000 psi", 10, force=True)
     with pytest.raises(CampaignError, match=r"the actuation, 50000 psi, lies far .* --extrapolate"):
         export(small_run, far)
-    assert contents(samples) == before
-    far = Export("csv", samples, "50000 psi", 10, force=True, extrapolate=True)
-    (remark,) = export(small_run, far)[1]
+    (remark,) = export(small_run, replace(far, extrapolate=True))[1]
     assert "lies far outside the tested range" in remark
     assert json.loads((samples / "about.json").read_text())["remarks"] == [remark]
     assert "outside" in export(small_run, Export("csv", samples, "700 psi", 10, force=True))[1][0]

@@ -24,8 +24,6 @@ def tests(run):
 
 @pytest.fixture
 def words(out, tests, tmp_path):
-    """Function that gives the words that watch the first samples of a force, by some options."""
-
     def words(force, *options, samples=None):
         columns = (column[:samples] for column in (tests[0].time, tests[0].displacement, force))
         path = write_csv(tmp_path / "a.csv", *columns)
@@ -47,13 +45,10 @@ def test_each_cycle_says_what_it_told(words, tests):
         assert "enough" not in line
 
 
-def test_a_stated_share_decides_when_a_test_is_long_enough(words, tests):
+def test_a_stated_share_or_another_device_ends_a_test(words, tests):
     printed = here(*words(tests[1][0], "--narrowing", "90 %")).stdout
     assert "enough after cycle 2" in printed
     assert "enough after cycle 1" not in printed
-
-
-def test_the_force_of_a_stronger_device_does_not_fit(words, tests):
     printed = here(*words(2.0 * tests[1][0])).stdout
     assert "does not fit this device" in printed.splitlines()[-1]
     assert "enough" not in printed

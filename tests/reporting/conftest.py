@@ -9,11 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mfd_bayes.calibration.diagnostics import (
-    Directions,
-    Identifiability,
-    Pair,
-)
+from mfd_bayes.calibration.diagnostics import Directions, Identifiability, Pair
 from mfd_bayes.evaluation.properties import Datasheet
 from mfd_bayes.evaluation.views import (
     PREDICTIVE,
@@ -48,7 +44,6 @@ NAN = float("nan")
 
 
 def make_row(test: str, name: str, unit: str, lower=0.8, median=1.0, upper=1.2, **more) -> dict:
-    """A row of a table of posteriors."""
     row = {"test": test, "name": name, "unit": unit, "mean": median, "sd": 0.1}
     row |= {"lower": lower, "median": median, "upper": upper, "note": ""}
     row |= {"r_hat": 1.002, "ess_bulk": 900.0, "ess_tail": 700.0, "contraction": 0.98}
@@ -109,29 +104,17 @@ def make_derived(identity: str, role: str) -> tuple[dict, ...]:
     return (make_row(*of_cycle, 3.0, 3.21, 3.4, **energy), peak, gap)
 
 
-def make_law() -> LawView:
+def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
+    row = make_row("population", "K_c_fwd", "in**2", 1.0, 1.2, 1.4)
     level = np.linspace(0.0, 1.5, 20)
     draws = level * np.linspace(0.9, 1.1, 40)[:, None]
     tested = (("a", 0.8, 0.7, 0.8, 0.9), ("b", 0.8, 0.75, 0.85, 0.95))
     fans = (make_fan("device", draws), make_fan("new_test", 1.1 * draws))
-    return LawView("Fc_fwd", "kip", "proportional", level, *fans, tested)
-
-
-def make_law_scores() -> tuple[dict, ...]:
     best = {"quantity": "Fc_fwd", "law": "power", "chosen": False, "elpd": 3.2, "elpd_se": 0.9}
     best |= {"difference": 0.0, "difference_se": 0.0, "weight": 0.7, "pareto_k": 0.25}
-    return best, best | {"law": "proportional", "chosen": True, "difference": -0.3}
-
-
-def make_left_out() -> LeftOutView:
-    row = {"part": "800 psi", "test": "p800_f0.25", "whole_95": NAN} | SCORES
-    row |= {"fitted_width": 0.2, "fitted_crps": 0.03, "width_ratio": 2.0, "crps_ratio": 2.0}
-    mean = row | {"part": "", "test": "mean"}
-    return LeftOutView("level", (row,), mean, "Of 1 tests the bands hold 95 %.")
-
-
-def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
-    row = make_row("population", "K_c_fwd", "in**2", 1.0, 1.2, 1.4)
+    left = {"part": "800 psi", "test": "p800_f0.25", "whole_95": NAN} | SCORES
+    left |= {"fitted_width": 0.2, "fitted_crps": 0.03, "width_ratio": 2.0, "crps_ratio": 2.0}
+    mean = left | {"part": "", "test": "mean"}
     return CampaignView(
         title="Drum brake",
         verdict=Use.USABLE,
@@ -139,7 +122,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         actuation_unit="ksi",
         tests=tests,
         failures={},
-        laws=(make_law(),),
+        laws=(LawView("Fc_fwd", "kip", "proportional", level, *fans, tested),),
         law_rows=(row,),
         checks=tuple(check for test in tests for check in test.checks),
         truth=(
@@ -149,9 +132,9 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         ),
         provenance={"seed": "1"},
         remarks=(Message("The data are synthetic."),),
-        law_scores=make_law_scores(),
+        law_scores=(best, best | {"law": "proportional", "chosen": True, "difference": -0.3}),
         law_choices={"Fc_fwd": "the power law predicts best, but only just."},
-        left_out=make_left_out(),
+        left_out=LeftOutView("level", (left,), mean, "Of 1 tests the bands hold 95 %."),
         judgements=tuple(Judgement(test.id, Use.USABLE, (), 0.5) for test in tests if test.rows),
     )
 
@@ -166,50 +149,35 @@ def campaign() -> CampaignView:
     return make_campaign((make_test("p800_f0.25"), make_test("held", "validate")))
 
 
-def make_datasheet() -> Datasheet:
+@pytest.fixture(scope="session")
+def datasheet() -> Datasheet:
     """Two conditions, the second of which was not tested; a measured slip force is too large."""
     rows = []
     for at, level, tested in ((0, 0.8, True), (1, 1.0, False)):
         head = {"condition": f"c{at}", "actuation": level, "actuation_unit": "ksi"}
         head |= {"stroke": 1.0, "frequency": 0.5, "tested": tested}
-        for quantity, direction, unit, cycle in (
-            ("slip_force", "forward", "kip", 0),
-            ("effective_damping", "", "1", 0),
-            ("energy", "", "kip*in", 1),
-        ):
-            outside = tested and quantity == "slip_force"
-            values = {"measured_low": 1.3, "measured": 1.35, "measured_high": 1.4}
-            values = values if tested else dict.fromkeys(values, NAN)
-            rows.append(
-                head
-                | {"quantity": quantity, "direction": direction, "unit": unit, "cycle": cycle}
-                | values
-                | {"n_cycles": 3 * tested, "n_outside": int(outside), "nominal": 1.0}
-                | {"lower": 0.8, "upper": 1.25, "lambda_min": 0.8, "lambda_max": 1.25}
-                | {"note": "" if tested else "no test was made there"}
-            )
+        head |= {"n_cycles": 3 * tested, "n_outside": 0, "nominal": 1.0}
+        head |= {"lower": 0.8, "upper": 1.25, "lambda_min": 0.8, "lambda_max": 1.25}
+        head |= {"note": "" if tested else "no test was made there"}
+        measured = (1.3, 1.35, 1.4) if tested else (NAN, NAN, NAN)
+        head |= dict(zip(("measured_low", "measured", "measured_high"), measured, strict=True))
+        slip = {"quantity": "slip_force", "direction": "forward", "unit": "kip", "cycle": 0}
+        damping = slip | {"quantity": "effective_damping", "direction": "", "unit": "1"}
+        energy = damping | {"quantity": "energy", "unit": "kip*in", "cycle": 1}
+        rows += [head | slip | {"n_outside": int(tested)}, head | damping, head | energy]
     within = {"range": Quantity.of(0.8, unit="in")}
+    verdict = Message("usable"), Message("1 of 3 lies outside"), Message("within {range}", within)
     return Datasheet(
         rows=pd.DataFrame(rows),
         tested={"stroke": Message("{range}", within)},
-        verdict=(
-            Message("usable"),
-            Message("1 of 3 lies outside"),
-            Message("within {range}", within),
-        ),
+        verdict=verdict,
         not_known=(Message("Temperature: no record has one."),),
         formulas={"slip_force": "force at zero displacement"},
     )
 
 
 @pytest.fixture(scope="session")
-def datasheet() -> Datasheet:
-    return make_datasheet()
-
-
-@pytest.fixture(scope="session")
 def published(campaign, datasheet, tmp_path_factory) -> Path:
-    """Folder with the whole report of `campaign`."""
     folder = tmp_path_factory.mktemp("published")
     forms = Forms(word=bool(find_spec("docx")), excel=bool(find_spec("openpyxl")))
     publish(campaign, folder, 1, lambda _: None, forms, datasheet)

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mfd_bayes.reporting.publish import find_browser, print_page, publish
@@ -23,14 +22,11 @@ pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium: install Debian
 HOSTILE = '"><img src=x onerror="window.hit=1"><script>window.hit=1</script>'
 TEST = "tests/p800_f0.25/page.html"
 PAGES = ("report.html", "datasheet.html", TEST)
-A4 = (794 - 91, 1123 - 91)
-"""Width and height of A4 less the page's margins, in CSS pixels."""
 MODEL = "Bokeh.documents[0].get_model_by_name"
 
 
 @pytest.fixture(scope="session")
 def report(published) -> Path:
-    """The first page."""
     return published / "report.html"
 
 
@@ -124,46 +120,6 @@ def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report)
                 assert page.evaluate(f"written({value!r}, {digits})") == number(value, digits)
 
 
-def test_the_explorer_switches_tests_and_tells_stages(chromium, campaign, tmp_path, no_figures):
-    test = campaign.tests[0]
-    stage = np.full(test.trace.samples, 3, dtype=np.int8)
-    publish(
-        replace(campaign, tests=(replace(test, stage=stage), campaign.tests[1])), tmp_path, 1, print
-    )
-    with Watched(chromium, tmp_path / "report.html") as found:
-        page, samples = found.page, f"{MODEL}('samples').data"
-        assert page.evaluate(f"{samples}.stage[0]") == "3, build-up"
-        force = page.evaluate(f"Array.from({samples}.force)")
-        assert force == pytest.approx(test.trace.force.tolist(), abs=1e-6)
-        page.select_option("#explorer-test", "1")
-        assert page.evaluate(f"{samples}.stage[0]") == "–"
-        assert page.inner_text("#explorer-role") == "held out"
-
-
-def test_a_sample_is_read_by_pointing_at_it(chromium, report):
-    with Watched(chromium, report) as found:
-        page = found.page
-        page.locator("#explorer-plot").scroll_into_view_if_needed()
-        where = page.evaluate(
-            """() => {
-              const view = Bokeh.index.find_one_by_id(
-                Bokeh.documents[0].get_model_by_name("plot-t").id);
-              const data = Bokeh.documents[0].get_model_by_name("samples").data;
-              const at = Math.floor(data.t.length / 2);
-              const box = view.el.getBoundingClientRect();
-              return [box.x + view.frame.x_scale.compute(data.t[at]),
-                      box.y + view.frame.y_scale.compute(data.force[at])];
-            }"""
-        )
-        page.mouse.move(where[0] - 3, where[1])
-        page.mouse.move(*where)
-        page.wait_for_timeout(300)
-        labels = page.locator(".bk-tooltip-row-label").all_inner_texts()
-        values = page.locator(".bk-tooltip-row-value").all_inner_texts()
-        assert {label.strip(": ") for label in labels} >= {"force", "displacement", "stage"}
-        assert any(value.endswith("kip") for value in values)
-
-
 def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, report):
     context = chromium.new_context(java_script_enabled=False)
     page = context.new_page()
@@ -188,23 +144,6 @@ def test_names_from_files_run_nothing(chromium, campaign, datasheet, tmp_path, n
             assert HOSTILE in found.page.title()
 
 
-def test_figures_are_not_cut_in_print(chromium, report):
-    with Watched(chromium, report, A4[0]) as found:
-        found.page.emulate_media(media="print")
-        sizes = found.page.evaluate(
-            """() => [...document.querySelectorAll("figure")]
-              .filter((figure) => figure.offsetParent)
-              .map((figure) => [figure.scrollWidth, figure.offsetHeight,
-                                getComputedStyle(figure).breakInside])"""
-        )
-        assert sizes
-        for width, height, inside in sizes:
-            assert width <= A4[0] + 1
-            assert height <= A4[1]
-            assert inside == "avoid"
-        assert found.page.locator(".explorer").is_hidden()
-
-
 def test_the_data_sheet_prints_on_one_page(report):
     assert find_browser()
     pages = []
@@ -215,23 +154,3 @@ def test_the_data_sheet_prints_on_one_page(report):
         pages.append(len(re.findall(rb"/Type\s*/Page\b", printed)))
     assert pages[0] == 1
     assert pages[1] >= 2  # the control
-
-
-def test_fifty_tests_stay_small_and_readable(chromium, campaign, tmp_path):
-    some, rng, tests = campaign.tests[0], np.random.default_rng(1), []
-    for at in range(50):
-        name, noise = f"t{at:02d}", 0.05 * rng.standard_normal(some.trace.samples)
-        rows = tuple(row | {"test": name} for row in some.rows)
-        trace = replace(some.trace, force=np.asarray(some.trace.force) + noise)
-        tests.append(replace(some, id=name, rows=rows, trace=trace))
-    publish(replace(campaign, tests=tuple(tests)), tmp_path, 1, print)
-    assert len(list(tmp_path.rglob("*.html"))) == 51
-    files = [*tmp_path.rglob("*.html"), *tmp_path.rglob("*.png")]
-    assert sum(file.stat().st_size for file in files) < 12e6
-    with Watched(chromium, tmp_path / "report.html") as found:
-        assert found.errors == []
-        assert found.page.locator("#explorer-test option").count() == 50
-        assert found.violations == []
-        found.page.click("text=t07")
-        found.page.wait_for_load_state()
-        assert "t07" in found.page.inner_text("h1")

@@ -12,7 +12,6 @@ from mfd_bayes.pipeline.respond import (
     peaks_frame,
     render_response,
     response_json,
-    sweep_frame,
     sweep_sentence,
 )
 from mfd_bayes.reporting.figures import agg, to_png
@@ -57,19 +56,6 @@ def test_json_and_csv_of_peaks_say_the_same_in_the_units_of_their_system(system)
         assert limits == [(50.8, "mm", 0.3), (1.0, "%", 0.2)]
 
 
-def test_the_actuation_of_a_sweep_is_in_the_units_of_its_system():
-    levels = np.array([0.5, 1.0])
-    values = dict.fromkeys(("drift", "acceleration"), np.ones((2, 3, 1)))
-    for unit, system, name, by in (
-        ("ksi", SI, "actuation_MPa", 6.894757),
-        ("kip", SI, "actuation_kN", 4.448222),
-        ("ksi", US, "actuation_ksi", 1.0),
-    ):
-        sweep = Sweep(levels, unit, values, "drift", "mean", np.ones(2), 0.5, (0.5, 1.0))
-        rows = list(csv.DictReader(io.StringIO(to_csv(sweep_frame(sweep, system)))))
-        assert [float(row[name]) for row in rows] == pytest.approx(by * levels, rel=1e-5)
-
-
 ROW = ROWS[1] | {"bands": dict.fromkeys(("50", "90", "95"), (0.9, 1.1))}
 
 
@@ -92,7 +78,6 @@ TESTED = (Span("stroke", "in", 1.0, 2.0), Span("actuation", "ksi", 0.5, 1.5))
 
 
 def sentence(levels, best, scores=(), goal="mean", interval=None, tested=TESTED, system=US):
-    """What is said of a sweep of these levels with their scores and the best of them."""
     scores = np.array(scores or range(len(levels)), dtype=float)
     interval = interval or (0.9 * best, best)
     sweep = Sweep(np.array(levels), "ksi", {}, "drift", goal, scores, best, interval)
@@ -104,10 +89,8 @@ def test_what_to_do_where_the_best_level_is_at_an_end():
     for best, low, high, more in (
         (1.0, 0.5, 1.5, ""),
         (1.2, 0.8, 1.2, f" {upper}: sweep further."),
-        (0.8, 0.8, 1.2, f" {lower}: sweep further."),
         (1.5, 0.8, 1.5, f" {upper} and of the tests: make a test above it before you"),
         (0.5, 0.5, 1.2, f" {lower} and of the tests: make a test below it before you"),
-        (1.8, 0.8, 2.0, " No test was made there (tests: 500 to 1500 psi): make one before you"),
     ):
         ends = f"{900 * best:.4g} to {1000 * best:.4g} psi"
         told = sentence(np.linspace(low, high, 5), best)
@@ -120,17 +103,12 @@ def test_what_to_do_where_the_best_level_is_at_an_end():
 
 
 def test_levels_that_are_best_alike_are_no_optimum():
-    levels, wide = [0.5, 1.0, 1.5], (Span("actuation", "ksi", 0.1, 2.0),)
+    wide = (Span("actuation", "ksi", 0.1, 2.0),)
     for scores, words in (
         ((0, 0, 0), "the same at all 3 levels, 500 to 1500 psi: none of them is better."),
         ((0.1, 0, 0), "smallest at 2 levels alike, 1000 to 1500 psi: none of them is better (90 %"),
-        ((0, 0, np.inf), "the same at all 2 levels, 500 to 1000 psi: none of them is better."),
         ((0, np.inf, np.inf), "smallest at 500 psi (90 % interval: 500 to 1500 psi)."),
     ):
-        told = sentence(levels, 0.5, scores, "passing", (0.5, 1.5), wide)
-        assert told.startswith(
-            f"The probability that the largest drift exceeds its limit is {words}"
-        )
-    narrow = (Span("actuation", "ksi", 0.5, 1.2),)
-    told = sentence(levels, np.nan, (0.1, 0.0, 0.0), "passing", (1.0, 1.5), narrow)
-    assert "No test was made there (tests: 500 to 1200 psi): make one" in told
+        told = sentence([0.5, 1.0, 1.5], 0.5, scores, "passing", (0.5, 1.5), wide)
+        start = "The probability that the largest drift exceeds its limit is"
+        assert told.startswith(f"{start} {words}")

@@ -35,10 +35,7 @@ def test_quantities_of_the_population_are_written_in_words():
     for name, text, meaning in (
         ("scatter_Fc_fwd", "scatter of slip force fwd", "slip force at a common speed"),
         ("scatter_d3", "scatter of d3/d2", "ratio d3/d2"),
-        ("scatter_sigma0", "scatter of σ<sub>0</sub>", "of the logarithm: aggregate bristle"),
-        ("scatter_offset", "scatter of F<sub>0</sub>", "test to test: offset"),
         ("deviation_level_friction", "deviation by level, friction", "deviation from the law"),
-        ("exponent_Fc_bwd", "exponent of F<sub>c,bwd</sub>", "exponent of the power law"),
         ("share_sigma0", "share of σ<sub>0</sub>", "share of the value"),
         ("dependence_d2_velocity", "dependence of d<sub>2</sub> on velocity", "on velocity"),
     ):
@@ -47,6 +44,5 @@ def test_quantities_of_the_population_are_written_in_words():
     for text, html in (
         ("not determined: sigma1 (7), k3", "not determined: σ<sub>1</sub> (7), k<sub>3</sub>"),
         ("the gap of a<b is Fc_fwd.", "the gap of a&lt;b is F<sub>c,fwd</sub>."),
-        ("test run-d2 of d2.csv, noise_check = true", "test run-d2 of d2.csv, noise_check = true"),
     ):
         assert NAMES.sentence(text) == html

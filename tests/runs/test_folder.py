@@ -52,15 +52,10 @@ CHANGES = {
     "order": (lambda s: s.with_test("b", after="a"), None, "ab", True, False),
     "session": (lambda s: s.with_test("a", session="Monday"), None, "ab", False, False),
     "laws": (lambda s: updated(laws={**s.laws, "sigma0": "constant"})(s), None, "ab", False, False),
-    "dependence": (updated(dependence={"Fc_fwd": ("velocity",)}), None, "ab", False, False),
     "scatter": (updated(), wider_scatter, "ab", False, False),
     "window": (lambda s: s.with_test("a", fit="0 s to 1 s"), None, "b", False, False),
     "actuation": (lambda s: s.with_test("b", actuation="999 psi"), None, "a", False, False),
     "prior": (updated(), other_k3, "", False, False),
-    "noise": (
-        lambda s: updated(campaign=s.campaign.model_copy(update={"noise": "iid"}))(s),
-        *(None, "", False, False),
-    ),
 }
 
 
@@ -96,7 +91,6 @@ def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change):
     for how, words in [
         (lambda m: m.update(seed=2), "seed changed.*--force"),
         (lambda m: m.update(versions={f"v{i}": "1" for i in range(100)}), "versions .*98 more"),
-        (lambda m: m.update(format=1), "cannot be resumed: .*format 1.*--force"),
         (other_tests, r"a run of other tests \(xa, .*another folder"),
     ]:
         change(out, how)
@@ -124,11 +118,10 @@ def test_another_machine_is_said(plan, out, change):
 # --- links
 
 
-@pytest.mark.parametrize("name", ["tests/a", "crossvalidation"])
-def test_nothing_is_written_through_a_link(plan, out, tmp_path, name):
+def test_nothing_is_written_through_a_link(plan, out, tmp_path):
     elsewhere = tmp_path / "elsewhere"
-    (out / name).rename(elsewhere)
-    (out / name).symlink_to(elsewhere)
+    (out / "tests/a").rename(elsewhere)
+    (out / "tests/a").symlink_to(elsewhere)
     before = {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()}
     home = plan.campaign.folder
     for act in (

@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,16 +46,11 @@ def out(tmp_path):
     return tmp_path / "out"
 
 
-def refused(out):
-    """Sentence with which a process is refused."""
-    with pytest.raises(StoreError) as caught, alone_in(out):
-        pytest.fail("two are at work")
-    return str(caught.value)
-
-
 def test_a_second_process_is_refused_with_the_owners_name(out):
     with held(out) as process:
-        sentence = refused(out)
+        with pytest.raises(StoreError) as caught, alone_in(out):
+            pytest.fail("two are at work")
+        sentence = str(caught.value)
         owner = f"'-c {out}', process {process.pid} on {socket.gethostname()} since "
         assert sentence.startswith(f"another process is working in {out}: {owner}")
         assert (out / OWNER).is_file()  # the refused process does not remove the owner's name
@@ -72,11 +66,7 @@ def test_a_process_that_ends_leaves_no_file(out):
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 128 + signal.SIGTERM
     assert not list(out.iterdir())
-
-
-def test_a_file_that_no_process_holds_is_no_lock(out):
-    out.mkdir()
-    (out / OWNER).write_bytes(b"\xff")
+    (out / OWNER).write_bytes(b"\xff")  # a file that no process holds is no lock
     with alone_in(out):
         pass
     assert not list(out.iterdir())
@@ -84,44 +74,28 @@ def test_a_file_that_no_process_holds_is_no_lock(out):
 
 # --- everything that writes into a run folder takes the lock; what reads notices a change
 
-WRITERS = (
-    ("report", "{out}"),
-    ("calibrate", "{campaign}", "-o", "{out}", "--force"),
-    ("calibrate", "{campaign}", "-o", "{out}", "--resume"),
-    ("crossvalidate", "{campaign}", "-o", "{out}", "--resume"),
-    ("demo", "{out}", "--force"),
-    ("compare", "{campaign}", "-o", "{above}", "--models", "lugre,bouc_wen", "--resume"),
-)
 
-TEST = '[[test]]\nid = "{id}"\nfile = "a.csv"\nactuation = "{level} psi"\n'
-
-
-@pytest.fixture(scope="module")
-def run_folder(small_run, tmp_path_factory):
-    """A finished run folder, named as a model of a comparison, with its campaign beside it."""
-    home = tmp_path_factory.mktemp("stored")
-    tests = (TEST.format(id=name, level=level) for name, level in (("a", 500), ("b", 900)))
-    (home / "campaign.toml").write_text("".join(tests))
+def test_every_command_that_writes_into_a_run_takes_its_lock(small_run, tmp_path):
+    out, campaign = shutil.copytree(small_run, tmp_path / "lugre"), tmp_path / "campaign.toml"
+    campaign.write_text('[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n')
     time = np.arange(401) / 50
-    motion, force = np.sin(np.pi * time), np.tanh(4 * np.cos(np.pi * time))
-    write_csv(home / "a.csv", time, motion, force)
-    return Path(shutil.copytree(small_run, home / "lugre"))
-
-
-def test_every_command_that_writes_into_a_run_takes_its_lock(run_folder):
-    home = run_folder.parent
-    places = {"out": run_folder, "above": home, "campaign": home / "campaign.toml"}
-    with held(run_folder) as owner:
-        before = contents(run_folder)
-        for words in WRITERS:
-            sentence = refusal(*(word.format(**places) for word in words))
+    write_csv(tmp_path / "a.csv", time, np.sin(np.pi * time), np.tanh(4 * np.cos(np.pi * time)))
+    with held(out) as owner:
+        before = contents(out)
+        for words in (
+            ("report", out),
+            ("calibrate", campaign, "-o", out, "--resume"),
+            ("demo", out, "--force"),
+            ("compare", campaign, "-o", tmp_path, "--models", "lugre,bouc_wen", "--resume"),
+        ):
+            sentence = refusal(*words)
             assert "another process is working in" in sentence, words
             assert f"process {owner.pid} " in sentence, words
-        assert contents(run_folder) == before
+        assert contents(out) == before
 
 
-def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(run_folder, tmp_path):
-    folder = Path(shutil.copytree(run_folder, tmp_path / "out"))
+def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(small_run, tmp_path):
+    folder = shutil.copytree(small_run, tmp_path / "out")
     found = open_run(folder).tests["a"]
     path = folder / "tests" / "a" / "posterior.nc"
     path.write_bytes(path.read_bytes() + b"\0")

@@ -1,6 +1,5 @@
 """A run in Python: what it holds by name, and one sentence for what cannot be asked of it."""
 
-import copy
 import json
 import pickle
 import shutil
@@ -12,7 +11,6 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.errors import NotThereError
-from mfd_bayes.planning.candidate import Limits
 from mfd_bayes.runs.run import open_run
 
 DATA = Path(__file__).parents[1] / "data" / "run"
@@ -28,22 +26,10 @@ def trace(run):
     return run.tests["p500_f0.5"].trace
 
 
-def test_a_run_opens_and_predicts(run):
-    assert sorted(run.tests) == ["p1000_f0.5", "p500_f0.5"]
-    slip = [np.median(test.stored.values()["Fc_fwd"]) for _, test in sorted(run.tests.items())]
-    assert slip == pytest.approx([1.3, 0.65], rel=0.3)  # in proportion, as it was made
-    held_out = run.held_out["p800_f0.5"]
-    band = run.predict(held_out, "observation", draws=200)
-    inside = (band.lower <= held_out.force) & (held_out.force <= band.upper)
-    assert np.mean(inside) > 0.8
-
-
 def test_tests_are_a_mapping_that_cannot_be_changed(run):
-    for same in (copy.deepcopy(run), pickle.loads(pickle.dumps(run))):
-        assert list(same.tests) == [*run.tests]
-        assert same.tests["p500_f0.5"].id == "p500_f0.5"
+    same = pickle.loads(pickle.dumps(run))
+    assert list(same.tests) == [*run.tests]
     assert run.tests.get("zz") is None
-    assert "zz" not in run.tests
     with pytest.raises(TypeError):
         run.tests["zz"] = run.tests["p500_f0.5"]
     with pytest.raises(KeyError):  # as with a dict
@@ -70,19 +56,15 @@ THIS = {"kind": "this_test", "test": "p500_f0.5"}
     ("act", "options", "words"),
     [
         ("predict", {"whole": "no"}, "whole"),
-        ("predict", {"explain": None}, "explain"),
-        ("predict", {"session": ["a"]}, "session"),
-        *(("predict", THIS | {"test": name}, f"p1000.*, got {name!r}") for name in ("", "zz", 5)),
+        ("predict", THIS | {"test": "zz"}, "p1000.*, got 'zz'"),
         ("predict", THIS | {"test": "p800_f0.5"}, "got 'p800_f0.5', which was held out"),
         ("predict", THIS | {"kind": "new_test"}, "for the kind this_test, not for new_test"),
         ("predict", THIS | {"given": (0.0, 1.0)}, "given cannot .* a calibrated test"),
         ("predict", THIS | {"session": "other"}, "session 'other' is for"),
         ("predict", {"probability": "0.9"}, "probability must be a finite number .*, got '0.9'"),
-        *(("next_test", {"goal": goal}, "goal must be text") for goal in (5, b"band")),
-        *(("next_test", {"candidates": c}, "candidates must") for c in ([None], Limits(1.0))),
-        ("next_test", {"limits": (10, 6, 20)}, "limits must be text"),
+        ("next_test", {"goal": 5}, "goal must be text"),
+        ("next_test", {"candidates": [None]}, "candidates must"),
         *(("next_test", {key: "zz zz"}, f"^{key}: ") for key in ("goal", "candidates", "limits")),
-        ("respond", {"tolerance": "0.01"}, "tolerance must be a finite number"),
         ("respond", {"draws": 9}, "draws must be a whole number, 10 or more, got 9"),
     ],
 )
@@ -92,13 +74,10 @@ def test_options_are_checked(run, trace, act, options, words):
         getattr(run, act)(*given, **options)
 
 
-@pytest.mark.parametrize(
-    ("units", "words"),
-    [("us", "made at 500 psi, .* nothing of 1000 psi"), ("si", "3.447 MPa, .* of 6.895 MPa")],
-)
-def test_another_actuation_of_a_test_is_refused_in_the_units_asked_for(run, trace, units, words):
-    with pytest.raises(mb.MfdError, match=words):
-        replace(run, units=units).predict(replace(trace, actuation=1.0), **THIS)
+def test_another_actuation_of_a_test_is_refused_in_the_units_asked_for(run, trace):
+    for units, words in (("us", "500 psi, .* nothing of 1000 psi"), ("si", "of 6.895 MPa")):
+        with pytest.raises(mb.MfdError, match=words):
+            replace(run, units=units).predict(replace(trace, actuation=1.0), **THIS)
 
 
 def test_a_session_that_no_test_has_is_said(run, trace):
@@ -173,7 +152,6 @@ def test_runs_that_do_not_belong_together_are_refused(run, other, motion, tmp_pa
             [run, copied(tmp_path / "less", without_one)],
             "p500_f0.5' is calibrated in only one of .*less",
         ),
-        ("ab", "two or more runs, .*, got str, str"),
         (5, "got int"),
     ):
         with pytest.raises(mb.MfdError, match=words):

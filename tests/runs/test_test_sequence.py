@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import TestSequence, open_run
 
 FORECAST = Forecast(draws=20)
@@ -18,7 +17,6 @@ def run(made_run):
 
 
 def ordered(run, turns=None, **after):
-    """The run with tests that follow others, and with parts of records outside their windows."""
     settings = run.manifest.settings
     for name, before in after.items():
         settings = settings.with_test(name, after=before, file=f"{name}.csv")
@@ -56,25 +54,6 @@ def test_what_the_windows_leave_out_moves_the_device_in_between(run):
         np.testing.assert_allclose(found.place, place, atol=1e-9)
 
 
-def test_of_two_windows_in_one_file_what_lies_between_them_counts(run):
-    turns = {"b": {"after": (90.0, -90.0)}, "c": {"before": (80.0, 70.0, 90.0)}}
-    chained = ordered(run, turns, c="b")
-    assert np.all(chained.sequence.before("c", run.held_out["c"], FORECAST).place == 0.0)
-    motion = Trace.from_arrays(np.arange(9) / 10, 100.0 + np.arange(9), 0.7)
-    after = chained.sequence.ending("b", motion, FORECAST)  # after all of the file
-    np.testing.assert_allclose(after.place, 1.0)
-    settings = chained.manifest.settings.with_test(
-        "c", file=chained.manifest.settings.tests["b"].file
-    )
-    manifest = chained.manifest.with_test("b", after=(90.0,)).with_test("c", before=())
-    places = []
-    for given in (manifest, manifest.changed(settings=settings)):  # two files, then one
-        found = replace(chained, manifest=given).sequence.before("c", run.held_out["c"], FORECAST)
-        places.append(found.place)
-    assert np.all(places[0] == 0.0)
-    assert not np.all(places[1] == 0.0)
-
-
 def test_a_prediction_says_which_test_it_follows(run):
     motion = replace(run.held_out["c"], force=None)
     band = run.predict(motion, draws=20, after="b")
@@ -101,8 +80,3 @@ def test_a_test_that_is_predicted_itself_is_followed_as_it_is_predicted(run):
     alone = replace(sequence, tests={}, motions=left_out)
     assert alone.before("b", left_out["b"], FORECAST) is None  # a is lost: nothing is known
     assert alone.before("c", run.held_out["c"], FORECAST).predicted
-
-
-def test_tests_that_follow_in_a_circle_are_survived(run):
-    circle = ordered(run, c="c")
-    assert circle.sequence.before("c", run.held_out["c"], FORECAST).test == "c"

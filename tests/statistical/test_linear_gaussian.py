@@ -1,6 +1,5 @@
 """The whole way from posterior to draws, on a posterior that is known in closed form."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,22 +17,13 @@ NOISE = 0.2
 
 
 class Linear(Model):
-    """A spring and a dashpot: linear in its parameters."""
-
     name = "linear"
     quantities = (
         Quantity("sigma2", "damping", "c", "dashpot", least=-np.inf),
         Quantity("k2", "stiffness", "k", "spring", least=-np.inf),
     )
 
-    def force(
-        self,
-        theta: np.ndarray,
-        trace: Trace,
-        start: np.ndarray | None = None,
-        *,
-        scales: Mapping[str, np.ndarray] | None = None,
-    ) -> np.ndarray:
+    def force(self, theta, trace, start=None, *, scales=None):
         return theta @ np.stack([trace.velocity, trace.displacement])
 
 
