@@ -68,8 +68,10 @@ def dimension_of(kind: str) -> Dimension:
 _SPELLINGS = {
     spelled: unit
     for unit, words in {
-        "s": "S sec secs",
-        "ms": "msec msecs",
+        "s": "S sec secs Sek sek seg",
+        "ms": "mS msec msecs",
+        "min": "Min MIN mins",
+        "m": "M",
         "in": "IN In inch",
         "ft": "FT Ft foot feet",
         "mm": "MM",

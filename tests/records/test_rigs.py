@@ -114,6 +114,16 @@ READ = {
     ),
     "names and units in comments": ("% Time Disp Force\n% s mm N\n" + text(ROWS, " "), ""),
     "names in the last comment": ("# a test\n#time_s\tdisp_mm\tforce_N\n" + text(ROWS, "\t"), ""),
+    "names with units behind blanks": ("# t (s) x (mm) F (N)\n" + text(ROWS, " "), ""),
+    "quoted names": ('"t_s" "disp (mm)" "force_N"\n' + text(ROWS, " "), ""),
+    "a third row of a heading": ("Time,Disp,Load\ns,mm,N\n,Smp,Smp\n" + text(ROWS), ""),
+    "units in brackets at every page": (
+        "".join(
+            f"Page 2\nt,x,F\n(s),(mm),(N)\n{text(part)}\f\n" for part in (ROWS[:99], ROWS[99:])
+        ),
+        "",
+    ),
+    "a name behind an empty cell": (HEAD + text(ROWS) + "---,---\n,Max,956\n", "line 242"),
 }
 
 
@@ -175,6 +185,9 @@ def test_cells_outside_the_window_need_not_be_numbers(tmp_path):
         (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
         assert "samples 161 over 8 s" in inspected(tmp_path, test='fit = "0 s to 8 s"')
         assert "line 202" in inspected(tmp_path, test='fit = "3 s to 11 s"', code=2)
+    bad = "".join(f"stopped,{x:.4f},{f:.2f}\n" for _, x, f in ROWS[200:])
+    (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
+    assert "samples 161 over 8 s" in inspected(tmp_path, test='fit = "0 s to 8 s"')
 
 
 # --- channels that begin at different times
@@ -320,6 +333,10 @@ def test_init_drafts_the_rate_that_a_file_states(tmp_path):
         ("Test frequency: 20 Hz\n", ""),
         ("Sample rate: 1,000 Hz\n", ""),
         ("fs = 20\nSample rate: 30 Hz\n", ""),
+        ("Max. sample rate: 20 Hz\n", ""),
+        ("Sample interval: 5 minutes\n", ""),
+        ("Rate: 0.02 kS/s\n", "0.02 kHz"),
+        ("サンプリング周波数：20Hz\n", "20 Hz"),
     ):
         write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", TRAVEL, FORCE, above=above)
         printed, campaign = init(tmp_path)
@@ -407,6 +424,10 @@ STAMPS = {
     "clock of twelve hours, no AM": stamps("%I:%M:%S.%L", datetime(2024, 3, 5, 12, 59, 55)),
     "minutes and seconds": stamps("%M:%S.%L"),
     "clock before the date": stamps("%H:%M:%S.%L %d.%m.%Y"),
+    "in brackets": stamps("[%H:%M:%S.%L]"),
+    "a clock behind a colon": stamps("%d%b%Y:%H:%M:%S.%L"),
+    "a clock behind a dash": stamps("%Y/%m/%d-%H:%M:%S.%L"),
+    "digits alone": stamps("%Y%m%d %H%M%S.%L"),
     "timedelta of pandas": [f"0 days {s}" for s in stamps("%H:%M:%S.%L000")],
 }
 ROLES = {"time": "Timestamp", "displacement": 2, "force": 3}
@@ -498,12 +519,21 @@ def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path):
         roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
         record = mb.read_record(tmp_path / "a_5bar.csv", roles)
         np.testing.assert_allclose(record.time, TIME, atol=2e-5)
+    for first, by in ((36000.0, 1.0), (0.4166666667, 1 / 86400)):  # of a day
+        cells = [f"{first + t * by:.10f}" for t in TIME]
+        write(tmp_path / "a_5bar.csv", "Clock,Displacement (mm),Force (N)", cells, TRAVEL, FORCE)
+        assert "unit" not in init(tmp_path)[1]["columns"]["time"]
 
 
 def test_wide_brackets_and_unit_signs_are_read(tmp_path):
     path = tmp_path / "a_5bar.csv"
     for encoding in ("cp932", "utf-8"):
-        for head in ("時間（s）,変位（mm）,荷重（N）", "時間［s］,変位［㎜］,荷重［N］"):
+        heads = (
+            "時間（s）,変位（mm）,荷重（N）",
+            "時間［s］,変位［㎜］,荷重［N］",
+            "t(s)[0],x(mm)[0],F(N)[1]",
+        )
+        for head in heads:
             path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
             printed, _, seen = drafted(tmp_path)
             assert "FIXME" not in printed

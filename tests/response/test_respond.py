@@ -17,10 +17,9 @@ import pytest
 import mfd_bayes as mb
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.properties import design_rows
+from mfd_bayes.response.analysis import response_of, sweep_of, variance_shares
 from mfd_bayes.response.building import Limits, plain_friction, read_building
 from mfd_bayes.response.ground import Ground, read_ground
-from mfd_bayes.response.result import sweep_of, variance_shares
-from mfd_bayes.response.time_integration import response_of
 from mfd_bayes.units import GRAVITY
 from tests.command_line import here, said, write_csv
 
