@@ -45,9 +45,8 @@ def fan_of(kind: str, draws: Array) -> Fan:
 def fan_of_band(band: Band) -> Fan:
     """Median and bounds of a prediction, with those of the whole history if it has them."""
     intervals = [Interval(band.probability, band.lower, band.upper)]
-    if band.whole_lower is not None and band.whole_upper is not None:
-        whole = np.asarray(band.whole_lower), np.asarray(band.whole_upper)
-        intervals.append(Interval(band.probability, *whole, whole=True))
+    if band.shows_whole:
+        intervals.append(Interval(band.probability, *band.whole, whole=True))
     return Fan(band.kind, band.median, tuple(intervals))
 
 

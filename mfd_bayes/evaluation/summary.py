@@ -297,7 +297,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **run.place(name)}
     before = run.sequence.before(name, trace, Forecast(**how))
     how["after"] = before or ""
-    seen = run.predict(trace, "observation", explain=True, **how)
+    seen = run.predict(trace, "observation", **how)
     drawn = device_properties(run, trace, seen, run.predict(trace, "new_test", **how))
     measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
@@ -308,7 +308,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         observation=fan_of("observation", seen.draws),
         score=_score(name, "validate", trace, seen.draws, 0),
         derived=property_rows(name, "validate", trace, kept(drawn, run.manifest.axes), measured),
-        shares=seen.explained,
+        shares=seen.shares,
         begun=before.words if before else "",
     )
 

@@ -131,7 +131,7 @@ def predict(out: Path, question: Question) -> Answer:
         "after": question.after,
     }
     if not others:
-        how |= {"test": question.test, "explain": question.explain, "device": question.device}
+        how |= {"test": question.test, "device": question.device}
         # without sessions the tables of --design are then of the same draws
         how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
     band = source.predict(*asked, **how)

@@ -640,7 +640,8 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     `system`.
     """
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
-    forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
+    if band.shows_whole:
+        forces |= dict(zip(("whole_lower", "whole_upper"), band.whole, strict=True))
     columns: dict[str, Any] = {
         # may be seconds since 1970
         "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
@@ -654,7 +655,7 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}"
     ]
-    if band.whole_lower is not None:
+    if band.shows_whole:
         head.append("whole: band of the whole history, of the same probability")
     if band.given is not None:
         columns["given"] = band.given.holds(trace.time).astype(int)

@@ -222,7 +222,7 @@ def test_each_source_of_the_width_is_named_by_what_varies():
         ({"d2": 0.3}, "test-to-test scatter of gap"),
     ):
         made = predictor(scatter=scatter, level_sd=0.0)
-        band = made.predict(motion(), Forecast(draws=200, explained=True))
+        band = made.predict(motion(), Forecast(draws=200))
         assert max(band.shares, key=band.shares.get) in (source, "start in the gap")
         assert band.shares[source] > 0.5
         assert sum(band.shares.values()) == pytest.approx(1.0)

@@ -16,7 +16,7 @@ from mfd_bayes.pipeline.respond import (
 )
 from mfd_bayes.reporting.figures import agg, to_png
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.response.result import Sweep
+from mfd_bayes.response.analysis import Sweep
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.units import GRAVITY

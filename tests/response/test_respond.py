@@ -19,10 +19,9 @@ import mfd_bayes as mb
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.properties import design_rows
+from mfd_bayes.response.analysis import response_of, sweep_of, variance_shares
 from mfd_bayes.response.building import Limits, plain_friction, read_building
 from mfd_bayes.response.ground import Ground, read_ground
-from mfd_bayes.response.result import sweep_of, variance_shares
-from mfd_bayes.response.time_integration import response_of
 from mfd_bayes.units import GRAVITY
 
 PLACES = "".join(f'[[damper]]\nstorey = {i}\nactuation = "1000 psi"\n' for i in (1, 2))
@@ -351,7 +350,7 @@ def test_samples_go_to_other_programs(finished_run, tmp_path, to):
 
 @pytest.mark.slow
 def test_the_same_bits_whatever_the_number_of_processes(run, path, ground, monkeypatch):
-    monkeypatch.setattr("mfd_bayes.response.time_integration.ROWS", 20)
+    monkeypatch.setattr("mfd_bayes.response.analysis.ROWS", 20)
     one = run.respond(path, [ground], draws=20, jobs=1)
     two = run.respond(path, [ground], draws=20, jobs=2)
     assert np.array_equal(one.drift, two.drift)

@@ -11,9 +11,9 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.response.analysis import integrate, settle
 from mfd_bayes.response.building import Content, Dampers, building_of, no_dampers, plain_friction
 from mfd_bayes.response.ground import Ground
-from mfd_bayes.response.time_integration import integrate, settle
 
 RATIO = 0.05
 FINE = 0.01

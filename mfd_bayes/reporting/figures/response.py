@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from mfd_bayes.reporting.figures import agg as look
 from mfd_bayes.reporting.symbols import BANDS, ORANGE, VERMILLION, plain
-from mfd_bayes.response.building import Building
-from mfd_bayes.response.result import Response, Sweep
-from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import GRAVITY
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+
+    from mfd_bayes.response.analysis import Response, Sweep
+    from mfd_bayes.response.building import Building
+    from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 
