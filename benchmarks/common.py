@@ -19,9 +19,11 @@ import json
 import multiprocessing
 import platform
 import shutil
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -29,8 +31,20 @@ from typing import Any
 import numpy as np
 
 import mfd_bayes
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.pipeline.calibrate import calibrate
+from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.population.inference import infer_population
+from mfd_bayes.runs.run import Run
+from tests.statistical.uniformity import LEVEL, Uniformity, failures
 
 PROJECT = Path(__file__).parents[1]
+SHORT = ("0.25Hz_0.5in", "0.25Hz_1.0in", "0.25Hz_1.5in", "ImperialValleyDBE")
+FEW = {
+    "36lb": [f"36lb_{name}" for name in SHORT],
+    "2022-07": [f"{tension}lb_0.50Hz_1.0in" for tension in (20, 35, 80)],
+}
+"""Tests of sessions that a quick trial takes."""
 
 HEADER = """\
 [campaign]
@@ -54,7 +68,7 @@ TEST = """
 [[test]]
 id = "{id}"
 file = "{file}"
-actuation = "{tension} lbf"
+actuation = "{tension_lbf} lbf"
 role = "{role}"
 """
 SI = """\
@@ -63,15 +77,35 @@ force = { name = "force_N" } }
 """
 
 
-def heading(question: str, *libraries: str) -> None:
-    """Print the question, the command, and on what it was measured."""
+def parser_of(
+    docstring: str, *, data: bool = False, jobs: int = 0, out: str = ""
+) -> argparse.ArgumentParser:
+    """Command line with --quick and --seed, and what else a benchmark needs."""
+    parser = argparse.ArgumentParser(description=docstring.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a trial that takes seconds")
+    parser.add_argument("--seed", type=int, default=1)
+    if data:
+        words = "folder that holds brfd/ (MFD_BAYES_DATA, ../shared/data)"
+        parser.add_argument("--data", type=Path, default=data_folder(), help=words)
+    if jobs:
+        parser.add_argument("--jobs", type=int, default=jobs)
+    if out:
+        words = "folder of what is finished: delete it when records or code have changed"
+        parser.add_argument("--out", type=Path, default=PROJECT / out, help=words)
+    return parser
+
+
+def begin(parser: argparse.ArgumentParser, *libraries: str) -> argparse.Namespace:
+    """Read the command line; print the question, the command, and on what it is measured."""
+    options = parser.parse_args()
     info = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     processor = next(line.split(":")[1].strip() for line in info if line.startswith("model name"))
     module = Path(sys.argv[0]).with_suffix("").relative_to(PROJECT).as_posix().replace("/", ".")
     words = " ".join(["python -m", module, *sys.argv[1:]])
-    found = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", *libraries))
-    print(f"{question}\n\n{words}\n{processor}, {os.cpu_count()} cores, load ", end="")
-    print(f"{os.getloadavg()[0]:.1f}; Python {platform.python_version()}, {found}\n", flush=True)
+    versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", *libraries))
+    print(f"{parser.description}\n\n{words}\n{processor}, {os.cpu_count()} cores, load ", end="")
+    print(f"{os.getloadavg()[0]:.1f}; Python {platform.python_version()}, {versions}\n", flush=True)
+    return options
 
 
 def finish(failed: Sequence[str]) -> None:
@@ -80,15 +114,20 @@ def finish(failed: Sequence[str]) -> None:
     sys.exit(bool(failed))
 
 
-def parser_of(docstring: str, *, data: bool = False) -> argparse.ArgumentParser:
-    """Command line with --quick and --seed, and --data where real records are needed."""
-    parser = argparse.ArgumentParser(description=docstring.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a trial that takes seconds")
-    parser.add_argument("--seed", type=int, default=1)
-    if data:
-        words = "folder that holds brfd/ (MFD_BAYES_DATA, ../shared/data)"
-        parser.add_argument("--data", type=Path, default=data_folder(), help=words)
-    return parser
+def command(*words: object, may_fail: bool = False) -> str:
+    """What a command of the package says, run in a process of its own; exits where it fails."""
+    line = [sys.executable, "-m", "mfd_bayes", *map(str, words)]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    if done.returncode and not (may_fail and done.returncode == 1):
+        sys.exit(f"{' '.join(line)}: {done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def inside(draws: np.ndarray, truth: np.ndarray) -> list[float]:
+    """Share of true values (…, T) inside the equal-tailed 50 and 95 % bands of draws (n, T)."""
+    levels = [0.25, 0.75, 0.025, 0.975]
+    low, high, least, most = np.quantile(draws, levels, axis=0)
+    return [float(np.mean((a <= truth) & (truth <= b))) for a, b in ((low, high), (least, most))]
 
 
 def data_folder() -> Path:
@@ -96,80 +135,118 @@ def data_folder() -> Path:
     return Path(os.environ.get("MFD_BAYES_DATA", PROJECT.parent / "shared" / "data"))
 
 
+def listed(source: Path) -> list[dict[str, str]]:
+    """Lines of the list of the band brake's records, each with the `id` of its test."""
+    with (source / "brfd" / "manifest.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return [{**row, "id": row["file"].removesuffix(".csv").split("_", 1)[1]} for row in rows]
+
+
 def lay_out(
-    source: Path, folder: Path, session: str, model: str = "three_stage", **options: Any
+    source: Path,
+    folder: Path,
+    session: str,
+    model: str = "three_stage",
+    only: Collection[str] = (),
 ) -> Path:
     """Copy the records of a session, or of one tension of 2023 ("36lb"), with a campaign file.
 
-    Earthquakes are held out; `role` is what else is, a function of a line of the records' list.
+    Earthquakes are held out; `only` are the ids of the tests that are wanted, all if empty.
     """
-    role = options.get("role", lambda row: row["kind"] == "earthquake")
     folder.mkdir(parents=True, exist_ok=True)
-    with (source / "brfd" / "manifest.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
     text = HEADER.format(session=session, model=model)
-    for row in rows:
+    for row in listed(source):
         of_2023 = session.endswith("lb") and row["session"] == "2023-04"
         if session not in (row["session"], f"{row['tension_lbf']}lb" if of_2023 else ""):
             continue
-        file_name = row["file"]
-        shutil.copyfile(source / "brfd" / file_name, folder / file_name)
-        found = {"id": file_name.removesuffix(".csv").split("_", 1)[1], "file": file_name}
-        found |= {"tension": row["tension_lbf"], "role": "validate" if role(row) else "calibrate"}
-        text += TEST.format(**found) + (SI if file_name.endswith("_SI.csv") else "")
+        if only and row["id"] not in only:
+            continue
+        shutil.copyfile(source / "brfd" / row["file"], folder / row["file"])
+        role = "validate" if row["kind"] == "earthquake" else "calibrate"
+        row["tension_lbf"] = row["tension_lbf"] or "30"  # of the semi-active tests, about
+        text += TEST.format(**row, role=role) + (SI if row["id"].endswith("_SI") else "")
     campaign = folder / "campaign.toml"
     campaign.write_text(text, encoding="utf-8")
     return campaign
 
 
-def ranks_table(
-    ranks: Mapping[str, Sequence[int]], draws: int, failed: Mapping[str, float]
-) -> None:
-    """Print p-value, z of the mean rank and spread over that of uniform ranks, by quantity."""
-    from tests.statistical.uniformity import Uniformity
+def calibrated(options: argparse.Namespace, session: str, model: str = "three_stage") -> Run:
+    """Calibrated run of the records of a session, kept in --out; those of FEW if quick."""
+    only = FEW.get(session, ()) if options.quick else ()
+    effort = "quick" if options.quick else "standard"
+    out = options.out / f"{session}_{model}_{effort}"
+    place = options.out / f"campaign_{out.name}"
+    campaign = lay_out(options.data, place, session, model, only)
+    chosen = Options(effort=effort, seed=options.seed, jobs=options.jobs, resume=out.exists())
 
-    print(f"{'':28}{'p':>10}{'z':>8}{'spread':>9}")
-    for name, values in ranks.items():
-        middle, sd = draws / 2.0, np.sqrt(((draws + 1) ** 2 - 1) / 12.0)
-        p = Uniformity(len(values), draws).p_value(values)
-        z = (np.mean(values) - middle) / sd * np.sqrt(len(values))
+    def report(step: Step) -> None:
+        print(step.id, step.stage, file=sys.stderr)
+
+    return calibrate(plan_campaign(campaign, chosen), out, report)
+
+
+def without(run: Run, kept: Collection[str], effort: str, seed: tuple[int, ...]) -> Run:
+    """The run as if only some of its tests had been made."""
+    settings, tests = run.manifest.settings, {name: run.tests[name] for name in kept}
+    inference = infer_population(tests, run.priors, settings.inference(effort, seed))
+    others = replace(run, tests=tests)
+    vars(others)["population"] = inference.population  # instead of the one that is stored
+    return others
+
+
+# --- ranks of true values among draws
+
+
+def ranks_table(
+    ranks: Mapping[str, Sequence[int]], draws: int, words: str, shown: tuple[str, ...] = ("",)
+) -> dict[str, float]:
+    """Print whether ranks are uniform, with those whose names begin with `shown`; which are not.
+
+    By name: p-value, z of the mean rank, and the spread over that of uniform ranks.
+    """
+    tests = len(next(iter(ranks.values())))
+    uniformity = Uniformity(tests, draws)
+    failed = failures(ranks, uniformity)
+    print(
+        f"\n{words}: {'NOT uniform' if failed else 'uniform'}, {len(failed)} of {len(ranks)} "
+        f"quantities fail\nfamilywise {LEVEL:.0%} over {len(ranks)} quantities by Bonferroni: "
+        f"p below {LEVEL / len(ranks):.2g} fails\n{'':28}{'p':>10}{'z':>8}{'spread':>9}"
+    )
+    middle, sd = draws / 2.0, np.sqrt(((draws + 1) ** 2 - 1) / 12.0)
+    for name in (name for name in ranks if name.startswith(shown)):
+        p, values = uniformity.p_value(ranks[name]), np.array(ranks[name])
+        z = (values.mean() - middle) / sd * np.sqrt(tests)
         word = "  FAILED" if name in failed else ""
-        print(f"{name:28}{p:10.2g}{z:8.2f}{np.std(values) / sd:9.2f}{word}")
+        print(f"{name:28}{p:10.2g}{z:8.2f}{values.std() / sd:9.2f}{word}", flush=True)
+    return failed
 
 
 # --- long series of simulations: each is stored once finished, so that a second run goes on
 
 
-Task = tuple[Path, Callable[..., dict[str, Any]], tuple[Any, ...]]
-"""File of the result, and the function and the arguments that it comes from."""
-
-
-def fingerprint(settings: object, motion: bytes, study: str, rooms: Iterable[str]) -> str:
-    """Short hash of the settings and of the code: the study's file and some rooms' files."""
-    digest = hashlib.sha256(repr(settings).encode())
-    digest.update(motion)
-    package = Path(mfd_bayes.__file__).parent
-    code = (path for room in rooms for path in sorted((package / room).glob("*.py")))
-    for path in (Path(study), *code):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def run_series(tasks: list[Task], jobs: int, name: str) -> list[dict[str, Any]]:
-    """Results of all tasks; those that an earlier run has stored are read."""
-    left = [task for task in tasks if not task[0].is_file()]
-    print(f"{len(tasks) - len(left)} of {len(tasks)} {name} found", file=sys.stderr)
+def run_series(
+    run: Callable[..., dict[str, Any]], every: list[tuple[Any, ...]], options: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """Results of a function of all arguments; those that the same code has stored are read."""
+    digest = hashlib.sha256()
+    for folder in (Path(mfd_bayes.__file__).parent, PROJECT / "benchmarks", PROJECT / "tests"):
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.read_bytes())
+    folder = options.out / digest.hexdigest()[:12]
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{'_'.join(map(str, arguments))}.json" for arguments in every]
+    left = [(f, run, a) for f, a in zip(files, every, strict=True) if not f.is_file()]
+    print(f"{len(every) - len(left)} of {len(every)} found", file=sys.stderr)
     began = time.perf_counter()
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
         for done, _ in enumerate(pool.imap_unordered(_run_and_store, left), 1):
             minutes = (time.perf_counter() - began) / 60.0
-            print(f"{name}: {done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
-    return [json.loads(path.read_text(encoding="utf-8")) for path, _, _ in tasks]
+            print(f"{done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
+    return [json.loads(file.read_text(encoding="utf-8")) for file in files]
 
 
-def _run_and_store(task: Task) -> None:
+def _run_and_store(task: tuple[Path, Callable[..., dict[str, Any]], tuple[Any, ...]]) -> None:
     path, run, arguments = task
-    path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".part")
     beside.write_text(json.dumps(run(*arguments)), encoding="utf-8")
     beside.replace(path)

@@ -68,8 +68,10 @@ def dimension_of(kind: str) -> Dimension:
 _SPELLINGS = {
     spelled: unit
     for unit, words in {
-        "s": "S sec secs",
-        "ms": "msec msecs",
+        "s": "S sec secs Sek sek seg",
+        "ms": "mS msec msecs",
+        "min": "Min MIN mins",
+        "m": "M",
         "in": "IN In inch",
         "ft": "FT Ft foot feet",
         "mm": "MM",
@@ -291,7 +293,7 @@ def split_quantity(text: str, *, of: str = "", example: str = "500 psi") -> tupl
     """Number and unit of ``"518.7 mm^2"``, whatever it measures; `example` is for messages."""
     expected = f"{of + ': ' if of else ''}expected a number and a unit such as {example!r}"
     if not isinstance(text, str):
-        raise UnitError(f"{expected}, got {text!r}")
+        raise UnitError(f"{expected}, got {' '.join(repr(text).split())}")
     # The time of matching grows with the square of the number of blanks.
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     text = text if len(text) <= _LONGEST else f"{text[:40]}…"

@@ -1,50 +1,38 @@
-"""How often good devices are said to differ, and how often wrong ones are found and named.
+"""How often do good devices differ, and are wrong ones found and rightly named?
 
-    python -m benchmarks.accept.run good FOLDER     runs of benchmarks.accept.simulated
-    python -m benchmarks.accept.run drift           five inspections, by the mixed model
-    python -m benchmarks.accept.run real RUN36 RUN22    finished runs of the real sessions
+    python -m benchmarks.accept.run good     minutes of a core for each of five prototypes
+    python -m benchmarks.accept.run drift    five inspections, by the mixed model
+    python -m benchmarks.accept.run real     real sessions, calibrated by benchmarks.heldout.run
 
-`good` judges 2,000 good devices, and 200 of each fault, after three cycles each at limits of 15 %.
-`real` leaves every record of the 36 lb session out of the run that it is compared with, unaltered
-and with a planted fault; and compares the 30 lb records of 2023 with the run of 2022.
+and the same with --quick, few of each. `good` calibrates simulated prototypes of twelve tests, and
+judges 2,000 good devices and 200 of each fault after three cycles at limits of 15 %. `real` leaves
+every record of the 36 lb session out of the run that it is compared with, unaltered and with a
+planted fault, and compares the 30 lb records of 2023 with the session of 2022.
 """
 
-import sys
-import time
+from benchmarks import common  # isort: skip  (one thread, before numpy)
+
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 import mfd_bayes as mb
-from benchmarks.accept.simulated import CYCLES, production_test, set_scatter
-from benchmarks.common import data_folder
 from mfd_bayes.calibration.posterior import load_priors
-from mfd_bayes.evaluation.acceptance import (
-    Acceptance,
-    Level,
-    accept,
-    birge_ratios,
-    compare_record,
-    complete_limits,
-    expect,
-    false_discovery,
-    judge,
-    trace_of,
-)
+from mfd_bayes.campaign import synthetic
+from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write_campaign
+from mfd_bayes.evaluation import acceptance
 from mfd_bayes.evaluation.laws import drift_row
 from mfd_bayes.population.design import Setting, design_of
-from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.mixed_model import MixedModel
-from mfd_bayes.records.record import Record
 
-LIMITS = complete_limits({"all": 0.15})
-GOOD, FAULTY = 2000, 200
+MATRIX = Matrix((600.0, 1000.0, 1400.0), (0.1, 0.25, 0.5, 1.0), (2, 3, 3, 4), (800.0, 0.5))
+ACTUATION, FREQUENCY, CYCLES = 1.0, 0.5, 3  # ksi and Hz of a production test
+SCATTER = 0.02  # of slip forces and gap, from test to test
+LIMITS = acceptance.complete_limits({"all": 0.15})
 SLIP = ("slip_fwd", "slip_bwd")
-FAULTS: dict[str, tuple[dict[str, float], tuple[str, ...]]] = {
+FAULTS = {
     **{
         f"slip {100 * (by - 1):+.0f} %": ({"Fc_fwd": by, "Fc_bwd": by}, SLIP)
         for by in (0.80, 0.85, 0.90, 1.10, 1.15, 1.20)
@@ -57,183 +45,178 @@ FAULTS: dict[str, tuple[dict[str, float], tuple[str, ...]]] = {
 """Factors of quantities, and which quantity of a device is rightly named."""
 
 
-def table(rows: list[dict[str, Any]]) -> None:
+def table(rows):
     print(pd.DataFrame(rows).to_string(index=False), flush=True)
 
 
-def share(count: int, of: int) -> str:
+def share(count, of):
     return f"{100 * count / of:.1f} % ± {100 * np.sqrt(count / of * (1 - count / of) / of):.1f}"
 
 
-def counted(what: str, judged: list[Acceptance], right: tuple[str, ...] = ()) -> dict[str, Any]:
+# --- simulated devices
+
+
+def set_scatter():
+    """Let tests of a device scatter in slip force and gap by SCATTER."""
+    names = ("Fc_fwd", "Fc_bwd", "d2", "d3", "ell", "k2", "k3", "sigma0")
+    excess = ("static_excess_fwd", "static_excess_bwd")
+    synthetic._SCATTER |= dict.fromkeys(names, SCATTER) | dict.fromkeys(excess, 2.0 * SCATTER)
+
+
+def production_test(rng, fault):
+    """Time, displacement and force of one test of a device, whose quantities have factors."""
+    values = draw_values(ACTUATION, MATRIX.laws, rng)
+    for name, factor in fault.items():
+        values[name] = values[name] * factor
+    return draw_record(values, FREQUENCY, CYCLES, rng)
+
+
+def prototype(home, seed):
+    """Calibrated run of twelve tests of a prototype; a stored one is opened."""
+    if not (home / "out" / "report.html").exists():
+        home.mkdir(parents=True, exist_ok=True)
+        write_campaign(home, seed, MATRIX)
+        path = home / "campaign.toml"
+        text = path.read_text(encoding="utf-8")
+        path.write_text(text.replace('"ou"', '"ou"\nrate = "50 Hz"\nnoise_check = false'), "utf-8")
+        common.command("calibrate", path, "-o", home / "out", "--effort", "quick", "--force")
+    return mb.open_run(home / "out")
+
+
+def comparison(run, folder, rng, draws):
+    """A function of a force that compares such a test with a run."""
+    path = folder / "production.csv"
+    rows = np.transpose(production_test(rng, {}))
+    names = ("time_s", "displacement_in", "force_kip")
+    pd.DataFrame(rows, columns=names).to_csv(path, index=False)
+    record = mb.read_record(path, actuation="1 ksi")
+    how = {"rate": record.rate, "ratios": acceptance.birge_ratios(run), "draws": draws}
+    expected = acceptance.expect(run, acceptance.trace_of(run, record), "", **how)
+
+    def compare(force):
+        made = replace(record, force=force)
+        group = (acceptance.compare_record(made, acceptance.trace_of(run, made), expected),)
+        return group, acceptance.Level.of(group, independent=True)
+
+    return compare
+
+
+def counted(what, judged, right=()):
     verdicts = Counter(device.verdict for device in judged)
-    found = [device for device in judged if device.p_value < 0.05]
-    row = {"devices": what, "number": len(judged), "differs": share(len(found), len(judged))}
+    different = [device for device in judged if device.p_value < 0.05]
+    row = {"devices": what, "number": len(judged), "differs": share(len(different), len(judged))}
     row |= {name: verdicts[name] for name in ("rejected", "cannot tell", "accepted")}
-    if right:
-        named = sum(device.named in right for device in found)
-        row["named rightly"] = share(named, len(found)) if found else ""
+    if right and different:
+        named = sum(device.named in right for device in different)
+        row["named rightly"] = share(named, len(different))
     return row
 
 
-def good(folder: Path) -> None:
-    runs = [
-        mb.open_run(path)
-        for path in sorted(folder.glob("s*/out"))
-        if (path / "report.html").exists()
-    ]
-    set_scatter(0.02)
+def good(options):
+    set_scatter()
     rng, pool = np.random.default_rng(7), []
-    for run in runs:
-        time_s, x, force = production_test(rng, {})
-        path = run.folder.parent / "production.csv"
-        columns = ("time_s", "displacement_in", "force_kip")
-        pd.DataFrame(np.transpose([time_s, x, force]), columns=columns).to_csv(path, index=False)
-        record = mb.read_record(path, actuation="1 ksi")
-        expected = expect(
-            run, trace_of(run, record), "", rate=record.rate, ratios=birge_ratios(run), draws=4000
-        )
-        pool.append((run, record, expected))
+    count, number, faulty = (1, 40, 4) if options.quick else (options.prototypes, 2000, 200)
+    for seed in range(1, count + 1):
+        home = options.out / f"s{seed}"
+        pool.append(comparison(prototype(home, seed), home, rng, 4000))
 
-    def judged(number: int, fault: dict[str, float]) -> list[Acceptance]:
+    def judged(number, fault):
         devices = []
         for i in range(number):
-            run, record, expected = pool[i % len(pool)]
-            made = replace(record, force=production_test(rng, fault)[2])
-            group = (compare_record(made, trace_of(run, made), expected),)
-            level = Level.of(group, independent=True)
-            devices.append(judge(f"{i}", group, level, level.p_value, LIMITS))
+            group, level = pool[i % count](production_test(rng, fault)[2])
+            devices.append(acceptance.judge(f"{i}", group, level, level.p_value, LIMITS))
         return devices
 
-    fine = judged(GOOD, {})
-    print(
-        f"{len(runs)} runs of 12 tests of a prototype, {CYCLES} cycles of each device; limits 15 %"
-    )
+    fine = judged(number, {})
+    print(f"{count} runs of 12 tests of a prototype, {CYCLES} cycles of each device; limits 15 %")
     rows = [counted("good", fine)]
-    rows += [counted(name, judged(FAULTY, f), right) for name, (f, right) in FAULTS.items()]
+    rows += [counted(name, judged(faulty, f), right) for name, (f, right) in FAULTS.items()]
     table(rows)
     print("\nPower at a good device: a deviation that is found with 0.80")
     detectable = pd.DataFrame([device.rows["detectable"] for device in fine]).mean()
     print(detectable.dropna().round(1).to_string())
-    batches = [fine[i : i + 20] for i in range(0, GOOD, 20)]
-    any_found = sum(
-        min(sorted(d.p_value for d in batch)[k] * 20 / (k + 1) for k in range(20)) < 0.05
-        for batch in batches
+    batches = [fine[i : i + 20] for i in range(0, number, 20)]
+    alarms = sum(
+        min(acceptance.false_discovery([d.p_value for d in batch])) < 0.05 for batch in batches
     )
-    print(f"\nBatches of 20 good devices with a false alarm: {share(any_found, len(batches))}")
+    print(f"\nBatches of 20 good devices with a false alarm: {share(alarms, len(batches))}")
 
 
-def drift() -> None:
+def drift(options):
     """Inspections in five years of three tests each, whose slip force scatters by 2 %."""
     rng, rows = np.random.default_rng(8), []
     years = np.repeat(2020.0 + np.arange(5.0), 3)
     tested = [Setting(1.0, "", {"date": year}) for year in years]
-    design = design_of(
-        load_priors("mfd"), ("Fc_fwd",), tested, {"Fc_fwd": "proportional"}, {"Fc_fwd": ("date",)}
-    )
+    laws, follows = {"Fc_fwd": "proportional"}, {"Fc_fwd": ("date",)}
+    design = design_of(load_priors("mfd"), ("Fc_fwd",), tested, laws, follows)
     design, choice = replace(design, leveled=False), np.array([0])
     precision = np.full((years.size, 1, 1), (design.spread[0] / 0.005) ** 2)
     for rate, number in ((-0.02, 200), (0.02, 200), (0.0, 1000)):
-        found, leaves = 0, []
+        number, drifts = 5 if options.quick else number, []
         for _ in range(number):
             values = np.log1p(rate) * (years - 2020.0) + rng.normal(0.0, 0.02, years.size)
             mixed = MixedModel(design, (values / design.spread[0])[:, None], precision)
             h = mixed.sample(choice, rng, 1000)
             z = mixed.marginal(h, choice)[1].draw(rng)
-            row = drift_row("Fc_fwd", "date", z[:, 1], years, 0.15)
-            found += row.found
-            leaves.append(row.leaves)
+            drifts.append(drift_row("Fc_fwd", "date", z[:, 1], years, 0.15))
         true = abs(rate) * 14.0 > 0.15  # four years of tests, and ten after them
-        rows.append(
-            {
-                "drift": f"{100 * rate:+.0f} % a year",
-                "number": number,
-                "found": share(found, number),
-                "leaves 15 % in 14 years": "yes" if true else "no",
-                "mean probability of that": round(float(np.mean(leaves)), 2),
-            }
-        )
+        row = {"drift": f"{100 * rate:+.0f} % a year", "number": number}
+        row |= {"found": share(sum(d.found for d in drifts), number)}
+        row |= {"leaves 15 % in 14 years": "yes" if true else "no"}
+        leaves = float(np.mean([d.leaves for d in drifts]))
+        rows.append(row | {"mean probability of that": round(leaves, 2)})
     table(rows)
 
 
-def changed(record: Record, kind: str, by: float) -> Record:
-    """A record with a planted fault: the force of one or both directions, or a wider gap."""
-    assert record.force is not None
-    if kind == "slip":
-        return replace(record, force=record.force * (1.0 + by))
-    speed = np.gradient(record.displacement, record.time)
-    return replace(record, force=record.force * np.where(speed > 0.0, 1.0 + by, 1.0))
+# --- real devices
 
 
-def real(run36: Path, run22: Path) -> None:
-    run, source, rows = mb.open_run(run36), data_folder() / "brfd", []
-    files = {test.id: source / test.file for test in run.manifest.settings.test}
-    for name in run.tests:
-        kept = {other: test for other, test in run.tests.items() if other != name}
-        inference = infer_population(
-            kept, run.priors, run.manifest.settings.inference("quick", (1, 2))
-        )
-        other = replace(run, tests=kept)
-        other.__dict__["population"] = inference.population
-        record = mb.read_record(files[name], actuation="36 lbf")
-        for kind, by in (
-            ("slip", 0.0),
-            *(("slip", sign * by) for by in (0.05, 0.10, 0.20) for sign in (-1, 1)),
-            ("forward only", 0.20),
-        ):
-            began = time.process_time()
-            (found,) = accept(other, changed(record, kind, by))
-            rows.append(
-                {
-                    "record": name,
-                    "planted": f"{kind} {100 * by:+.0f} %" if by else "nothing",
-                    "p": f"{found.p_value:.3f}",
-                    "verdict": found.verdict,
-                    "named": found.named,
-                    "s": round(time.process_time() - began, 1),
-                }
-            )
+def changed(record, kind, by):
+    """A record with a planted fault: the force of both directions, or of one."""
+    forward = np.gradient(record.displacement, record.time) > 0.0
+    return replace(record, force=record.force * np.where(forward | (kind == "slip"), 1.0 + by, 1.0))
+
+
+def real(options):
+    run, rows = common.calibrated(options, "36lb"), []
+    planted = [("slip", by) for by in (0.0, -0.05, 0.05, -0.10, 0.10, -0.20, 0.20)]
+    tests = dict(list(run.tests.items())[: 1 if options.quick else None])
+    for name in tests:
+        kept = [other for other in run.tests if other != name]
+        other = common.without(run, kept, "quick", (1, 2))
+        file = next(test.file for test in run.manifest.settings.test if test.id == name)
+        record = mb.read_record(options.data / "brfd" / file, actuation="36 lbf")
+        for kind, by in (*planted, ("forward only", 0.20)):
+            (device,) = mb.accept(other, changed(record, kind, by))
+            words = f"{kind} {100 * by:+.0f} %" if by else "nothing"
+            row = {"record": name, "planted": words, "p": round(device.p_value, 3)}
+            rows.append(row | {"verdict": device.verdict, "named": device.named})
     table(rows)
-    print("\nEach record by itself, and the eight of a row as one batch (Benjamini-Hochberg)")
-    counts = []
-    for planted, of in pd.DataFrame(rows).groupby("planted", sort=False):
-        single = of["p"].astype(float).to_numpy()
-        batch, beyond = false_discovery(single), (of["verdict"] == "rejected").to_numpy()
-        counts.append(
-            {
-                "planted": planted,
-                "differ": int((single < 0.05).sum()),
-                "rejected": int(beyond.sum()),
-                "differ, batch": int((batch < 0.05).sum()),
-                "rejected, batch": int((beyond & (batch < 0.05)).sum()),
-            }
-        )
-    table(counts)
-    rows = []
-    before = mb.open_run(run22)
-    for path in sorted(source.glob("2023_30lb_*_1.0in.csv")):
-        (found,) = accept(before, mb.read_record(path, actuation="30 lbf"), device=path.stem)
-        effect = found.rows["effect"]
-        rows.append(
-            {
-                "2023 against 2022": path.stem,
-                "p": f"{found.p_value:.3f}",
-                "verdict": found.verdict,
-                "named": found.named,
-                "slip fwd %": round(effect["slip_fwd"]),
-                "slip bwd %": round(effect["slip_bwd"]),
-                "energy %": round(effect["energy_per_cycle"]),
-            }
-        )
+    frame = pd.DataFrame(rows)
+    frame["differ"], frame["rejected"] = frame["p"] < 0.05, frame["verdict"] == "rejected"
+    print(f"\n{frame.groupby('planted', sort=False)[['differ', 'rejected']].sum().to_string()}\n")
+    if options.quick:
+        return
+    before, rows = common.calibrated(options, "2022-07"), []
+    for path in sorted((options.data / "brfd").glob("2023_30lb_*_1.0in.csv")):
+        (device,) = mb.accept(before, mb.read_record(path, actuation="30 lbf"), device=path.stem)
+        row = {"2023 against 2022": path.stem, "p": round(device.p_value, 3)}
+        row |= {"verdict": device.verdict, "named": device.named}
+        for name in (*SLIP, "energy_per_cycle"):
+            row[f"{name} %"] = round(device.rows["effect"][name])
+        rows.append(row)
     table(rows)
 
 
-def main() -> None:
-    command, *words = sys.argv[1:] or [""]
-    actions = {"good": good, "drift": drift, "real": real}
-    if command not in actions:
-        sys.exit(__doc__)
-    actions[command](*map(Path, words))
+ACTIONS = {"good": good, "drift": drift, "real": real}
+
+
+def main():
+    parser = common.parser_of(__doc__, data=True, jobs=2, out="out_heldout")
+    parser.add_argument("what", choices=ACTIONS)
+    parser.add_argument("--prototypes", type=int, default=5)
+    options = common.begin(parser)
+    ACTIONS[options.what](options)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,6 @@ the slip force in the units of the report.
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
 
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -22,24 +20,21 @@ from tests.pipeline.devices import DEVICES, Device, complete, write_device
 
 
 def main() -> None:
-    options = common.parser_of(__doc__ or "").parse_args()
-    common.heading((__doc__ or "").splitlines()[0])
+    options = common.begin(common.parser_of(__doc__ or ""))
     for device in DEVICES[:1] if options.quick else DEVICES:
         with tempfile.TemporaryDirectory() as folder:
             print(line_of(device, Path(folder)), flush=True)
 
 
 def line_of(device: Device, folder: Path) -> str:
-    truth = write_device(folder, device)
+    truth, campaign, out = write_device(folder, device), folder / "campaign.toml", folder / "out"
     begin = time.monotonic()
-    command([str(folder)], "init")
-    campaign = folder / "campaign.toml"
+    common.command("init", folder)
     if not device.named:
         complete(campaign, device)
-        command([str(campaign)], "init")
-    checked = command([str(campaign), "-o", str(folder)], "prior-check", may_fail=True)
-    out = folder / "out"
-    command([str(campaign), "-o", str(out), "--effort", "quick", "--jobs", "1"], "calibrate")
+        common.command("init", campaign)
+    checked = common.command("prior-check", campaign, "-o", folder, may_fail=True)
+    common.command("calibrate", campaign, "-o", out, "--effort", "quick", "--jobs", 1)
     run = open_run(out)
     rows = [
         (row, truth[row.subject][row.name])
@@ -49,25 +44,12 @@ def line_of(device: Device, folder: Path) -> str:
     ]
     hits = sum(row.lower <= value <= row.upper for row, value in rows)
     slip = max(row.median for row, _ in rows if row.name == "Fc_fwd")
-    inside = checked.splitlines()[0].split(": ")[1].split(" of")[0]
-    took = f"{time.monotonic() - begin:6.0f} s"
+    holds = checked.splitlines()[0].split(": ")[1].split(" of")[0]
     return (
-        f"{device.name:20} {took}  prior holds {inside:>4} of the force  "
+        f"{device.name:20} {time.monotonic() - begin:6.0f} s  prior holds {holds:>4} of the force  "
         f"truth inside {hits:3d} of {len(rows):3d} ({hits / len(rows):.0%})  "
         f"Fc_fwd {run.system.words([slip], 'kip', 3)}"
     )
-
-
-def command(words: list[str], name: str, *, may_fail: bool = False) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "mfd_bayes", name, *words],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode and not (may_fail and done.returncode == 1):
-        raise SystemExit(f"{name} {' '.join(words)}: {done.stdout}{done.stderr}")
-    return done.stdout
 
 
 if __name__ == "__main__":

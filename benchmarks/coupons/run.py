@@ -1,30 +1,25 @@
 """Steel coupons by a model in a user's own file: time, left-out coupons, and quoFEM's statistics.
 
-    python -m benchmarks.coupons.run FOLDER [--jobs N] [--folds N] [--effort quick]
+    python -m benchmarks.coupons.run > benchmarks/coupons/coupons.txt
 
-lays examples/coupons and the records (MFD_BAYES_DATA/coupons) into FOLDER and runs the one command
-of the example there. Then every coupon is predicted from others, a fold of one coupon of each bar
-left out at a time (--folds 0: one coupon at a time), beside one least-squares vector of these
-others and one of those of its mill. Last, the population beside that of quoFEM's example 28. A
-second run goes on. coupons.txt: what it printed.
+lays examples/coupons and the records (--data/coupons) into --out and runs the one command of the
+example there (--quick: with little effort). Then every coupon is predicted from others, a fold of
+one coupon of each bar left out at a time, beside one least-squares vector of these others and one
+of those of its mill. Last, the population beside that of quoFEM's example 28. A second run goes on.
 """
 
-import argparse
+from benchmarks import common  # isort: skip  (one thread, before numpy)
+
 import os
 import shutil
-import subprocess
-import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
 import mfd_bayes as mb
-from benchmarks.common import PROJECT, data_folder
-from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
+from mfd_bayes.evaluation.crossvalidate import Fold, run_folds
+from mfd_bayes.pipeline.plan import Options
 
 LIMITS = {"95": (92.0, 97.0), "50": (42.0, 58.0)}  # %
 QUOFEM = {
@@ -41,14 +36,6 @@ QUOFEM = {
     "a3": (0.0251, 0.00067, 0.025, 0.0025),
 }
 MIDDLE = np.array([2e5, 450.0, 0.02, 0.9, 0.1, 0.03, 0.03])
-
-
-def run_command(*words: object) -> float:
-    """Run a command of the package; processor seconds of it and of its processes."""
-    before = os.times()
-    subprocess.run([sys.executable, "-m", "mfd_bayes", *map(str, words)], check=True)
-    after = os.times()
-    return sum(after[2:4]) - sum(before[2:4])
 
 
 def fit(model: mb.Model, traces: list[mb.Trace]) -> np.ndarray:
@@ -88,46 +75,27 @@ def folds_of(run: mb.Run, number: int, effort: str) -> list[Fold]:
     """Folds with one coupon of each bar each, as far as they go."""
     names = list(run.tests)
     place = {n: [m for m in names if m[:2] == n[:2]].index(n) for n in names}
-    groups = [[n for n in names if place[n] % number == k] for k in range(number)]
-    return [
-        Fold(
-            part=f"{k}",
-            file=f"fold_{number}_{k}.json",
-            left_out=tuple(group),
-            kept=tuple(n for n in names if n not in group),
-            effort=effort,
-            seed=1,
-        )
-        for k, group in enumerate(groups if number else [[n] for n in names], 1)
-    ]
-
-
-def predict(out: Path, fold: Fold) -> None:
-    """Store the scores of a fold, unless they are there."""
-    if not fold.stored(out):
-        began = time.process_time()
-        outcome = fold.run(out, lambda _: None)
-        used = time.process_time() - began
-        print(f"fold {fold.part}: {used:.0f} processor s {outcome.error}", flush=True)
+    folds = []
+    for k in range(number):
+        away = tuple(n for n in names if place[n] % number == k)
+        kept = tuple(n for n in names if n not in away)
+        folds.append(Fold(f"{k + 1}", f"fold_{number}_{k + 1}.json", away, kept, effort, 1))
+    return folds
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--jobs", type=int, default=2)
+    parser = common.parser_of(__doc__ or "", data=True, jobs=2, out="out_coupons")
     parser.add_argument("--folds", type=int, default=5)
-    parser.add_argument("--effort", default="standard")
-    arguments = parser.parse_args()
-    folder, jobs = arguments.folder, ("--jobs", arguments.jobs)
-    shutil.copytree(PROJECT / "examples" / "coupons", folder, dirs_exist_ok=True)
-    shutil.copytree(data_folder() / "coupons", folder, dirs_exist_ok=True)
-    campaign, out = folder / "campaign.toml", folder / "out"
+    options = common.begin(parser)
+    effort = "quick" if options.quick else "standard"
+    folder = options.out / effort
+    shutil.copytree(common.PROJECT / "examples" / "coupons", folder, dirs_exist_ok=True)
+    shutil.copytree(options.data / "coupons", folder, dirs_exist_ok=True)
+    out, began = folder / "out", time.perf_counter()
     if not (out / "report.html").is_file():
-        began = time.perf_counter()
-        used = run_command("calibrate", campaign, "-o", out, "--resume", *jobs)
-        wall, load = time.perf_counter() - began, os.getloadavg()[0]
-        processor = f"; {used:.0f} processor s" if arguments.jobs == 1 else ""  # of all its work
-        print(f"calibrate: {wall:.0f} s at a load of {load:.1f}{processor}")
+        how = ("--resume", "--jobs", options.jobs, "--effort", effort)
+        common.command("calibrate", folder / "campaign.toml", "-o", out, *how)
+        print(f"calibrate: {time.perf_counter() - began:.0f} s, load {os.getloadavg()[0]:.1f}")
     run = mb.open_run(out)
     found = run.population.convergence
     print(f"population: R-hat {found.worst_r_hat:.4f}, ESS {found.worst_ess:.0f}")
@@ -135,10 +103,9 @@ def main() -> None:
     figures = np.array([three for each in facts for three in each.values()])
     print(f"coupons alone: R-hat <= {figures[:, 0].max():.4f}, ESS >= {figures[:, 1:].min():.0f}\n")
 
-    folds = folds_of(run, arguments.folds, arguments.effort)
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        list(pool.map(partial(predict, out), folds))
-    scores = {p.test: p.score for p in read_predictions(out, folds)}
+    folds = folds_of(run, options.folds, effort)[: 1 if options.quick else None]
+    predictions = run_folds(run, folds, Options(jobs=options.jobs), lambda _: None)
+    scores = {p.test: p.score for p in predictions}
     every, mill = errors(run, folds, slice(0, 0)), errors(run, folds, slice(0, 1))
     print("coupon   covers 50 %   95 %   width   CRPS, MPa   one vector   its mill's")
     for name, s in scores.items():
@@ -148,17 +115,22 @@ def main() -> None:
     ours = [s.crps for s in scores.values()]
     mean = [float(np.mean(e)) for e in (ours, [*every.values()], [*mill.values()])]
     print(f"mean   {half:12.1f} {most:6.1f} {'':7} {mean[0]:11.1f} {mean[1]:12.1f} {mean[2]:12.1f}")
-    print()
 
-    print("between coupons     ours, mean and sd       quoFEM, mean and sd    moved by, prior sds")
-    draws = {name: [np.median(t.draws[name]) for t in run.tests.values()] for name in QUOFEM}
+    print(
+        "\nbetween coupons     ours, mean and sd       quoFEM, mean and sd    moved by, prior sds"
+    )
     for name, (middle, sd, start, prior) in QUOFEM.items():
-        own = np.mean(draws[name]), np.std(draws[name], ddof=1)
+        medians = [np.median(test.draws[name]) for test in run.tests.values()]
+        own = np.mean(medians), np.std(medians, ddof=1)
         print(f"{name:12} {own[0]:14.5g} {own[1]:10.3g} {middle:14.5g} {sd:10.3g}"
               f"{(own[0] - start) / prior:12.1f} {(middle - start) / prior:6.1f}")  # fmt: skip
-    low, high = LIMITS["95"]
-    good = low <= most <= high and LIMITS["50"][0] <= half <= LIMITS["50"][1]
-    sys.exit(not (good and mean[0] < min(mean[1:])))
+    failed = [
+        f"{name} % bands hold {value:.1f} %"
+        for name, value in (("50", half), ("95", most))
+        if not LIMITS[name][0] <= value <= LIMITS[name][1]
+    ]
+    failed += ["one vector is nearer"] if mean[0] >= min(mean[1:]) else []
+    common.finish([] if options.quick else failed)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ transitions and the carried force (model.md sections 2 to 4). Each takes theta (
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import jax
@@ -25,50 +24,32 @@ SATURATED = 40.0
 """Transition lengths after which the scalar loops take a transition as complete, as ours does."""
 
 
-@dataclass(frozen=True)
 class Motion:
-    """What the peers need of a path, worked out once and outside the timing.
+    """What the peers need of a path, worked out once and outside the timing."""
 
-    `dx` and `rate` are the steps of displacement and their velocity, (P - 1,); `stretch` is the
-    number of turning points before each sample, (P,).
-    """
-
-    time: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    dx: np.ndarray
-    rate: np.ndarray
-    turns: np.ndarray
-    direction: int
-    stretch: np.ndarray
-
-    @classmethod
-    def of(cls, path):
-        """Motion of a trace's path."""
-        x, turns = np.ascontiguousarray(path.displacement), path.turning_points
-        dx = np.diff(x)
-        begins = np.zeros(x.size, dtype=np.int64)
-        begins[turns + 1] = 1
-        return cls(
-            time=path.time,
-            x=x,
-            v=np.ascontiguousarray(path.velocity),
-            dx=dx,
-            rate=dx / np.diff(path.time),
-            turns=np.asarray(turns, dtype=np.int64),
-            direction=int(path.direction),
-            stretch=np.cumsum(begins),
-        )
+    def __init__(self, path):
+        self.time, self.direction = path.time, int(path.direction)
+        self.x = np.ascontiguousarray(path.displacement)
+        self.v = np.ascontiguousarray(path.velocity)
+        self.dx = np.diff(self.x)
+        self.rate = self.dx / np.diff(path.time)
+        self.turns = np.asarray(path.turning_points, dtype=np.int64)
+        # number of turning points before each sample, and the direction after each of them
+        self.stretch = np.searchsorted(self.turns, np.arange(self.x.size))
+        self.headings = self.direction * (-1.0) ** np.arange(1, self.turns.size + 1)
 
     @cached_property
     def on_device(self):
-        """JAX's copy, with the directions of motion after each turn."""
-        arrays = {name: getattr(self, name) for name in ("x", "v", "dx", "rate", "turns")}
-        headings = self.direction * (-1.0) ** np.arange(1, self.turns.size + 1)
-        arrays |= {"stretch": self.stretch, "headings": headings}
+        """JAX's copy."""
+        names = ("x", "v", "dx", "rate", "turns", "stretch", "headings")
+        arrays = {name: getattr(self, name) for name in names}
         return jax.device_put(arrays | {"direction": float(self.direction)})
 
 
+compiled = numba.njit(fastmath=True, error_model="numpy")
+
+
+@compiled
 def _lugre(p, dx, rate, v, out):
     """F1 of one vector along the path, into `out`."""
     sigma0, sigma1, sigma2, v_s = p[0], p[1], p[2], p[13]
@@ -90,6 +71,7 @@ def _lugre(p, dx, rate, v, out):
         out[n + 1] = (sigma0 - sigma1 * reach * abs(speed)) * z + (sigma1 + sigma2) * speed
 
 
+@compiled
 def _blend(u, side, slip, k2, k3, d2, width, ell):
     """Force of the three stages at travel u, given F1."""
     if u <= -SATURATED * ell or u >= width + SATURATED * ell:
@@ -102,74 +84,58 @@ def _blend(u, side, slip, k2, k3, d2, width, ell):
     return force + (slip - force) / (1.0 + math.exp((width - u) / ell))
 
 
-def _compile(jit):
-    """F1 and the gap of one vector, both through `jit`."""
-    blend = jit(_blend)
-
-    def cross(p, start, x, turns, direction, out):
-        """F of one vector, in place of F1 in `out`."""
-        k2, k3, d2, width, ell = p[7], p[8], p[9], p[9] + p[10], p[12] / p[11]
-        side = float(direction)
-        heading = side
-        offset = start * width - side * x[0]
-        carry = 0.0
-        k = 0
-        for n in range(len(x)):
-            slip = out[n]
-            u = offset + side * x[n]
-            force = blend(u, side, slip, k2, k3, d2, width, ell)
-            if carry != 0.0 and abs(u) < SATURATED * ell:
-                force += carry * (1.0 - math.tanh(0.5 * abs(u) / ell))
-            out[n] = force
-            if k < len(turns) and n == turns[k]:
-                k += 1
-                heading = -heading
-                if u >= width or u <= 0.0:
-                    carry = force - blend(0.0, heading, slip, k2, k3, d2, width, ell)
-                    side = heading
-                    offset = -heading * x[n]
-
-    return jit(_lugre), jit(cross)
+@compiled
+def _cross(p, start, x, turns, direction, out):
+    """F of one vector, in place of F1 in `out`."""
+    k2, k3, d2, width, ell = p[7], p[8], p[9], p[9] + p[10], p[12] / p[11]
+    side = float(direction)
+    heading = side
+    offset = start * width - side * x[0]
+    carry = 0.0
+    k = 0
+    for n in range(len(x)):
+        slip = out[n]
+        u = offset + side * x[n]
+        force = _blend(u, side, slip, k2, k3, d2, width, ell)
+        if carry != 0.0 and abs(u) < SATURATED * ell:
+            force += carry * (1.0 - math.tanh(0.5 * abs(u) / ell))
+        out[n] = force
+        if k < len(turns) and n == turns[k]:
+            k += 1
+            heading = -heading
+            if u >= width or u <= 0.0:
+                carry = force - _blend(0.0, heading, slip, k2, k3, d2, width, ell)
+                side = heading
+                offset = -heading * x[n]
 
 
-def numba_loop():
+@compiled
+def _loop(theta, start, dx, rate, x, v, turns, direction):
+    out = np.empty((theta.shape[0], x.size))
+    for i in range(theta.shape[0]):
+        _lugre(theta[i], dx, rate, v, out[i])
+        _cross(theta[i], start[i], x, turns, direction, out[i])
+    return out
+
+
+def numba_loop(theta, motion, start):
     """Peer that loops in numba over vectors and samples, compiled when it is first called."""
-    jit = numba.njit(fastmath=True, error_model="numpy")
-    lugre, cross = _compile(jit)
-
-    @jit
-    def loop(theta, start, dx, rate, x, v, turns, direction):
-        out = np.empty((theta.shape[0], x.size))
-        for i in range(theta.shape[0]):
-            lugre(theta[i], dx, rate, v, out[i])
-            cross(theta[i], start[i], x, turns, direction, out[i])
-        return out
-
-    def force(theta, motion, start):
-        m = motion
-        return loop(theta, start, m.dx, m.rate, m.x, m.v, m.turns, m.direction)
-
-    return force
+    m = motion
+    return _loop(theta, start, m.dx, m.rate, m.x, m.v, m.turns, m.direction)
 
 
 # The ordinary way to integrate friction: an ODE solver, one vector at a time.
 
 
-def lsoda(velocity):
+def lsoda(theta, motion, start, velocity):
     """Peer that integrates ż by solve_ivp's LSODA; `velocity(t)` is that of the smooth motion.
 
     The gap has no differential equation: it is crossed afterwards, by numba's loop.
     """
-    _, cross = _compile(numba.njit)
-
-    def force(theta, motion, start):
-        out = np.empty((len(theta), motion.x.size))
-        for i, p in enumerate(theta):
-            out[i] = _integrated(p.tolist(), velocity, motion)
-            cross(p, start[i], motion.x, motion.turns, motion.direction, out[i])
-        return out
-
-    return force
+    out = np.array([_integrated(p.tolist(), velocity, motion) for p in theta])
+    for i, p in enumerate(theta):
+        _cross(p, start[i], motion.x, motion.turns, motion.direction, out[i])
+    return out
 
 
 def _integrated(p, velocity, motion):

@@ -18,7 +18,6 @@ from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import math
 import time
-from functools import partial
 
 import numpy as np
 
@@ -34,8 +33,6 @@ BURST = 0.01  # s
 RATE, HERTZ, PHASE = 100.0, 0.5, 0.3  # 1 in; the phase puts turns between samples
 CENTRE = np.array([60, 0.02, 0.01, 2.4, 2, 1.9, 1.5, 0.5, 30, 0.1, 0.08, 1, 0.007, 0.5])
 """A plausible damper, in the paper's order of parameters and internal units."""
-REAL = np.array([16, 0.02, 0.01, 2.4, 2, 1.9, 1.5, 2.3, 37, 0.28, 0.044, 1, 0.037, 0.5])
-"""The same of the band brake's records, whose transitions are five times as long."""
 RECORDS = ("2023_30lb_0.25Hz_1.0in.csv", "2023_36lb_ImperialValleyDBE.csv")
 
 
@@ -54,21 +51,21 @@ def race(contenders, rounds):
     return {name: np.array(values) for name, values in seconds.items()}
 
 
-def draw_theta(n, centre=CENTRE, lengths=(0.005, 0.01)):
+def draw_theta(n):
     """Vectors in which all fourteen parameters vary by 20 %, (n, 14); transition lengths in in."""
     rng = np.random.default_rng(1)
-    theta = centre * rng.lognormal(0, 0.2, (n, centre.size))
+    theta = CENTRE * rng.lognormal(0, 0.2, (n, CENTRE.size))
     for static in (3, 5):
         theta[:, static] = theta[:, static + 1] * rng.uniform(1, 1.5, n)
-    theta[:, 12] = theta[:, 11] * rng.uniform(*lengths, n)  # ℓ = γ2/γ1, in
+    theta[:, 12] = theta[:, 11] * rng.uniform(0.005, 0.01, n)  # ℓ = γ2/γ1, in
     return theta
 
 
-def sine(samples, hertz=HERTZ):
+def sine(samples):
     """Trace of 1 in, sampled at 100 Hz."""
     t = np.arange(samples) / RATE
-    angle = 2 * np.pi * hertz * t + PHASE
-    return Trace.from_arrays(t, np.sin(angle), velocity=2 * np.pi * hertz * np.cos(angle))
+    angle = 2 * np.pi * HERTZ * t + PHASE
+    return Trace.from_arrays(t, np.sin(angle), velocity=2 * np.pi * HERTZ * np.cos(angle))
 
 
 def sine_velocity(t):
@@ -78,14 +75,14 @@ def sine_velocity(t):
 
 def compare(label, theta, trace, rounds, *, solver=False):
     """Print a table of ours and the others on a trace; which do not agree."""
-    motion, start = peers.Motion.of(trace.path), np.full(len(theta), 0.5)
-    forces = {"numba": peers.numba_loop(), "JAX, all at once": peers.jax_batch(len(theta))}
+    motion, start = peers.Motion(trace.path), np.full(len(theta), 0.5)
+    forces = {"numba": peers.numba_loop, "JAX, all at once": peers.jax_batch(len(theta))}
     forces["JAX, 32 at a time"] = peers.jax_batch(32)
     field = {"ours": lambda: MODEL.force(theta, trace, start=0.5)}
     field |= {n: lambda force=f: force(theta, motion, start) for n, f in forces.items()}
     if solver:
-        lsoda = peers.lsoda(sine_velocity)
-        field["solve_ivp, 1 vector"] = lambda: lsoda(theta[:1], motion, start[:1])
+        one = theta[:1], motion, start[:1], sine_velocity
+        field["solve_ivp, 1 vector"] = lambda: peers.lsoda(*one)
     expected = field["ours"]()
     largest, failed, first = np.abs(expected).max(axis=1), [], {}
     for name, run in field.items():
@@ -109,17 +106,6 @@ def compare(label, theta, trace, rounds, *, solver=False):
     return failed
 
 
-def sizes(field, rounds):
-    """Print what ours costs over numbers of samples and vectors."""
-    print("Cost of ours, µs per vector and 1000 samples\n  samples vectors      best    median")
-    traces = {t: sine(t) for t, _ in field}
-    thetas = {n: draw_theta(n) for _, n in field}
-    runs = {(t, n): partial(MODEL.force, thetas[n], traces[t], start=0.5) for t, n in field}
-    for (t, n), seconds in race(runs, rounds).items():
-        each = 1e9 * seconds / (t * n)
-        print(f"{t:9,d}{n:8d}{each.min():10.2f}{np.median(each):10.2f}", flush=True)
-
-
 def steps(samples):
     """Print the time of one step of the step interface; where it deviates from the whole force."""
     print("\nStep by step, for hybrid simulation (1024 Hz leaves 977 µs)")
@@ -141,18 +127,13 @@ def steps(samples):
 
 
 def main():
-    options = common.parser_of(__doc__, data=True).parse_args()
-    common.heading(__doc__.splitlines()[0], "numba", "jax")
+    options = common.begin(common.parser_of(__doc__, data=True), "numba", "jax")
     rounds = 1 if options.quick else 30
     count = 300 if options.quick else SAMPLES
-    real = draw_theta(VECTORS, REAL, (0.03, 0.07))
     failed = compare("A plausible damper", draw_theta(VECTORS), sine(count), rounds, solver=True)
-    failed += compare("As in posteriors of real records", real, sine(count), rounds)
     for name in () if options.quick else RECORDS:
         trace = read_record(options.data / "brfd" / name).trace()
         failed += compare(name, draw_theta(VECTORS), trace, 10)
-    every = [(t, VECTORS) for t in (500, 2000, 10_000, 100_000)] + [(2000, n) for n in (1, 32, 512)]
-    sizes(every[:1] if options.quick else every, rounds // 4 + 1)
     failed += steps(count)
     common.finish(failed)
 

@@ -2,32 +2,32 @@
 
     python -m benchmarks.heldout.run > benchmarks/heldout/heldout.txt
     python -m benchmarks.heldout.run --kinds >> benchmarks/heldout/heldout.txt
+    python -m benchmarks.heldout.run --given three_stage backlash > benchmarks/heldout/given.txt
 
 calibrates the sessions of the band brake (half an hour each on two cores) and predicts what was
 left out: the 36 lb harmonic tests, each in turn, and the earthquakes from all of them; of the 2022
 session each tension in turn, and each test whose tension another test has too. --kinds: kinds of
-motion; the 30 lb tests and the earthquakes from all 36 lb tests. --quick: three tests of one
-tension and an earthquake, with little effort, two minutes. Calibrated runs stay in --out: delete it
-when records or code have changed. Exit status 1: a limit was missed. Records come from --data.
+motion; the 30 lb tests and the earthquakes from all 36 lb tests. --given: the earthquakes alone and
+given the seconds before the shaking, by each model and by all in equal parts; then milliseconds of
+an update with 64 samples of a record at 1024 Hz, and of a band of the next 64 (follow.txt).
+--quick: three tests of one tension and an earthquake, with little effort, two minutes. Exit status
+1: a limit was missed, or an update takes longer than its samples take to arrive. Records come from
+--data.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
 
-import sys
+import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
+import mfd_bayes as mb
 from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
-from mfd_bayes.evaluation.scores import score
-from mfd_bayes.pipeline.calibrate import calibrate
-from mfd_bayes.pipeline.plan import Options, plan_campaign
-from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.inference import infer_population
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Score
-from mfd_bayes.runs.run import Run
+from mfd_bayes.evaluation.views import rrse, score
+from mfd_bayes.pipeline.plan import Options
+from mfd_bayes.runs.folder import Score
 
 DRAWS = 800
 PUBLISHED = {
@@ -43,8 +43,8 @@ PUBLISHED = {
     "36lb_0.25Hz_1.5in": 0.180,
 }
 """RRSE of the LuGre model that the dataset's authors published (shared/data/brfd/README.md)."""
-WINDOWS = {"36lb_ImperialValleyDBE": (3.0, 7.5), "36lb_KocaeliDBE": (6.0, 14.0)}
-"""Where they are scored, s; other records as a whole."""
+QUAKES = {"36lb_ImperialValleyDBE": (3.0, 7.5), "36lb_KocaeliDBE": (6.0, 14.0)}
+"""Where they are scored, s, after the part that may be given; other records as a whole."""
 
 KINDS: dict[str, Callable[[str], bool]] = {
     "all at 1 Hz": lambda name: "1.00Hz" in name,
@@ -54,7 +54,7 @@ KINDS: dict[str, Callable[[str], bool]] = {
     "all of 1.5 in": lambda name: "1.5in" in name,
 }
 """Kinds of harmonic motion that are left out, by the ids of their tests."""
-
+SAMPLES, SECONDS, SAMPLED = 64, 12.0, 1024.0  # of an update and of the record; Hz
 
 missed: list[str] = []
 
@@ -67,155 +67,169 @@ def bar(what: str, value: float, least: float, most: float) -> None:
         missed.append(what)
 
 
-def line(name: str, found: Score, *more: str) -> None:
-    half, most, nearly = found.coverage
-    print(
-        f"  {name:32s} {100 * half:5.1f} {100 * most:5.1f} {100 * nearly:5.1f}  "
-        f"{found.width:6.2f} {found.interval_score:7.2f} {found.crps:6.3f} {found.rrse:6.3f}  "
-        + "  ".join(more),
-        flush=True,
-    )
+def row(name: str, found: Score, **more: object) -> dict:
+    """Line of a table; coverage in %, width and CRPS in kip."""
+    values = (found.width, found.interval_score, found.crps, found.rrse)
+    numbers = (*(100.0 * share for share in found.coverage), *values)
+    columns = ("50 %", "90 %", "95 %", "width", "interval", "CRPS", "RRSE")
+    return {"test": name, **dict(zip(columns, numbers, strict=True)), **more}
 
 
-def header(title: str, *more: str) -> None:
-    print(f"\n{title}")
-    print(f"  {'':32s} covered by 50, 90, 95 %   width  interval  CRPS   RRSE  " + "  ".join(more))
+def table(title: str, rows: list[dict]) -> pd.DataFrame:
+    """Print a table, with what was published and the mean of its lines; the table."""
+    frame = pd.DataFrame(rows).set_index("test")
+    frame["published"] = frame.index.map(PUBLISHED)
+    frame = frame.dropna(axis=1, how="all")
+    shown = pd.concat([frame, frame.mean(numeric_only=True).to_frame("mean").T])
+    print(f"\n{title}\n{shown.to_string(float_format='%.3f', na_rep='')}", flush=True)
+    return frame
 
 
-def finished(session: str, options) -> Run:
-    """Calibrated run of a session's records."""
-    out = options.out / f"{session}_{options.model}"
-    place = options.out / f"campaign_{out.name}"
-    campaign = common.lay_out(options.data, place, session, options.model)
-    if options.quick:
-        head, *tests = campaign.read_text(encoding="utf-8").split("\n[[test]]")
-        quakes = [test for test in tests if "ImperialValley" in test]
-        campaign.write_text("\n[[test]]".join([head, *tests[:3], *quakes]), encoding="utf-8")
-    effort = "quick" if options.quick else "standard"
-    chosen = Options(effort=effort, seed=options.seed, jobs=options.jobs, resume=out.exists())
-
-    def report(step):
-        print(step.id, step.stage, file=sys.stderr)
-
-    return calibrate(plan_campaign(campaign, chosen), out, report)
-
-
-def mean(scores: list[Score]) -> Score:
-    """Mean scores of records."""
-    fields = ("width", "interval_score", "crps", "rrse")
-    coverage = tuple(np.mean([s.coverage for s in scores], axis=0).tolist())
-    return Score(coverage, *(float(np.mean([getattr(s, f) for s in scores])) for f in fields))
-
-
-def left_out(run: Run, by: str, options, chosen: Callable[[str], bool] = lambda _: True) -> list:
+def left_out(run: mb.Run, by: str, jobs: int, chosen=lambda _: True) -> list:
     """Predictions of the parts of a run that are left out, from populations of little effort."""
     folds = [f for f in folds_of(run, by, "quick") if any(map(chosen, f.left_out))]
-    return list(run_folds(run, folds, Options(jobs=options.jobs), lambda _: None))
+    return list(run_folds(run, folds, Options(jobs=jobs), lambda _: None))
 
 
-def one_level(run: Run, options) -> None:
+def score_of(source: mb.Run, name: str, trace: mb.Trace) -> Score:
+    """Score of the predicted band of a record."""
+    band = source.predict(trace, "observation", draws=DRAWS, seed=1)
+    at = scored(name, trace)
+    return score(band.draws[:, at], np.asarray(trace.force)[at])
+
+
+def scored(name: str, trace: mb.Trace) -> np.ndarray:
+    """At which samples a record is scored."""
+    begin, end = QUAKES.get(name, (-np.inf, np.inf))
+    return (trace.time >= begin) & (trace.time <= end)
+
+
+def rows_of(predictions: list) -> list[dict]:
+    """Lines of tests left out, beside the bands of their own fits."""
+    return [
+        row(p.test, p.score, fitted=p.fitted.width, fitted_crps=p.fitted.crps) for p in predictions
+    ]
+
+
+def one_level(run: mb.Run, options) -> None:
     """The 36 lb session: each test left out, and the earthquakes."""
-    title = "36 lb, 2023: each harmonic test from the others; earthquakes"
-    header(title, "published", "fitted width")
-    predictions = left_out(run, "test", options)
-    found = {p.test: p.score for p in predictions}
-    fitted = {p.test: f"{p.fitted.width:12.2f}" for p in predictions}
-    total = mean(list(found.values()))
-    predictor = predictor_of(run, run.population)
-    for name, trace in run.held_out.items():
-        found[name] = score_of(predictor, trace, *WINDOWS[name])
-    for name, s in found.items():
-        published = f"{PUBLISHED[name]:9.3f}" if name in PUBLISHED else f"{'–':>9s}"
-        line(name, s, published, fitted.get(name, ""))
-    line("mean of the harmonic tests", total)
+    found = table("36 lb, 2023: each from the others", rows_of(left_out(run, "test", options.jobs)))
+    rows = [row(name, score_of(run, name, trace)) for name, trace in run.held_out.items()]
+    quakes = table("36 lb, 2023: earthquakes from the harmonic tests", rows)
     if options.quick:
         return
-    shares = [found[name].rrse / PUBLISHED[name] for name in fitted if name in PUBLISHED]
-    bar("mean of RRSE over that published", float(np.mean(shares)), 0.0, 0.55)
-    bar("largest RRSE over that published", max(shares), 0.0, 0.75)
-    bar("coverage of 95 % bands", total.coverage[2], 0.92, 0.97)
-    bar("coverage of 50 % bands", total.coverage[0], 0.45, 0.58)
-    bar("least coverage", min(found[name].coverage[2] for name in fitted), 0.85, 1.0)
-    bar("mean width of 95 % bands, kip", total.width, 0.0, 1.40)
-    bar("mean CRPS, kip", total.crps, 0.0, 0.182)
-    bar("RRSE of Imperial Valley", found["36lb_ImperialValleyDBE"].rrse, 0.0, 0.30)
+    total, shares = found.mean(), found["RRSE"] / found["published"]
+    bar("mean of RRSE over that published", shares.mean(), 0.0, 0.55)
+    bar("largest RRSE over that published", shares.max(), 0.0, 0.75)
+    bar("coverage of 95 % bands", total["95 %"], 92.0, 97.0)
+    bar("coverage of 50 % bands", total["50 %"], 45.0, 58.0)
+    bar("least coverage", found["95 %"].min(), 85.0, 100.0)
+    bar("mean width of 95 % bands, kip", total["width"], 0.0, 1.40)
+    bar("mean CRPS, kip", total["CRPS"], 0.0, 0.182)
+    bar("RRSE of Imperial Valley", quakes["RRSE"]["36lb_ImperialValleyDBE"], 0.0, 0.30)
 
 
-def many_levels(run: Run, options) -> None:
+def many_levels(run: mb.Run, jobs: int) -> None:
     """The 2022 session: each tension left out, and each test whose tension another has."""
-    header("2022: each tension from the others", "fitted width", "fitted CRPS")
-    away = left_out(run, "level", options)
-    for p in away:
-        line(p.test, p.score, f"{p.fitted.width:12.2f}", f"{p.fitted.crps:.3f}")
-    total, own = mean([p.score for p in away]), mean([p.fitted for p in away])
-    line("mean", total, f"{own.width:12.2f}", f"{own.crps:.3f}")
-    header("2022: each test whose tension another frequency shows", "fitted width")
+    away = left_out(run, "level", jobs)
+    found = table("2022: each tension from the others", rows_of(away))
     parts = [p.part for p in away]
     repeated = {p.test for p in away if parts.count(p.part) > 1}
-    seen = left_out(run, "test", options, repeated.__contains__)
-    for p in seen:
-        line(p.test, p.score, f"{p.fitted.width:12.2f}")
-    near, near_own = mean([p.score for p in seen]), mean([p.fitted for p in seen])
-    line("mean", near, f"{near_own.width:12.2f}")
-    bar("coverage of 95 % bands, tension left out", total.coverage[2], 0.92, 0.98)
-    bar("coverage of 50 % bands, tension left out", total.coverage[0], 0.42, 0.58)
-    bar("least coverage", min(p.score.coverage[2] for p in away), 0.80, 1.0)
-    bar("mean width over that of a fitted test", total.width / own.width, 0.0, 3.0)
-    bar("mean CRPS, kip", total.crps, 0.0, 0.20)
-    bar("width at a tension seen over a fitted test's", near.width / near_own.width, 0.0, 2.0)
+    near = rows_of(left_out(run, "test", jobs, repeated.__contains__))
+    seen = table("2022: each test whose tension another frequency shows", near).mean()
+    total = found.mean()
+    bar("coverage of 95 % bands, tension left out", total["95 %"], 92.0, 98.0)
+    bar("coverage of 50 % bands, tension left out", total["50 %"], 42.0, 58.0)
+    bar("least coverage", found["95 %"].min(), 80.0, 100.0)
+    bar("mean width over that of a fitted test", total["width"] / total["fitted"], 0.0, 3.0)
+    bar("mean CRPS, kip", total["CRPS"], 0.0, 0.20)
+    bar("width at a tension seen over a fitted test's", seen["width"] / seen["fitted"], 0.0, 2.0)
 
 
-def kinds(options) -> None:
-    """Whole kinds of motion left out: the mean over each kind's tests, and the least coverage."""
-    run, other = (finished(session, options) for session in ("36lb", "30lb"))
-    header("36 lb, 2023: kinds of motion left out (means over the tests)", "least", "tests")
+def kinds(run: mb.Run, other: mb.Run, seed: int) -> None:
+    """Whole kinds of motion left out: the least and the mean coverage of each kind's tests."""
+    sources = {}
     for kind, belongs in KINDS.items():
-        rest = {name: test for name, test in run.tests.items() if not belongs(name)}
-        if not rest or len(rest) == len(run.tests):
-            continue
-        settings = run.manifest.settings.inference("quick", (options.seed, 4))
-        predictor = predictor_of(run, infer_population(rest, run.priors, settings).population)
-        traces = [test.trace for name, test in run.tests.items() if belongs(name)]
-        judge_kind(kind, [score_of(predictor, trace) for trace in traces])
-    predictor = predictor_of(run, run.population)
-    traces = [test.trace for test in other.tests.values()]
-    judge_kind("30 lb from 36 lb", [score_of(predictor, trace) for trace in traces])
-    for name, trace in run.held_out.items():
-        judge_kind(name, [score_of(predictor, trace, *WINDOWS[name])])
+        kept = [name for name in run.tests if not belongs(name)]
+        if kept and len(kept) < len(run.tests):
+            away = {n: test.trace for n, test in run.tests.items() if n not in kept}
+            sources[kind] = common.without(run, kept, "quick", (seed, 4)), away
+    sources["30 lb from 36 lb"] = run, {n: test.trace for n, test in other.tests.items()}
+    sources["earthquakes from 36 lb"] = run, run.held_out
+    for kind, (source, traces) in sources.items():
+        rows = [row(name, score_of(source, name, trace)) for name, trace in traces.items()]
+        found = table(f"36 lb, 2023: {kind}", rows)
+        bar(f"coverage of 95 % bands, {kind}", found["95 %"].mean(), 90.0, 100.0)
 
 
-def predictor_of(run: Run, population) -> Predictor:
-    some = next(iter(run.tests.values())).posterior
-    return Predictor(population, some.model, some.noise)
+def given(runs: list[mb.Run], draws: int) -> None:
+    """Earthquakes that the runs left out, alone and given their first seconds."""
+    sources = {run.manifest.settings.model: run for run in runs}
+    if len(runs) > 1:
+        sources["equal parts"] = mb.ModelAverage(runs)
+    for model, source in sources.items():
+        rows = []
+        for name, trace in runs[0].held_out.items():
+            begin, at = QUAKES[name][0], scored(name, trace)
+            for window in (None, (float(trace.time[0]), begin)):
+                band = source.predict(trace, "observation", draws=draws, given=window)
+                inside, force = band.draws[:, at], np.asarray(trace.force)[at]
+                words = f"given {begin:g} s by {band.given.method}" if window else "alone"
+                of_mean = rrse(inside.mean(axis=0), force)
+                rows.append(row(name, score(inside, force), of_mean=of_mean, how=words))
+        table(f"Model {model}", rows)
 
 
-def score_of(predictor: Predictor, trace: Trace, begin=-np.inf, end=np.inf) -> Score:
-    """Score of the predicted band of a record within a time."""
-    band = predictor.predict(trace, Forecast("observation", draws=DRAWS, seed=1))
-    inside = (trace.time >= begin) & (trace.time <= end)
-    return score(band.draws[:, inside], np.asarray(trace.force)[inside])
+def follow(run: mb.Run, trace: mb.Trace, draws: int) -> None:
+    """Print the times of following a record; note it where samples arrive faster.
+
+    An update only keeps its samples: a band weighs the draws by all samples so far.
+    """
+    forecaster = run.follow(0.036, amplitude=0.18, velocity=1.5, draws=draws, refresh=False)
+    updates, bands = [], []
+    for number in range(int(SECONDS * SAMPLED) // SAMPLES):
+        new, ahead = (slice(k * SAMPLES, (k + 1) * SAMPLES) for k in (number, number + 1))
+        columns = trace.time[new], trace.displacement[new], None, np.asarray(trace.force)[new]
+        updates.append(timed(forecaster.update, *columns))
+        motion = mb.Trace.from_arrays(trace.time[ahead], trace.displacement[ahead])
+        if number % 16 == 15:
+            bands.append(timed(forecaster.band, motion))
+    shown = np.median(updates), max(updates), np.median(bands), max(bands)
+    print(f"{draws:6}" + "".join(f"{each:14.2f}" for each in (*shown, timed(forecaster.refresh))))
+    arrive = 1e3 * SAMPLES / SAMPLED
+    if max(updates) > arrive:
+        missed.append(f"{draws} draws: an update takes more than {arrive} ms")
 
 
-def judge_kind(kind: str, found: list[Score]) -> None:
-    total, least = mean(found), min(s.coverage[2] for s in found)
-    line(kind, total, f"{100 * least:5.1f}", f"{len(found):5d}")
-    bar(f"coverage of 95 % bands, {kind}", total.coverage[2], 0.90, 1.0)
+def timed(call: Callable, *arguments: object) -> float:
+    """Processor milliseconds of a call."""
+    began = time.process_time()
+    call(*arguments)
+    return 1e3 * (time.process_time() - began)
 
 
 def main() -> None:
-    parser = common.parser_of(__doc__ or "", data=True)
-    parser.add_argument("--out", type=Path, default=common.PROJECT / "out_heldout")
-    parser.add_argument("--jobs", type=int, default=2)
+    parser = common.parser_of(__doc__ or "", data=True, jobs=2, out="out_heldout")
     parser.add_argument("--model", default="three_stage", help="as in a campaign file")
     parser.add_argument("--kinds", action="store_true", help="kinds of motion left out, alone")
-    options = parser.parse_args()
-    common.heading((__doc__ or "").splitlines()[0])
+    parser.add_argument("--given", nargs="+", metavar="MODEL", help="earthquakes given, alone")
+    options = common.begin(parser)
+    models = options.given or [options.model]
+    runs = [common.calibrated(options, "36lb", model) for model in models]
     if options.kinds:
-        kinds(options)
+        kinds(runs[0], common.calibrated(options, "30lb", options.model), options.seed)
+    elif options.given:
+        given(runs, 200 if options.quick else 1000)
+        trace = mb.read_record(options.data / "brfd" / "2023_36lb_KocaeliDBE.csv").trace()
+        print(f"\nFollowed, {SAMPLES} samples at a time, processor ms")
+        heads = ("update", "slowest", "band of 64", "slowest", "refresh")
+        print(f"{'draws':>6}" + "".join(f"{head:>14}" for head in heads))
+        for draws in (256, 1000)[: 1 if options.quick else 2]:
+            follow(runs[0], trace, draws)
     else:
-        one_level(finished("36lb", options), options)
+        one_level(runs[0], options)
         if not options.quick:
-            many_levels(finished("2022-07", options), options)
+            many_levels(common.calibrated(options, "2022-07", options.model), options.jobs)
     common.finish([] if options.quick else missed)
 
 

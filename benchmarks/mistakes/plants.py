@@ -24,154 +24,69 @@ class Planned:
 
     id: str
     table: pd.DataFrame
-    actuation: str
+    level: float  # of tension
     names: dict[str, str]
+    unit: str = "lbf"
+
+    def column(self, name: str) -> np.ndarray:
+        return self.table[name].to_numpy(copy=True)
 
     def changed(self, **columns: np.ndarray) -> Planned:
         """The test with other numbers in its columns."""
         return replace(self, table=self.table.assign(**columns))
 
 
-Session = list[Planned]
+Change = Callable[[Planned], Planned]
 
 
-@dataclass(frozen=True)
-class Mistake:
-    """A mistake; `plant` changes test `k` of a session, `cause` is a pattern of the right words."""
-
-    name: str
-    plant: Callable[[Session, int], tuple[Session, str]]
-    cause: str
-
-
-def _changed(change: Callable[[Planned], Planned]) -> Callable[[Session, int], tuple[Session, str]]:
-    """Planting of a change of one test by itself."""
-
-    def plant(tests: Session, k: int) -> tuple[Session, str]:
-        return [change(t) if i == k else t for i, t in enumerate(tests)], tests[k].id
-
-    return plant
-
-
-def _scaled(column: str, by: float, **names: str) -> Callable[[Session, int], tuple[Session, str]]:
+def scaled(column: str, by: float, **names: str) -> Change:
     """A column whose numbers are in another unit than its name says."""
 
     def change(test: Planned) -> Planned:
-        return replace(
-            test.changed(**{column: by * test.table[column]}), names={**test.names, **names}
-        )
+        other = test.changed(**{column: by * test.table[column]})
+        return replace(other, names={**test.names, **names})
 
-    return _changed(change)
-
-
-def _added(change: Callable[[Planned], Planned]) -> Callable[[Session, int], tuple[Session, str]]:
-    """Planting of one more test, made of another; the later one of both is to be named."""
-
-    def plant(tests: Session, k: int) -> tuple[Session, str]:
-        copy = replace(change(tests[k]), id=f"{tests[k].id}_again")
-        return [*tests, copy], copy.id
-
-    return plant
+    return change
 
 
-def _tension(text: str) -> Callable[[Session, int], tuple[Session, str]]:
-    def change(test: Planned) -> Planned:
-        number = float(test.actuation.split()[0])
-        return replace(test, actuation=text.format(number, 10 * number, number / 10))
-
-    return _changed(change)
+def tension(by: float, unit: str = "lbf") -> Change:
+    return lambda test: replace(test, level=by * test.level, unit=unit)
 
 
-def _cut(test: Planned) -> Planned:
-    time = test.table["time"].to_numpy()
+def both_signs(test: Planned) -> Planned:
+    return scaled("force", -1.0)(scaled("displacement", -1.0)(test))
+
+
+def cut(test: Planned) -> Planned:
+    time = test.column("time")
     grid = np.arange(time[0] + 0.23 * np.ptp(time), time[0] + 0.8 * np.ptp(time), 0.01)
     table = {c: np.interp(grid, time, test.table[c]) for c in ("displacement", "force")}
     frame = test.table.iloc[: grid.size].assign(time=grid - grid[0], **table)
     return replace(test, table=frame)
 
 
-def _metric(test: Planned) -> Planned:
-    names = {"displacement": "displacement_mm", "force": "force_kN"}
-    table = test.table.assign(
-        displacement=25.4 * test.table["displacement"], force=4.4482216 * test.table["force"]
-    )
-    return replace(test, table=table, names=names)
+def metric(test: Planned) -> Planned:
+    travel = scaled("displacement", 25.4, displacement="displacement_mm")
+    return scaled("force", 4.4482216, force="force_kN")(travel(test))
 
 
-def _clipped(test: Planned) -> Planned:
-    force = test.table["force"].to_numpy()
-    limit = 0.6 * np.quantile(np.abs(force), 0.99)
-    return test.changed(force=np.clip(force, -limit, limit))
+def clipped(test: Planned) -> Planned:
+    limit = 0.6 * np.quantile(np.abs(test.table["force"]), 0.99)
+    return test.changed(force=np.clip(test.column("force"), -limit, limit))
 
 
-def _lagged(test: Planned) -> Planned:
-    time = test.table["time"].to_numpy()
+def lagged(test: Planned) -> Planned:
+    time = test.column("time")
     return test.changed(force=np.interp(time - 0.02, time, test.table["force"]))
 
 
-def _drifted(test: Planned) -> Planned:
-    time = test.table["time"].to_numpy()
+def drifted(test: Planned) -> Planned:
+    time = test.column("time")
     size = 0.8 * np.quantile(np.abs(test.table["force"]), 0.9)
     return test.changed(force=test.table["force"] + size * (time - time[0]) / np.ptp(time))
 
 
-def _spiked(test: Planned) -> Planned:
-    force = test.table["force"].to_numpy().copy()
-    force[np.linspace(50, force.size - 50, 15).astype(int)] += 8.0
-    return test.changed(force=force)
-
-
-def _dropped(test: Planned) -> Planned:
-    size = len(test.table)
-    lost = [i + j for i in range(size // 7, size - 20, size // 7) for j in range(5)]
-    return replace(test, table=test.table.drop(index=lost).reset_index(drop=True))
-
-
-def _cycle(test: Planned) -> int:
-    """Samples of a cycle at full stroke."""
-    trace = Trace.from_arrays(test.table["time"], test.table["displacement"])
-    return int(np.max(np.diff(trace.cycle_turns[::2]))) if trace.cycle_turns.size > 2 else 64
-
-
-def _middle(test: Planned) -> int:
-    """A sample in the middle of a stroke, about the middle of the test."""
-    x = test.table["displacement"].to_numpy()
-    middle = np.median(x)
-    crossings = np.flatnonzero((x[1:] > middle) & (x[:-1] <= middle))
-    return int(crossings[np.argmin(np.abs(crossings - x.size // 2))])
-
-
-def _renumbered(test: Planned) -> Planned:
-    """A third of a cycle is lost, and the time goes on as if nothing were."""
-    first, time = _middle(test), test.table["time"].to_numpy()
-    table = test.table.drop(index=range(first, first + _cycle(test) // 3)).reset_index(drop=True)
-    return replace(test, table=table.assign(time=time[: len(table)]))
-
-
-def _held(column: str) -> Callable[[Session, int], tuple[Session, str]]:
-    """A third of a cycle in which a channel is frozen."""
-
-    def change(test: Planned) -> Planned:
-        values, first = test.table[column].to_numpy().copy(), _middle(test)
-        values[first : first + _cycle(test) // 3] = values[first]
-        return test.changed(**{column: values})
-
-    return _changed(change)
-
-
-def _zero_stepped(test: Planned) -> Planned:
-    x = test.table["displacement"].to_numpy().copy()
-    x[_middle(test) + _cycle(test) // 8 :] += 0.1 * np.ptp(x)
-    return test.changed(displacement=x)
-
-
-def _overflown(test: Planned) -> Planned:
-    force = test.table["force"].to_numpy().copy()
-    force[[force.size // 3, force.size // 2, force.size // 2 + 1]] = 1e6
-    return test.changed(force=force)
-
-
-def _other_device(test: Planned) -> Planned:
+def other_device(test: Planned) -> Planned:
     rng = np.random.default_rng(0)
     table = test.table.iloc[::4].reset_index(drop=True)
     trace = Trace.from_arrays(table["time"], table["displacement"], 0.03)
@@ -180,75 +95,109 @@ def _other_device(test: Planned) -> Planned:
     return replace(test, table=table.assign(force=force + noise))
 
 
-def _wrong_file(tests: Session, k: int) -> tuple[Session, str]:
-    """A file of another motion under the name of a test of 0.2 Hz and 0.4 in."""
-    named = replace(tests[k], id=f"{tests[k].id}_0.2Hz_0.4in")
-    return [named if i == k else t for i, t in enumerate(tests)], named.id
+def spiked(test: Planned) -> Planned:
+    force = test.column("force")
+    force[np.linspace(50, force.size - 50, 15).astype(int)] += 8.0
+    return test.changed(force=force)
 
 
-def _wrong_level(tests: Session, k: int) -> tuple[Session, str]:
-    """The record of the highest tension under the name of the lowest; the former is not there."""
-    level = [float(t.actuation.split()[0]) for t in tests]
-    high, low = int(np.argmax(level)), int(np.argmin(level))
-    swapped = replace(tests[low], table=tests[high].table)
-    return [swapped if i == low else t for i, t in enumerate(tests) if i != high], tests[low].id
+def overflown(test: Planned) -> Planned:
+    force = test.column("force")
+    force[[force.size // 3, force.size // 2, force.size // 2 + 1]] = 1e6
+    return test.changed(force=force)
 
 
+def dropped(test: Planned) -> Planned:
+    size = len(test.table)
+    lost = [i + j for i in range(size // 7, size - 20, size // 7) for j in range(5)]
+    return replace(test, table=test.table.drop(index=lost).reset_index(drop=True))
+
+
+def middle(test: Planned, parts: int) -> tuple[int, int]:
+    """A sample in the middle of a stroke, about the middle of the test; another, later one.
+
+    The other one comes after one of so many parts of a cycle at full stroke.
+    """
+    x = test.column("displacement")
+    crossings = np.flatnonzero((x[1:] > np.median(x)) & (x[:-1] <= np.median(x)))
+    first = int(crossings[np.argmin(np.abs(crossings - x.size // 2))])
+    turns = Trace.from_arrays(test.table["time"], x).cycle_turns
+    cycle = int(np.max(np.diff(turns[::2]))) if turns.size > 2 else 64
+    return first, first + cycle // parts
+
+
+def renumbered(test: Planned) -> Planned:
+    """A third of a cycle is lost, and the time goes on as if nothing were."""
+    table = test.table.drop(index=range(*middle(test, 3))).reset_index(drop=True)
+    return replace(test, table=table.assign(time=test.column("time")[: len(table)]))
+
+
+def held(column: str) -> Change:
+    """A third of a cycle in which a channel is frozen."""
+
+    def change(test: Planned) -> Planned:
+        values, (first, last) = test.column(column), middle(test, 3)
+        values[first:last] = values[first]
+        return test.changed(**{column: values})
+
+    return change
+
+
+def zero_stepped(test: Planned) -> Planned:
+    x = test.column("displacement")
+    x[middle(test, 8)[1] :] += 0.1 * np.ptp(x)
+    return test.changed(displacement=x)
+
+
+MM = {"displacement": "displacement_mm"}
 TENSION = r"actuation.*(probably|wrong)|another test"
-MISTAKES = (
-    Mistake(
-        "cm for mm",
-        _scaled("displacement", 2.54, displacement="displacement_mm"),
-        "in cm|times too small",
-    ),
-    Mistake("mm for in", _scaled("displacement", 25.4), "displacement.*(in mm|times too large)"),
-    Mistake(
-        "in for mm",
-        _scaled("displacement", 1.0, displacement="displacement_mm"),
-        "displacement.*(in in|times too small)",
-    ),
-    Mistake("1.5 times the travel", _scaled("displacement", 1.5), "displacement.*times too large"),
-    Mistake("kN for lbf of tension", _tension("{0:g} kN"), "probably .* lbf, not|actuation.*wrong"),
-    Mistake("ten times the tension", _tension("{1:g} lbf"), TENSION),
-    Mistake("a tenth of the tension", _tension("{2:g} lbf"), TENSION),
-    Mistake("sign of force", _scaled("force", -1.0), "sign is probably that of the force"),
-    Mistake("sign of displacement", _scaled("displacement", -1.0), "that of the displacement"),
-    Mistake(
-        "sign of both",
-        _changed(
-            lambda t: t.changed(displacement=-t.table["displacement"], force=-t.table["force"])
-        ),
-        "both swapped",
-    ),
-    Mistake("duplicate, whole", _added(lambda t: t), "same record|count twice"),
-    Mistake("duplicate, cut, 100 Hz", _added(_cut), "same measurement|count twice"),
-    Mistake("duplicate in mm and kN", _added(_metric), "same record|count twice"),
-    Mistake(
-        "time in ms",
-        _changed(lambda t: t.changed(time=1000.0 * t.table["time"])),
-        "time in ms",
-    ),
-    Mistake("wrong file under a name", _wrong_file, "the name of"),
-    Mistake("file of another tension", _wrong_level, TENSION),
-    Mistake("N for lbf of force", _scaled("force", 4448.2216, force="force_lbf"), "force.* in N,"),
-    Mistake("kN for kip of force", _scaled("force", 4.4482216), "force.* in kN,"),
-    Mistake("force clipped", _changed(_clipped), "at its limit"),
-    Mistake("force 20 ms late", _changed(_lagged), "behind the displacement"),
-    Mistake("zero of force drifts", _changed(_drifted), "drifts"),
-    Mistake("record of another device", _changed(_other_device), "another device"),
-    Mistake("spikes", _changed(_spiked), "isolated sample"),
-    Mistake("samples lost", _changed(_dropped), "dropped"),
-    Mistake("lost, time renumbered", _changed(_renumbered), "jumps by"),
-    Mistake("displacement frozen", _held("displacement"), "displacement holds one value"),
-    Mistake("force frozen", _held("force"), "force holds one value"),
-    Mistake("zero of travel steps", _changed(_zero_stepped), "zero of the sensor"),
-    Mistake(
-        "half of the force", _scaled("force", 0.5), "tests at its actuation|force.*times too small"
-    ),
-    Mistake(
-        "travel and force swapped",
-        _changed(lambda t: t.changed(displacement=t.table["force"], force=t.table["displacement"])),
+HALF = "tests at its actuation|force.*times too small"
+MISTAKES: dict[str, tuple[str, Change]] = {
+    # name: pattern of the right words, and the change of a test
+    "cm for mm": ("in cm|times too small", scaled("displacement", 2.54, **MM)),
+    "mm for in": ("displacement.*(in mm|times too large)", scaled("displacement", 25.4)),
+    "in for mm": ("displacement.*(in in|times too small)", scaled("displacement", 1.0, **MM)),
+    "1.5 times the travel": ("displacement.*times too large", scaled("displacement", 1.5)),
+    "kN for lbf of tension": ("probably .* lbf, not|actuation.*wrong", tension(1.0, "kN")),
+    "ten times the tension": (TENSION, tension(10.0)),
+    "a tenth of the tension": (TENSION, tension(0.1)),
+    "sign of force": ("sign is probably that of the force", scaled("force", -1.0)),
+    "sign of displacement": ("that of the displacement", scaled("displacement", -1.0)),
+    "sign of both": ("both swapped", both_signs),
+    "duplicate, whole": ("same record|count twice", lambda test: test),
+    "duplicate, cut, 100 Hz": ("same measurement|count twice", cut),
+    "duplicate in mm and kN": ("same record|count twice", metric),
+    "time in ms": ("time in ms", scaled("time", 1000.0)),
+    "wrong file under a name": ("the name of", lambda t: replace(t, id=f"{t.id}_0.2Hz_0.4in")),
+    "file of another tension": (TENSION, lambda test: test),
+    "N for lbf of force": ("force.* in N,", scaled("force", 4448.2216, force="force_lbf")),
+    "kN for kip of force": ("force.* in kN,", scaled("force", 4.4482216)),
+    "force clipped": ("at its limit", clipped),
+    "force 20 ms late": ("behind the displacement", lagged),
+    "zero of force drifts": ("drifts", drifted),
+    "record of another device": ("another device", other_device),
+    "spikes": ("isolated sample", spiked),
+    "samples lost": ("dropped", dropped),
+    "lost, time renumbered": ("jumps by", renumbered),
+    "displacement frozen": ("displacement holds one value", held("displacement")),
+    "force frozen": ("force holds one value", held("force")),
+    "zero of travel steps": ("zero of the sensor", zero_stepped),
+    "half of the force": (HALF, scaled("force", 0.5)),
+    "travel and force swapped": (
         "seem swapped",
+        lambda t: t.changed(displacement=t.table["force"], force=t.table["displacement"]),
     ),
-    Mistake("overflow values", _changed(_overflown), "isolated sample"),
-)
+    "overflow values": ("isolated sample", overflown),
+}
+
+
+def plant(name: str, tests: list[Planned], k: int) -> tuple[list[Planned], str]:
+    """A session with a mistake in test k, or in another, and the test that is to be named."""
+    wrong = MISTAKES[name][1](tests[k])
+    if name.startswith("duplicate"):
+        return [*tests, replace(wrong, id=f"{wrong.id}_again")], f"{wrong.id}_again"
+    if name == "file of another tension":  # the highest one's under the name of the lowest
+        low, high = (pick(tests, key=lambda test: test.level) for pick in (min, max))
+        swapped = replace(low, table=high.table)
+        return [swapped if test is low else test for test in tests if test is not high], low.id
+    return [wrong if i == k else test for i, test in enumerate(tests)], wrong.id

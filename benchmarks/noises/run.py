@@ -1,11 +1,11 @@
 """Does a run say so where its noise decides a parameter? Four real tests under every noise.
 
-    python -m benchmarks.noises.run FOLDER > benchmarks/noises/noises.txt
+    python -m benchmarks.noises.run > benchmarks/noises/noises.txt
 
 takes half an hour (--quick: one test under two noises with little effort). Calibrates the tests of
 the 2022 session at 25, 35, 70 and 80 lbf, 0.5 Hz, under each noise, each with its check by second
 fits under other noises. Slip forces, stiffness of the build-up and gap: their 95 % intervals must
-overlap between noises, or the run must note that they do not. Posteriors are kept in FOLDER, so
+overlap between noises, or the run must note that they do not. Posteriors are kept in --out, so
 that a second call goes on. Exit status 1: intervals are apart without a note, or the check takes
 more than SHARE of the sampling. Real records come from --data.
 """
@@ -15,7 +15,7 @@ from benchmarks import common  # isort: skip  (one thread, before numpy)
 import itertools
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from mfd_bayes.calibration.posterior import NOISES
 from mfd_bayes.calibration.result import Bounds, load_result, moves, quantiles_of
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 
-TENSIONS = ("25", "35", "70", "80")
+TESTS = tuple(f"{tension}lb_0.50Hz_1.0in" for tension in (25, 35, 70, 80))
 EVERY = sorted(NOISES, key=lambda name: (name != "ou", name != "staged", name))
 QUANTITIES = ("Fc_fwd", "Fc_bwd", "k3", "gap")
 SHARE = 1 / 3
@@ -38,44 +38,29 @@ class Fit:
     others: list[dict[str, Any]]
     seconds: float
 
-    def notes(self, name: str) -> list[str]:
-        """Noises under which its check says that a quantity moves."""
-        return [
-            fit["noise"]
-            for fit in self.others
-            if name in fit["quantities"] and moves(self.own[name], fit["quantities"][name])
-        ]
 
-
-def calibrated(
-    campaign: Path, folder: Path, noises: Sequence[str], effort: str
-) -> Iterator[tuple[str, str, Fit]]:
-    """Test, noise and fit of every test under every noise; what is stored is not sampled again."""
+def fits_of(campaign: Path, noises: Sequence[str], effort: str) -> dict[str, dict[str, Fit]]:
+    """Fit of every test under every noise; what is stored is not sampled again."""
+    folder, fits = campaign.parent, {}
     for noise in noises:
         plan = plan_campaign(campaign, Options(noise=noise, effort=effort))
         for task in plan.tasks:
-            file = f"{task.id}_{noise}.nc"
-            if not (folder / file).is_file():
+            file = folder / f"{task.id}_{noise}.nc"
+            clock = file.with_suffix(".seconds")
+            if not file.is_file():
                 print(task.id, noise, file=sys.stderr, flush=True)
                 began = time.process_time()
-                replace(task, file=file).run(folder, lambda _: None)
-                (folder / f"{file}.seconds").write_text(f"{time.process_time() - began:.2f}")
-            test = load_result(task.id, folder / file, plan.priors)
+                replace(task, file=file.name).run(folder, lambda _: None)
+                clock.write_text(f"{time.process_time() - began:.2f}")
+            test = load_result(task.id, file, plan.priors)
             others = test.stored.facts["other_noises"]
-            whole = float((folder / f"{file}.seconds").read_text())
             own = quantiles_of(test.posterior, test.stored.values())
-            yield task.id, noise, Fit(own, others, whole - sum(o["seconds"] for o in others))
+            seconds = float(clock.read_text()) - sum(o["seconds"] for o in others)
+            fits.setdefault(task.id, {})[noise] = Fit(own, others, seconds)
+    return fits
 
 
-def apart(one: Bounds, other: Bounds) -> bool:
-    """Whether two intervals do not overlap."""
-    return one[0] > other[2] or other[0] > one[2]
-
-
-Fits = dict[str, dict[str, Fit]]
-
-
-def table_of_intervals(fits: Fits) -> int:
+def table_of_intervals(fits: dict[str, dict[str, Fit]]) -> int:
     """Print each interval beside those under other noises; the number apart without a note.
 
     Another noise's interval is that of its calibration, where there is one, else of the second fit.
@@ -84,16 +69,16 @@ def table_of_intervals(fits: Fits) -> int:
     print(f"{'test':5} {'quantity':8} {'noise':9} {'median [95 %]':24} under other noises")
     for test, name in itertools.product(fits, QUANTITIES):
         for noise, fit in fits[test].items():
-            told, own, words = fit.notes(name), fit.own[name], []
+            own, words = fit.own[name], []
             seen = {o["noise"]: o["quantities"][name] for o in fit.others if o["quantities"]}
+            told = [other for other, bounds in seen.items() if moves(own, bounds)]
             seen |= {o: other.own[name] for o, other in fits[test].items() if o != noise}
             for other, bounds in seen.items():
-                far = apart(own, bounds)
-                silent += far and not told
-                what = (
-                    "noted" if other in told else "apart, SILENT" if far and not told else "as it"
-                )
-                words.append(f"{other} {shown(bounds)} {'apart, ' * (far and bool(told))}{what}")
+                word = "noted" if other in told else "as it"
+                if own[0] > bounds[2] or bounds[0] > own[2]:
+                    word = f"apart, {word if told else 'SILENT'}"
+                    silent += not told
+                words.append(f"{other} {shown(bounds)} {word}")
             print(f"{test:5} {name:8} {noise:9} {shown(own):24} {'; '.join(words)}")
     return silent
 
@@ -104,23 +89,16 @@ def shown(bounds: Bounds) -> str:
 
 
 def main() -> None:
-    parser = common.parser_of(__doc__ or "", data=True)
-    parser.add_argument("folder", type=Path, help="where records and posteriors are kept")
-    options = parser.parse_args()
-    chosen = TENSIONS[:1] if options.quick else TENSIONS
-    campaign = common.lay_out(options.data, options.folder, "2022-07")
-    head, *tests = campaign.read_text(encoding="utf-8").split("\n[[test]]")
-    wanted = [f'"{t}lb_0.50Hz_1.0in"' for t in chosen]
-    tests = [test for test in tests if any(name in test for name in wanted)]
-    campaign.write_text("\n[[test]]".join([head, *tests]), encoding="utf-8")
-    common.heading((__doc__ or "").splitlines()[0])
-    fits: Fits = {}
-    effort = "quick" if options.quick else "standard"
-    found = calibrated(campaign, options.folder, EVERY[:2] if options.quick else EVERY, effort)
-    for test, noise, fit in found:
-        fits.setdefault(test, {})[noise] = fit
+    options = common.begin(common.parser_of(__doc__ or "", data=True, out="out_noises"))
+    tests, noises, effort = TESTS, EVERY, "standard"
+    if options.quick:
+        tests, noises, effort = TESTS[:1], EVERY[:2], "quick"
+    campaign = common.lay_out(options.data, options.out / effort, "2022-07", only=tests)
+    text = campaign.read_text(encoding="utf-8")
+    campaign.write_text(text.replace("[columns]", "noise_check = true\n[columns]"), "utf-8")
+    fits = fits_of(campaign, noises, effort)
     silent = table_of_intervals(fits)
-    under_ou = [found["ou"] for found in fits.values()]
+    under_ou = [fit["ou"] for fit in fits.values()]
     check = sum(other["seconds"] for fit in under_ou for other in fit.others)
     share = check / sum(fit.seconds for fit in under_ou)
     print(f"intervals apart without a note: {silent} (none allowed)")

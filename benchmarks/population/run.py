@@ -10,23 +10,21 @@ and the population is inferred as users do. If all is right, the rank of the tru
 draws is uniform (Talts et al. 2018), judged as in `benchmarks.sbc.run`. The controls take half of
 the scatter, and twice of it, and must fail. The likelihood takes correlated noise for fewer
 samples, which is too careful for what a few samples tell; --white has independent noise instead.
-No campaign is dropped. Finished ones are kept in --work for a run that is broken off. Exit status
+No campaign is dropped. Finished ones are kept in --out for a run that is broken off. Exit status
 1: ranks are not uniform, a campaign has no draws, or a control passes. How often the demo's
-intervals and bands hold the truth is asked by `benchmarks.demo_coverage.run`.
+intervals and bands hold the truth is asked by `benchmarks.population.demo`.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.population import study as study_of
 from benchmarks.population.study import FACTORS, RIGHT
 from mfd_bayes.errors import MfdError
-from tests.statistical.uniformity import LEVEL, Uniformity, failures
 
 CORRELATED, WHITE = 0.2, 0.004
 """Correlation times of the noise, s; samples are 0.06 s apart."""
@@ -39,8 +37,7 @@ def run_campaign(seed, index, noise_time):
     campaign = study_of.synthesize(study, index)
     began = time.perf_counter()
     try:
-        draws = study_of.calibrate(study, campaign, index)
-        inference = study_of.infer(study, campaign, draws, index)
+        draws, inference = study_of.infer(study, campaign, index)
     except MfdError as error:
         return {"error": str(error), "ranks": {}}
     found = inference.population.convergence
@@ -54,63 +51,38 @@ def run_campaign(seed, index, noise_time):
     }
 
 
-def run_campaigns(study, count, noise_time, options):
-    """Results of campaigns 0 to `count`; those of an earlier run are read from --work."""
-    settings = (dict(study.priors.parameters), dict(study.priors.scatter), study.single)
-    folder = options.work / common.fingerprint(
-        (*settings, study.joint, study.draws, study.seed),
-        *(study.motion.displacement.tobytes(), study_of.__file__),
-        ("records", "friction", "calibration", "population"),
-    )
-    tasks = [
-        (folder / f"{index}.json", run_campaign, (study.seed, index, noise_time))
-        for index in range(count)
-    ]
-    return common.run_series(tasks, options.jobs, "campaigns")
-
-
-def judge(campaigns, study):
+def judge(campaigns, draws):
     """Print the verdict on the package's way and on the controls; return what failed."""
     ranked = [c for c in campaigns if not c["error"]]
     failed = [f"campaign without draws: {c['error']}" for c in campaigns if c["error"]]
     print(
         f"{len(campaigns)} campaigns, none dropped; {sum(c['short'] for c in ranked)} fell short "
-        f"of what was asked of their sampling\nL = {study.draws} draws of each, least ESS "
+        f"of what was asked of their sampling\nL = {draws} draws of each, least ESS "
         f"{min(c['ess'] for c in ranked):.0f}; {np.median([c['seconds'] for c in ranked]):.0f} s a "
         "campaign (median)"
     )
-    uniformity = Uniformity(len(ranked), study.draws)
     for way in FACTORS:
         ranks = {name: [c["ranks"][way][name] for c in ranked] for name in ranked[0]["ranks"][way]}
-        fell = failures(ranks, uniformity)
-        words = "the package's way" if way == RIGHT else "negative control"
-        print(
-            f"\nscatter as {way} ({words}): {'NOT uniform' if fell else 'uniform'}, {len(fell)} of "
-            f"{len(ranks)} quantities fail\nfamilywise {LEVEL:.0%} over {len(ranks)} "
-            f"quantities by Bonferroni: p below {LEVEL / len(ranks):.2g} fails"
-        )
-        shown = ("",) if way == RIGHT else ("scatter", "new")
-        some = {name: values for name, values in ranks.items() if name.startswith(shown)}
-        common.ranks_table(some, study.draws, fell)
         if way == RIGHT:
+            fell = common.ranks_table(ranks, draws, f"scatter as {way} (the package's way)")
             failed += [f"ranks of {name} are not uniform" for name in fell]
-        elif not any(name.startswith("scatter") for name in fell):
+            continue
+        words = f"scatter as {way} (negative control)"
+        fell = common.ranks_table(ranks, draws, words, ("scatter", "new"))
+        if not any(name.startswith("scatter") for name in fell):
             failed.append(f"the control, scatter {way}, has uniform ranks")
     return failed
 
 
 def main():
-    parser = common.parser_of(__doc__)
+    parser = common.parser_of(__doc__, jobs=1, out="out_population")
     parser.add_argument("--campaigns", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--white", action="store_true", help="independent noise")
-    parser.add_argument("--work", type=Path, default=Path("out_population"), help="campaigns")
-    options = parser.parse_args()
-    common.heading(__doc__.splitlines()[0])
+    options = common.begin(parser)
     noise_time = WHITE if options.white else CORRELATED
-    study = study_of.study_of(options.seed, noise_time)
     count = 1 if options.quick else options.campaigns
-    failed = judge(run_campaigns(study, count, noise_time, options), study)
+    every = [(options.seed, index, noise_time) for index in range(count)]
+    failed = judge(common.run_series(run_campaign, every, options), study_of.DRAWS)
     common.finish([] if options.quick else failed)
 
 

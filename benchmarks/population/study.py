@@ -6,7 +6,7 @@ of the prior are used (centre, spread, scales, reference), not its laws, effects
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import EFFORTS, Effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior, PriorFile
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.calibration.sampling import Draws, sample
+from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import WIDER, Design, design_of, setting_of
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
@@ -26,6 +26,7 @@ from tests.statistical.sbc_study import narrow_priors
 Array = NDArray[np.float64]
 
 LEVELS = (0.7, 1.0, 1.0, 1.4)  # ksi: two tests at the middle one
+DRAWS = 63  # of each posterior
 UNSEEN = 1.2  # ksi: between tested levels, where the named laws hold
 LAWS = {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine", "noise_sd": "power"}
 FOLLOWERS = {"Fc": ("Fc_fwd", "Fc_bwd"), "sigma0": ("sigma0",), "noise_sd": ("noise_sd",)}
@@ -67,7 +68,7 @@ def study_of(seed: int, noise_time: float = 0.2) -> Study:
     priors = narrow_priors((*sampled, "noise_time"), noise_time=noise_time)
     single = replace(EFFORTS["quick"], ess=150, limit=1600, ensembles=2)
     joint = replace(EFFORTS["quick"], ess=190)
-    return Study(priors, motion, single, joint, draws=63, seed=seed)
+    return Study(priors, motion, single, joint, DRAWS, seed)
 
 
 def synthesize(study: Study, index: int) -> Campaign:
@@ -152,117 +153,92 @@ def _blank(study: Study, level: float) -> Posterior:
     return Posterior(replace(trace, force=np.zeros(trace.samples)), study.priors)
 
 
-def _laws(
-    rng: np.random.Generator, relative: Array, names: Sequence[str], truth: dict[str, float]
-) -> Array:
+def _laws(rng, relative, names, truth):
     """Logarithms of the laws' ratios to the reference, (J, d)."""
-    found = np.zeros((relative.size, len(names)))
+    logs = np.zeros((relative.size, len(names)))
     for name in ("Fc_fwd", "Fc_bwd"):
-        found[:, names.index(name)] = np.log(relative)
+        logs[:, names.index(name)] = np.log(relative)
     share = truth["share sigma0"] = rng.random()
-    found[:, names.index("sigma0")] = np.log(share * relative + 1.0 - share)
+    logs[:, names.index("sigma0")] = np.log(share * relative + 1.0 - share)
     exponent = truth["exponent noise_sd"] = rng.normal(1.0, 0.5)
-    found[:, names.index("noise_sd")] = exponent * np.log(relative)
-    return found
+    logs[:, names.index("noise_sd")] = exponent * np.log(relative)
+    return logs
 
 
-def deviation_root(at: Array) -> Array:
-    """Cholesky factor of the covariance of levels' deviations from a law, in units of their sd.
+def _deviations(rng, at, design, truth):
+    """Smooth deviations from the laws, one Gaussian process for each follower, (J, d).
 
-    Matérn 3/2 over the logarithm of the actuation; in inverse proportion to it, from half to twice.
+    Matérn 3/2 over the logarithm of the actuation, of a size in inverse proportion to it, from half
+    to twice.
     """
     r = np.sqrt(3.0) * np.abs(np.log(at[:, None] / at)) / np.log(2.0)
-    reference = np.exp(np.mean(np.log(LEVELS)))
-    sizes = np.clip(reference / at, 0.5, 2.0)
+    sizes = np.clip(np.exp(np.mean(np.log(LEVELS))) / at, 0.5, 2.0)
     covariance = sizes[:, None] * sizes * (1.0 + r) * np.exp(-r)
-    return np.asarray(np.linalg.cholesky(covariance + 1e-9 * np.eye(at.size)))
-
-
-def _deviations(
-    rng: np.random.Generator, at: Array, design: Design, truth: dict[str, float]
-) -> Array:
-    """Smooth deviations from the laws, one Gaussian process for each follower, (J, d)."""
+    root = np.linalg.cholesky(covariance + 1e-9 * np.eye(at.size))
     names = list(design.names)
-    found = np.zeros((at.size, len(names)))
-    root = deviation_root(at)
+    deviations = np.zeros((at.size, len(names)))
     for group, members in FOLLOWERS.items():
         scale = WIDER * design.scatter_sd[names.index(members[0])]
         sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
         for name in members:
-            found[:, names.index(name)] = sd * root @ rng.standard_normal(at.size)
-    return found
+            deviations[:, names.index(name)] = sd * root @ rng.standard_normal(at.size)
+    return deviations
 
 
-def calibrate(study: Study, campaign: Campaign, index: int) -> list[Draws]:
-    """Draws of every test by itself."""
-    seeds = [(study.seed, index, 1, j) for j in range(len(campaign.tests))]
-    return [sample(t, study.single, s) for t, s in zip(campaign.tests, seeds, strict=True)]
-
-
-def infer(study: Study, campaign: Campaign, draws: Sequence[Draws], index: int) -> Inference:
-    """Population of a campaign's calibrated tests, as a user infers it."""
-    pairs = enumerate(zip(campaign.tests, draws, strict=True))
-    tests = {
-        f"t{j}": TestResult(f"t{j}", test, Path(), intervals=intervals_of(drawn.values))
-        for j, (test, drawn) in pairs
-    }
-    seed = (study.seed, index, 2)
-    return infer_population(tests, study.priors, InferenceSettings(LAWS, "ksi", study.joint, seed))
+def infer(study, campaign, index):
+    """Draws of every test by itself, and the population of all as a user infers it."""
+    draws, tests = [], {}
+    for j, test in enumerate(campaign.tests):
+        draws.append(sample(test, study.single, (study.seed, index, 1, j)))
+        intervals = intervals_of(draws[-1].values)
+        tests[f"t{j}"] = TestResult(f"t{j}", test, Path(), intervals=intervals)
+    settings = InferenceSettings(LAWS, "ksi", study.joint, (study.seed, index, 2))
+    return draws, infer_population(tests, study.priors, settings)
 
 
 def drawn_values(inference: Inference) -> dict[str, Array]:
     """Draws by the names of the truths, (chain, draw) each."""
     population = inference.population
     design = population.design
-    found = {f"scatter {name}": value for name, value in population.scatters.items()}
-    found |= {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
-    found["share sigma0"] = population.shapes("sigma0")[0]
-    found["exponent noise_sd"] = population.shapes("noise_sd")[1]
+    drawn = {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
+    drawn["share sigma0"] = population.shapes("sigma0")[0]
+    drawn["exponent noise_sd"] = population.shapes("noise_sd")[1]
     for name in LEVELS_RANKED:
         k = design.names.index(name)
         z = population.draws.z[..., k]
-        found[f"level {name}"] = design.coordinates.centre[k] + design.spread[k] * z
+        drawn[f"level {name}"] = design.coordinates.centre[k] + design.spread[k] * z
     for group, members in FOLLOWERS.items():
         label = f"level_{design.groups[members[0]]}"
-        found[f"deviation {group}"] = population.effect_sds[label]
+        drawn[f"deviation {group}"] = population.effect_sds[label]
     tested = inference.values(0)
-    return found | {f"first test's {name}": tested[name] for name in TEST_RANKED}
+    return drawn | {f"first test's {name}": tested[name] for name in TEST_RANKED}
 
 
-def ranks_of(
-    study: Study, campaign: Campaign, inference: Inference, index: int
-) -> dict[str, dict[str, int]]:
+def ranks_of(study, campaign, inference, index):
     """How many of L draws, taken evenly over chains and walkers, lie below each truth, by way.
 
-    The controls differ in the scatter alone.
+    The ways differ in the scatter, and in what a new test shows with it.
     """
-    truth, ranks = campaign.truth, {}
-    for name, values in drawn_values(inference).items():
-        flat = values.reshape(-1)
-        pick = np.linspace(0, flat.size - 1, study.draws).astype(np.intp)
-        ranks[name] = int(np.sum(flat[pick] < truth[name]))
-    population, found = inference.population, {}
-    for way, factor in FACTORS.items():
-        scatters = population.scatters if way != RIGHT else {}
-        found[way] = dict(ranks)
-        for name, values in scatters.items():
-            flat = factor * values.reshape(-1)
+    population, test, ranks = inference.population, campaign.tests[0], {}
+    design, draws, new = population.design, population.draws, _blank(study, UNSEEN)
+
+    def rank(drawn):
+        """Ranks of values by name."""
+        below = {}
+        for name, values in drawn.items():
+            flat = values.reshape(-1)
             pick = np.linspace(0, flat.size - 1, study.draws).astype(np.intp)
-            found[way][f"scatter {name}"] = int(np.sum(flat[pick] < truth[f"scatter {name}"]))
-        found[way] |= _ranks_of_new(study, campaign, inference, index, factor)
-    return found
+            below[name] = int(np.sum(flat[pick] < campaign.truth[name]))
+        return below
 
-
-def _ranks_of_new(
-    study: Study, campaign: Campaign, inference: Inference, index: int, factor: float
-) -> dict[str, int]:
-    """Ranks of what a new test shows, with the scatter times a factor."""
-    population, test, new = inference.population, campaign.tests[0], _blank(study, UNSEEN)
-    h = population.draws.h.copy()
-    h[..., : population.design.free.size] += np.log(factor)
-    changed = replace(population, draws=replace(population.draws, h=h))
-    forecast = Forecast("observation", draws=study.draws, seed=index)
-    band = Predictor(changed, test.model, test.noise).predict(new.trace, forecast)
-    seen = {f"new test's {name}": band.values[name] for name in ("Fc_fwd", "sigma0")}
-    seen |= _seen_in(new, np.asarray(band.draws))
-    return {name: int(np.sum(value < campaign.truth[name])) for name, value in seen.items()}
+    for way, factor in FACTORS.items():
+        scatters = {f"scatter {name}": factor * v for name, v in population.scatters.items()}
+        h = draws.h.copy()
+        h[..., : design.free.size] += np.log(factor)
+        changed = replace(population, draws=replace(draws, h=h))
+        forecast = Forecast("observation", draws=study.draws, seed=index)
+        band = Predictor(changed, test.model, test.noise).predict(new.trace, forecast)
+        seen = {f"new test's {name}": band.values[name] for name in ("Fc_fwd", "sigma0")}
+        seen |= _seen_in(new, np.asarray(band.draws))
+        ranks[way] = rank(scatters | drawn_values(inference) | seen)
+    return ranks

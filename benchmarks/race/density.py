@@ -16,7 +16,7 @@ def jax_density(posterior):
     ported = posterior.noise.name == "ou" and posterior.model.name == "three_stage"
     if not ported or posterior.first or np.ptp(step) > 1e-6 * step[0]:
         raise ValueError("only the three-stage model with OU noise at a uniform rate is ported")
-    motion = Motion.of(posterior.trace.path).on_device
+    motion = Motion(posterior.trace.path).on_device
     fixed = {"gamma1": 1.0, "start": 0.5}
     fixed |= {k: p.figures["value"] for k, p in posterior.priors.items() if p.fixed}
     measured, rows = posterior.trace.force, posterior.trace.path.samples

@@ -3,9 +3,9 @@
     pip install -e '.[bench]'
     python -m benchmarks.race.run > benchmarks/race/race.txt
 
-takes a quarter of an hour on one thread (--quick: one short record with low limits). Every tool
-draws from the same density, NumPy in batches or, for NUTS, JAX (checked against ours first), until
-each coordinate has a bulk and tail ESS of ESS and R-hat of at most R_HAT, or its time is up.
+takes a quarter of an hour on one thread (--quick: one record at a low rate with low limits). Every
+tool draws from the same density, NumPy in batches or, for NUTS, JAX (checked against ours first),
+until each coordinate has a bulk and tail ESS of ESS and R-hat of at most R_HAT, or its time is up.
 Seconds are processor time from the start, with compiling, warm-up and ours' search for modes; the
 others are given points around the best mode for nothing. NUTS runs four chains with a dense mass
 matrix. Right or not: the largest deviations of means (in sds) and of sds from those of ours at
@@ -17,8 +17,6 @@ from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import time
 import warnings
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import emcee
 import jax
@@ -31,11 +29,10 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import find_modes
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.records.record import read_record
-from tests.pipeline.devices import DEVICES, write_device
 
 ESS, R_HAT, SECONDS = 400.0, 1.01, 120.0
 MEAN, SD = 0.25, 0.3
-RATE = 64.0  # Hz
+RATE, QUICK_RATE = 64.0, 16.0  # Hz
 RECORDS = {
     "30 lb, 0.25 Hz": "2023_30lb_0.25Hz_1.0in.csv",
     "20 lb, 0.50 Hz": "2022_20lb_0.50Hz_1.0in.csv",
@@ -126,14 +123,7 @@ def nuts(posterior, begin, seed, limits):
 TOOLS = {"ours": ours, "emcee, stretch": stretch, "emcee, DE": evolution, "NumPyro, NUTS": nuts}
 
 
-def synthetic(folder):
-    """The posterior of a made-up damper of 5 kN, its last record at 25 Hz."""
-    write_device(folder, DEVICES[1])
-    names = {"time": "time_s", "displacement": "travel_mm", "force": "load_kN"}
-    return read_record(folder / "6bar_0.5Hz.txt", names).trace(25.0), "mfd"
-
-
-def race(name, posterior, tools, options):
+def race(name, posterior, options):
     """Print a table of one record; what was missed."""
     limits = (50.0, 5.0) if options.quick else (ESS, SECONDS)
     effort = "quick" if options.quick else "thorough"
@@ -149,10 +139,10 @@ def race(name, posterior, tools, options):
     heads = ("seconds", "evaluations", "ESS", "R-hat", "mean", "sd")
     print(f"{name}: {posterior.trace.samples:,} samples, {posterior.dim} coordinates")
     print(f"{'':18}" + "".join(f"{head:>12}" for head in heads))
-    for tool in tools:
+    for tool, draw in TOOLS.items():
         posterior.evaluations, began = 0, time.process_time()
         np.random.seed(options.seed)  # noqa: NPY002 - emcee's
-        chains, measuring = TOOLS[tool](posterior, begin, options.seed, limits)
+        chains, measuring = draw(posterior, begin, options.seed, limits)
         seconds = time.process_time() - began - measuring
         found, q = measure(chains), chains.reshape(-1, posterior.dim)
         off = np.abs(q.mean(axis=0) - mean) / sd, np.abs(q.std(axis=0) / sd - 1.0)
@@ -172,19 +162,14 @@ def race(name, posterior, tools, options):
 
 def main():
     parser = common.parser_of(__doc__, data=True)
-    parser.add_argument("--record", choices=RECORDS, help="only this one")
-    parser.add_argument("--tool", choices=TOOLS, action="append", help="only these")
-    options = parser.parse_args()
+    parser.add_argument("--record", choices=RECORDS, action="append", help="only this one")
+    options = common.begin(parser, "emcee", "jax", "numpyro")
     warnings.simplefilter("ignore")
-    common.heading(__doc__.splitlines()[0], "emcee", "jax", "numpyro")
-    failed, tools = [], options.tool or list(TOOLS)
-    if options.quick:
-        with TemporaryDirectory() as folder:
-            trace, priors = synthetic(Path(folder))
-        failed += race("synthetic", Counted(trace, priors), tools, options)
-    for name in () if options.quick else [options.record] if options.record else RECORDS:
+    records, failed = options.record or list(RECORDS), []
+    for name in records[:1] if options.quick else records:
         record = read_record(options.data / "brfd" / RECORDS[name])
-        failed += race(name, Counted(record.trace(RATE), "brfd"), tools, options)
+        trace = record.trace(QUICK_RATE if options.quick else RATE)
+        failed += race(name, Counted(trace, "brfd"), options)
     common.finish(failed)
 
 

@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.response import opensees
-from benchmarks.response.oscillators import CASES, compared, three_stage_row
+from benchmarks.response.oscillators import CASES, errors_of, three_stage_row
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.response.analysis import response_of, settle
 from mfd_bayes.response.building import Content, Dampers, building_of
 from mfd_bayes.response.ground import read_ground
-from mfd_bayes.response.time_integration import response_of, settle
 
 PARTS = 20
 
@@ -40,7 +40,7 @@ def cases(count):
     print("".join(f"{h:>15s}" for h in heads))
     failed = []
     for name in CASES:
-        errors = np.array([compared(name, seed, 300)[0] for seed in range(count)])
+        errors = np.array([errors_of(name, seed, 300) for seed in range(count)])
         cells = [f(errors[:, k]) for k in (0, 1) for f in (np.median, np.max)]
         print(f"{name:>15s}" + "".join(f"{100 * c:14.4f}%" for c in cells), flush=True)
         if errors.max() > 0.005:
@@ -102,11 +102,9 @@ def spent():
 
 
 def main():
-    parser = common.parser_of(__doc__, data=True)
+    parser = common.parser_of(__doc__, data=True, jobs=2)
     parser.add_argument("--opensees", metavar="PYTHON", help="a Python that has openseespy")
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
-    common.heading(__doc__.splitlines()[0])
+    options = common.begin(parser)
     failed = cases(1 if options.quick else 50)
     ground = read_ground(options.data / "ground_motions" / "el_centro.AT2")
     if options.quick:

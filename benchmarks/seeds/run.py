@@ -52,10 +52,9 @@ def main():
     parser.add_argument("seeds", type=int, nargs="?", default=20)
     parser.add_argument("tests", nargs="*", default=TESTS)
     parser.add_argument("--slow", action="store_true", help="the slow tests too")
-    options = parser.parse_args()
+    options = common.begin(parser)
     seeds = 1 if options.quick else options.seeds
     tests = TESTS[7:8] if options.quick else options.tests
-    common.heading(__doc__.splitlines()[0])
     print(f"{'':14}{'seed':>5}{'passed':>8}{'failed':>8}{'minutes':>9}", flush=True)
     command = [sys.executable, "-m", "pytest", "-q", "-m", "" if options.slow else "not slow"]
     command += ["-p", "benchmarks.seeds.run", "-p", "no:cacheprovider", *tests]

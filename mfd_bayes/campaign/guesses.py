@@ -59,6 +59,9 @@ _DATES = {
 }
 """Ranges of dates of these decades: days of Excel and of MATLAB, seconds since 1970 and 1904."""
 
+_LONGEST_OF_DAYS, _SHORTEST = 1e-3, 1e-5
+"""Most step of a date in days; steps that are shorter, without a unit, are parts of a day."""
+
 _IN_BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$")
 _AT_THE_END = (
     _IN_BRACKETS,
@@ -146,7 +149,8 @@ def unit_of(table: Table, name: str, role: str) -> str | None:
     """Unit of a column for a role, from its name or the file's row of units; None if unknown."""
     own = normalize("NFKC", own_name(name))
     texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
-    for text in (*texts, table.units.get(name, ""), own.strip()):
+    inside = stated_unit(name) or ""  # "Force (N)[1]"
+    for text in (*texts, table.units.get(name, ""), own.strip(), inside):
         for unit in (text.replace("_per_", "/"), text.lower().replace("_per_", "/")):
             if _fits(unit, role):
                 return unit
@@ -155,6 +159,8 @@ def unit_of(table: Table, name: str, role: str) -> str | None:
 
 def _fits(unit: str, role: str) -> bool:
     """Whether a unit is one of a role, or of the dimension "pressure"."""
+    if unit in ("Mm", "Ms"):  # no motion has megametres
+        return False
     try:
         if role == "actuation":
             return actuation_factor(unit)[1] != "%" or unit == "%"
@@ -300,9 +306,10 @@ def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -
     values = numbers_of(table, guess.name, is_time=True)
     if values is None or values.size < 3 or values[-1] <= values[0]:
         return guess
+    is_coarse = np.median(np.diff(values)) > _LONGEST_OF_DAYS  # 36000 s since midnight
     if values[0] >= _EARLIEST and np.ptp(values) < 0.05 * values[0]:
         for unit, (low, high) in _DATES.items():
-            if low < values[0] < high:
+            if low < values[0] < high and not (unit == "day" and is_coarse):
                 doubt = f"no unit of time is given; it looks like a date, counted in {unit}"
                 return replace(guess, unit=unit, doubts=(doubt,))
         text = "it begins at a number too large for a time: what does it count?"
@@ -321,6 +328,8 @@ def _with_unit_of_time(table: Table, guess: Guess, displacement: Guess | None) -
     if motion is not None and motion.size == values.size:
         cycle = float(np.ptp(values)) / max(cycle_turns(motion).size / 2, 1.0)
     step = float(np.median(steps))
+    if step < _SHORTEST:
+        return replace(guess, lacking='its steps are too short for s: are they of a "day"?')
     is_slow = step * SLOW_RATE >= 1.0
     if step < SLOWEST_STEP and FAST_CYCLE < cycle < SLOW_PERIOD and is_slow:
         text = f"one gives a cycle of {cycle:.3g} s, the other of {cycle / 1000:.3g} s"
@@ -371,7 +380,7 @@ _CALLED = re.compile(
 _PRESSURE_UNIT = re.compile(rf"{NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.IGNORECASE)
 
 _COUNT = r"([+-]?(?:\d+\.?\d*|\.\d+|\d+,\d+)(?:[eE][+-]?\d+)?)(?![\d.,]*\d)"
-_HZ = r"(k?hz|s/s|sa/s|sps|1/s|samples?\s*(?:/|per)\s*s(?:ec(?:ond)?)?)(?![a-z])"
+_HZ = r"(k?hz|k?s/s|k?sa/s|k?sps|1/s|samples?\s*(?:/|per)\s*s(?:ec(?:ond)?)?)(?![a-z])"
 _SECONDS = r"(s|ms|us|µs|μs|sec|msec|seconds?|milliseconds?)(?![a-z])"
 _BETWEEN = r"[\s\"'=:;,._]*"
 _RATE_WORDS = (
@@ -382,8 +391,9 @@ _RATE_WORDS = (
 _STEP_WORDS = (
     r"(?:sampl\w*|scan\w*|log\w*|record\w*|time|abtast\w*|サンプリング)[\s_-]*"
     r"(?:interval\w*|period\w*|step|increment|間隔|周期)|abtastintervall|"
-    r"(?<![a-z_])(?:dt|delta[_ ]?[xt])(?![a-z])|^\W*interval"
+    r"(?<![a-z_])(?:dt|ts|delta[_ ]?[xt])(?![a-z])|^\W*interval"
 )
+_OF_LOGGER = re.compile(r"(?:max|min)\w*\.?[\s_-]*$", re.IGNORECASE)  # what it can do
 _RATES = tuple(
     (
         re.compile(
@@ -449,13 +459,17 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
     ``"100 Hz"`` of ``Sample rate: 100 Hz``; empty where the lines state none, or several.
     """
     rates: dict[float, tuple[str, str]] = {}
-    for line in lines:
+    for line in (normalize("NFKC", text) for text in lines):
         for pattern, usual in _RATES:
             for match in pattern.finditer(line):
                 number, unit = match[2].replace(",", "."), (match[1] or match[3] or "").lower()
                 if re.fullmatch(r"[1-9]\d{0,2},\d{3}", match[2]) or not float(number) > 0.0:
                     continue  # it is not known which number it is
-                unit = re.sub(r"^(?:s/s|sa/s|sps|1/s|samples?.*)$", "Hz", unit)
+                if _OF_LOGGER.search(line[: match.start()]):
+                    continue
+                if not unit and re.match(r"\s*[\[(]?[^\W\d_]", line[match.end() :]):
+                    continue  # a unit that is not read
+                unit = re.sub(r"^(k?)(?:s/s|sa/s|sps|1/s|samples?.*)$", r"\1Hz", unit)
                 unit = unit.replace("hz", "Hz").replace("μ", "µ")
                 text = f"{number} {unit or usual}"
                 doubt = "" if unit else f"{usual} is assumed for its rate or step"

@@ -93,7 +93,7 @@ def check(
       mfd-bayes check out --quiet && echo fit to use
     """
     with mistakes():
-        from mfd_bayes.pipeline import report as pipeline
+        from mfd_bayes.pipeline import calibrate as pipeline
 
         view = pipeline.check(out, units or "")
     if not quiet:
@@ -144,8 +144,8 @@ def report(
       mfd-bayes report out --tests p500_f0.05 --tests p800_f0.05
     """
     with mistakes(this_command()):
-        from mfd_bayes.pipeline import report as pipeline
-        from mfd_bayes.reporting.publish import Forms
+        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.reporting.page import Forms
 
         chosen, conditions = tuple(tests or ()), tuple(at or ())
         forms = Forms(pdf, word, excel, next_test, chosen, all_tests, conditions)
@@ -172,7 +172,7 @@ def draws(
       mfd-bayes draws out --to parquet --units si
     """
     with mistakes():
-        from mfd_bayes.pipeline import report as pipeline
+        from mfd_bayes.pipeline import calibrate as pipeline
 
         written, rows = pipeline.write_draws(out, to, units or "", most)
     console.say(f"{written} written: {rows} draws")
@@ -254,7 +254,7 @@ def init(
     """
     with mistakes():
         from mfd_bayes.campaign import draft as drafts
-        from mfd_bayes.pipeline import inspect as pipeline
+        from mfd_bayes.pipeline import plan as pipeline
 
         if building:
             target = pipeline.init_building(folder, force=force)
@@ -313,7 +313,7 @@ def inspect(
       mfd-bayes inspect campaign.toml -o looks
     """
     with mistakes():
-        from mfd_bayes.pipeline import inspect as pipeline
+        from mfd_bayes.pipeline import plan as pipeline
 
         inspections, system = pipeline.inspect(file, folder, force=force, units=units or "")
     for inspection, picture in inspections:
@@ -340,7 +340,7 @@ def prior_check(
       mfd-bayes prior-check campaign.toml -o looks
     """
     with mistakes():
-        from mfd_bayes.pipeline import inspect as pipeline
+        from mfd_bayes.pipeline import plan as pipeline
 
         checked = pipeline.prior_check(campaign, folder, force=force, units=units or "")
     for name, share, picture in checked.tests:

@@ -126,8 +126,8 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
         if answer.judged:
             warning = "warning: " if answer.disagrees else ""
             console.say(f"{warning}{answer.judged}", err=answer.disagrees)
-    if band.explained:
-        console.print_shares(band.explained, quiet=quiet)
+    if question.explain and band.shares:
+        console.print_shares(band.shares, quiet=quiet)
     if answer.design:
         console.print_design(answer.design, band.probability)
     if not quiet:
@@ -502,7 +502,7 @@ def serve(
       mfd-bayes serve my_damper.py:Viscous --motion quake.csv --actuation "1 ksi"
     """
     with mistakes():
-        from mfd_bayes.pipeline import serve as pipeline
+        from mfd_bayes.pipeline import export as pipeline
 
         pipeline.serve(source, port, motion, sine, actuation, console.say)
 

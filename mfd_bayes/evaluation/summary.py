@@ -44,7 +44,6 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
     property_rows,
 )
-from mfd_bayes.evaluation.scores import fan_of, score, score_record, spread_of
 from mfd_bayes.evaluation.views import (
     CALIBRATION,
     COVERAGE,
@@ -61,13 +60,17 @@ from mfd_bayes.evaluation.views import (
     Row,
     Rows,
     TestView,
+    fan_of,
+    score,
+    score_record,
+    spread_of,
 )
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Finding, Manifest, Use, Verdict
+from mfd_bayes.runs.folder import Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
 
@@ -297,7 +300,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **run.place(name)}
     before = run.sequence.before(name, trace, Forecast(**how))
     how["after"] = before or ""
-    seen = run.predict(trace, "observation", explain=True, **how)
+    seen = run.predict(trace, "observation", **how)
     drawn = device_properties(run, trace, seen, run.predict(trace, "new_test", **how))
     measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
@@ -308,7 +311,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
         observation=fan_of("observation", seen.draws),
         score=_score(name, "validate", trace, seen.draws, 0),
         derived=property_rows(name, "validate", trace, kept(drawn, run.manifest.axes), measured),
-        shares=seen.explained,
+        shares=seen.shares,
         begun=before.words if before else "",
     )
 

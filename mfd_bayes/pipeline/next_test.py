@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mfd_bayes.errors import CampaignError, StoreError, why_no_file
 from mfd_bayes.evaluation.next_test import AdviceInWords
@@ -13,9 +12,6 @@ from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import commented, json_text, quoted, write_bytes, write_text
-
-if TYPE_CHECKING:
-    pass
 
 _LARGEST = 2**20  # bytes of a file of candidates
 

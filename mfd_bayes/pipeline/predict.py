@@ -12,8 +12,7 @@ from pydantic import ValidationError
 from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
-from mfd_bayes.evaluation.scores import Compared, compare, fan_of_band
-from mfd_bayes.evaluation.views import Rows
+from mfd_bayes.evaluation.views import Compared, Rows, compare, fan_of_band
 from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
@@ -131,7 +130,7 @@ def predict(out: Path, question: Question) -> Answer:
         "after": question.after,
     }
     if not others:
-        how |= {"test": question.test, "explain": question.explain, "device": question.device}
+        how |= {"test": question.test, "device": question.device}
         # without sessions the tables of --design are then of the same draws
         how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
     band = source.predict(*asked, **how)

@@ -18,9 +18,7 @@ from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex, to_csv
-from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.ground import Ground, parse_acceleration
-from mfd_bayes.response.result import (
+from mfd_bayes.response.analysis import (
     REFERENCES,
     Response,
     Row,
@@ -30,8 +28,9 @@ from mfd_bayes.response.result import (
     sweep_of,
     variance_shares,
 )
-from mfd_bayes.runs.folder import check_folder
-from mfd_bayes.runs.manifest import Use
+from mfd_bayes.response.building import Building, read_building
+from mfd_bayes.response.ground import Ground, parse_acceleration
+from mfd_bayes.runs.folder import Use, check_folder
 from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span
@@ -273,8 +272,8 @@ def write_response(
     folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: System
 ) -> None:
     """Write page, tables and pictures; what an earlier response left beside them is removed."""
+    from mfd_bayes.reporting.building_figures import figures_of
     from mfd_bayes.reporting.figures import to_png
-    from mfd_bayes.reporting.figures.response import figures_of
 
     for path in sorted(folder.glob("*")):  # files that not every response has
         if re.fullmatch(r"sweep\.(csv|png)|(history|loops)_\d+\.png", path.name):

@@ -51,8 +51,7 @@ class Forecast:
     draws: int = DRAWS
     seed: int = 0
     session: str = ""  # of the predicted test, where the campaign declares sessions
-    whole: bool = False  # whether a band of the whole history is computed too
-    explained: bool = False  # whether the shares of the band's variance are computed too
+    whole: bool = False  # whether the band of the whole history is shown too
     before: Ending | None = field(default=None, repr=False, compare=False)  # without a reset
     device: str = ""  # likewise, where it declares devices
     conditions: Mapping[str, float] = field(default_factory=dict)  # of `design.CONDITIONS`
@@ -106,10 +105,8 @@ class Band:
         Quantities of each draw, by name.
     remarks : tuple of str
         Reasons to trust it less, in sentences.
-    whole_lower, whole_upper : (T,), kip, or None
-        As in `whole`, where it was asked for.
-    explained : mapping of str to float
-        `shares`, where they were asked for.
+    shows_whole : bool
+        Whether tables and pictures show `whole` too.
     given : Conditioned, or None
         The part of the record that was known, where there is one.
     """
@@ -124,21 +121,17 @@ class Band:
     source: str
     values: Mapping[str, Array] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
-    whole_lower: Array | None = None
-    whole_upper: Array | None = None
-    explained: Mapping[str, float] = field(default_factory=dict)
+    shows_whole: bool = False
     explain: Callable[[], Mapping[str, float]] | None = field(default=None, repr=False)
     extras: Extras | None = field(default=None, repr=False)
     given: Any = None
     interval: ClassVar[str] = "equal-tailed"
 
     def __post_init__(self) -> None:
-        for name in ("lower", "median", "upper", "draws", "whole_lower", "whole_upper"):
-            values = getattr(self, name)
-            if values is not None:
-                view = values.view()
-                view.flags.writeable = False
-                object.__setattr__(self, name, view)
+        for name in ("lower", "median", "upper", "draws"):
+            view = getattr(self, name).view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
 
     @classmethod
     def of(
@@ -152,9 +145,8 @@ class Band:
         """Band of force draws (n, T), kip."""
         tail = 0.5 * (1.0 - forecast.probability)
         lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
-        what = forecast.kind, forecast.probability, source, values or {}, ()
-        whole = whole_band(draws, forecast.probability) if forecast.whole else (None, None)
-        return cls(time, lower, median, upper, draws, *what, *whole)
+        what = forecast.kind, forecast.probability, source, values or {}
+        return cls(time, lower, median, upper, draws, *what, shows_whole=forecast.whole)
 
     @cached_property
     def whole(self) -> tuple[Array, Array]:
@@ -162,8 +154,6 @@ class Band:
 
         The share of the draws is the band's probability.
         """
-        if self.whole_lower is not None and self.whole_upper is not None:
-            return self.whole_lower, self.whole_upper
         return whole_band(self.draws, self.probability)
 
     @cached_property
@@ -173,7 +163,7 @@ class Band:
         Each source varies by itself, the others at their means. Empty for several models at once,
         of a `Forecaster`, and where nothing varies.
         """
-        return self.explained or (self.explain() if self.explain else {})
+        return self.explain() if self.explain else {}
 
     def plot(self, axes: Any = None, *, displacement: ArrayLike | None = None) -> Any:
         """Matplotlib axes with the band over time, or over a displacement, (T,), in.
@@ -347,8 +337,7 @@ class Predictor:
         own |= {"start", *self.population.design.names, *self.model.parameters}
         shown = {name: value for name, value in values.items() if name in own}
         band = Band.of(trace.time[part], force[:, part], forecast, source, shown)
-        explain = partial(self._shares, trace, drawn, part)
-        return replace(band, explained=explain() if forecast.explained else {}, explain=explain)
+        return replace(band, explain=partial(self._shares, trace, drawn, part))
 
     def values(self, drawn: Drawn) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""

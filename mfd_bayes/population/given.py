@@ -565,11 +565,15 @@ class Forecaster:
         """
         weights, values = np.exp(self._weights()[0]), self._values_of(self._particles)
         (noise,) = quantiles(values["noise_sd"], weights, (0.5,))
-        most = np.quantile(self._values_of(self._new_tests)["noise_sd"], 0.99)
         active = self._predictor.population.active(self._test.setting, self._test.grid)
         squares = np.sum(self._particles.numbers[:, active] ** 2, axis=1)
         (away,) = quantiles(squares, weights, (0.5,))
-        return bool(noise > most or away > special.chdtri(active.size, 0.01))
+        return bool(noise > self._most_noise or away > special.chdtri(active.size, 0.01))
+
+    @cached_property
+    def _most_noise(self) -> float:
+        """Noise that is larger than in 99 % of new tests, kip."""
+        return float(np.quantile(self._values_of(self._new_tests)["noise_sd"], 0.99))
 
     @cached_property
     def _new(self) -> tuple[dict[str, Array], dict[str, Array]]:

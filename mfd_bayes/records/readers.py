@@ -60,6 +60,7 @@ SIZE, LINE = 256, 2**17  # largest file, MB, and most characters of a line
 JSON_SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
 """Largest .json file, MB, most lists and objects of it, and most cells of rows of objects."""
 BLANKS = " "
+_BEFORE_NAME = r"\s+(?![\[(])"  # no name begins with a bracket: "Time (s) Force (N)"
 SEPARATORS = (",", "\t", ";", BLANKS)
 
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
@@ -158,9 +159,9 @@ def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
         layout = find_table(rows, exact=separator != BLANKS)
         while separator == BLANKS and layout is not None and layout.names is not None:
             # Words with single blanks between them are names only where each has a column.
-            spaced = re.split(r"\s{2,}|\t", lines[layout.names].strip())
-            if len(spaced) == len(rows[layout.data]):
-                rows[layout.names] = spaced
+            for gap in (r"\s{2,}|\t", _BEFORE_NAME):
+                if len(rows[layout.names]) != len(rows[layout.data]):
+                    rows[layout.names] = re.split(gap, lines[layout.names].strip())
             if len(rows[layout.names]) == len(rows[layout.data]):
                 break
             rows[layout.names] = ()
@@ -174,10 +175,9 @@ def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
 
 
 def _split(line: str, separator: str) -> list[str]:
-    if separator == BLANKS:
-        return line.split()
     if '"' not in line:
-        return [cell.strip() for cell in line.split(separator)]
+        return line.split() if separator == BLANKS else [c.strip() for c in line.split(separator)]
+    line = " ".join(line.split()) if separator == BLANKS else line
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
 
 
@@ -215,7 +215,7 @@ def _words(comment: str, separator: str, width: int) -> list[str]:
     whole = comment.strip()
     for text in (whole.lstrip(_COMMENTS).strip(), whole):  # a column may be called #
         for sign in dict.fromkeys((separator, *SEPARATORS)):
-            words = _split(text, sign)
+            words = _split(text, sign) if sign != BLANKS else re.split(_BEFORE_NAME, text)
             if len(words) == width > 1 and "n" not in kinds(words):
                 if sign == BLANKS and sum(map(tells, words)) < 2:
                     continue  # of a sentence
@@ -638,7 +638,9 @@ def read_tdms(path: Path) -> Table:
     for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
         inside = [name for name in clocks if channels[name]["group"] == group]
         sizes = [len(columns[name]) for name in inside]
-        if not any(clocks[name].differs(clocks[inside[0]]) for name in inside):
+        if problem := _out_of_step({name: clocks[name] for name in inside}):
+            notes.append(problem)
+        else:
             times[f"{group}/time"] = clocks[inside[0]], max(sizes)
         if min(sizes) < max(sizes):
             notes.append(
@@ -724,6 +726,19 @@ def _clock(properties: Mapping[str, Any]) -> tuple[float, float | None, float] |
     return float(step) * scale, began, float(offset) * scale
 
 
+def _out_of_step(clocks: Mapping[str, _Clock]) -> str:
+    """Why waveforms cannot be used together; empty where they can."""
+    for name, own in clocks.items():
+        first, clock = next(iter(clocks.items()))
+        if own.differs(clock):
+            problem = f"has a step of {own.step:g} s, {first} one of {clock.step:g} s"
+            if math.isclose(own.step, clock.step, rel_tol=EVEN):
+                way = "after" if own.begin > clock.begin else "before"
+                problem = f"begins {abs(own.begin - clock.begin):.6g} s {way} {first}"
+            return f"{name} {problem}: they cannot be used together"
+    return ""
+
+
 def _align(
     path: Path,
     columns: Mapping[str, Column],
@@ -734,14 +749,8 @@ def _align(
     if wrong := next((name for name in columns if name in texts), None):
         raise RecordError(f"channel {wrong!r} of {path} holds no real numbers; expected numbers")
     clocks = {name: every[name] for name in columns if name in every}
-    for name, (step, begin) in clocks.items():
-        first, clock = next(iter(clocks.items()))
-        if clocks[name].differs(clock):
-            problem = f"has a step of {step:g} s, {first} one of {clock.step:g} s"
-            if math.isclose(step, clock.step, rel_tol=EVEN):
-                way = "after" if begin > clock.begin else "before"
-                problem = f"begins {abs(begin - clock.begin):.6g} s {way} {first}"
-            raise RecordError(f"{path}: {name} {problem}: they cannot be used together")
+    if problem := _out_of_step(clocks):
+        raise RecordError(f"{path}: {problem}")
     size = min((len(columns[name]) for name in clocks), default=None)
     return {name: c[:size] if name in clocks else c for name, c in columns.items()}
 

@@ -260,6 +260,8 @@ class Table:
             shown += ", which is a time stamp: expected a number, as in the first row"
         elif _OVERFLOW.fullmatch(text):
             shown += ", an overflow of the logger: take such rows out"
+        elif row == 0 and len(re.findall(r"\d+", text)) > 3:
+            shown += "; of a time, expected elapsed seconds, or such as 2024-03-05 10:00:00.250"
         return RecordError(
             f"{self.place(row)} of {self.path}, column {name!r}: expected a finite number, "
             f"found {shown}"
@@ -349,13 +351,13 @@ _NAMES = "jan feb mar apr may jun jul aug sep oct nov dec"
 _MONTHS = {name: number for number, name in enumerate(_NAMES.split(), start=1)}
 _MONTHS |= {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
 _CLOCK = re.compile(
-    r"(?<![\d:.,])(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d):(?P<s>[0-5]\d)(?:[.,:](?P<f>\d{1,9}))?"
+    r"(?<![\d:.,])(?:(?P<h>\d{1,4}):(?P<m>[0-5]?\d):(?P<s>[0-5]?\d)(?:[.,:](?P<f>\d{1,9}))?"
     r"|(?P<m2>\d{1,3}):(?P<s2>[0-5]\d)[.,](?P<f2>\d{1,9}))"
     r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?:Z|UTC|GMT|[+-]\d{2}:?\d{2})?(?=$|[,; ])"
 )
 _DATE = re.compile(
     r"|\d{8}|\d{4}([-/.])\d{1,2}\1\d{1,2}|\d{1,2}([-/.])\d{1,2}\2(?:\d{4}|\d\d)"
-    r"|\d{1,2}[- .]{1,2}[^\W\d_]{3,9}\.?[- ,]{1,2}(?:\d{4}|\d\d)"  # 5-Mar-24
+    r"|\d{1,2}[- ./]{0,2}[^\W\d_]{3,9}\.?[- ,/]{0,2}(?:\d{4}|\d\d)"  # 5-Mar-24
     r"|(?:[^\W\d_]{3}\s+)?[^\W\d_]{3,9}\.?\s+\d{1,2},?\s+\d{4}"  # Tue Mar 05 2024
     r"|\d+\s*d(?:ays?)?"
 )
@@ -365,11 +367,12 @@ _GAP = 10  # an order of dates makes a gap where a step is so many times longer 
 
 def _match(cell: object) -> tuple[re.Match[str], str] | None:
     """Clock time of a cell and the text of its date, which may be empty; None if it has none."""
-    if not isinstance(cell, str) or (":" not in cell and "T" not in cell):
+    if not isinstance(cell, str) or not re.search(r":|\d{8}[T ]\d", cell):
         return None
-    text = cell.strip().strip("'")
+    text = re.sub(r"^[^\W\d_]{2,3}, ", "", cell.strip("'[]() "))  # Tue, 05 Mar 2024
     text = re.sub(r"^(\d{8})[T ](\d{2})(\d{2})(\d{2})", r"\1T\2:\3:\4", text)  # 20240305T100000
-    text = re.sub(r"(?<=\d)[T_](?=\d)", " ", text)
+    joined = r"(?<=\d)[T_](?=\d)|(?<=\d{4}):(?=\d\d:)|(?<=\d)-(?=\d\d:\d\d:)"
+    text = re.sub(joined, " ", text)
     clock = _CLOCK.search(text)
     if clock is None:
         return None
@@ -510,6 +513,8 @@ def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
             continue
         has_units = not numbers[at + 1] and gives_units(rows[at + 1], rows[at])
         data = at + 1 + has_units
+        if has_units and at + 2 < len(rows) and filled[at + 2] and not numbers[at + 2]:
+            data += not any(map(is_stamp, rows[at + 2]))  # a third row: "Avg", "Smp"
         end = numbers.index(0, data) if 0 in numbers[data:] else len(rows)
         if end > data and (not exact or len(_cells(rows[at])) >= len(_cells(rows[data]))):
             count = sum(numbers[data:end])
@@ -648,15 +653,16 @@ class Grid:
                 continue
             texts, end = [_cells(rows[at]) for at in group], group[-1] + 1
             again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
+            has_numbers = names not in texts and "n" in "".join(map(kinds, texts))
+            if end == len(rows) and has_numbers and len(group) >= TABLE:
+                continue  # no footer: the window `fit` may leave them out
             if end == len(rows) or again:
                 dropped.update(group)
                 below[end] = self.place(group[0])
             elif any(_shared(text, names) >= 2 for text in texts):
                 what = "has other units, or the names in another order"
                 raise self.refusal(f"the heading at {self.place(group[0])} {what}")
-            if end == len(rows) and names not in texts and "n" in "".join(map(kinds, texts)):
-                if len(group) >= TABLE:
-                    raise self.refusal(f"from {self.place(group[0])}, rows begin with words")
+            if end == len(rows) and has_numbers:
                 notes = [f"{self.place(group[0])} and below: numbers below the table, not used"]
         kept = [at for at in range(data, len(rows)) if at not in dropped]
         while kept and len(rows[kept[-1]]) != width and "n" not in kinds(rows[kept[-1]]):
@@ -694,14 +700,19 @@ def _is_text(row: Row, column: int) -> bool:
     """Whether a row holds words where the first row has its first number."""
     cell = row[column] if column < len(row) else None
     if cell in (None, ""):
-        return any(map(_is_word, row[: column + 1]))
+        label = next((str(c) for c in row if c not in (None, "")), "")
+        return any(map(_is_word, row[: column + 1])) or bool(_STATISTIC.match(label))
     return _is_word(cell) or (kinds([cell]) == "t" and any(map(_is_word, row[:column])))
 
 
 def _is_word(cell: Cell) -> bool:
     """Whether a cell holds words, and no mark of a number that is missing, nor a time stamp."""
     text = cell.strip().lower() if isinstance(cell, str) else ""
-    return bool(re.match(r"[^\W\d_]|[*%]", text)) and text not in _MISSING and not is_stamp(text)
+    return (
+        bool(re.match(r"[\[(]?[^\W\d_]|[*%=]|-{3}", text))
+        and text not in _MISSING
+        and not is_stamp(text)
+    )
 
 
 _STATISTIC = re.compile(r"\s*(max|min|mean|avg|average|std|sum|total|count|peak|rms|mittel)", re.I)

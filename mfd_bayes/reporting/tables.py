@@ -22,7 +22,7 @@ from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
-from mfd_bayes.runs.manifest import ComparisonRow
+from mfd_bayes.runs.folder import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import Axes, percent
 
@@ -640,7 +640,8 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     `system`.
     """
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
-    forces |= {"whole_lower": band.whole_lower, "whole_upper": band.whole_upper}
+    if band.shows_whole:
+        forces |= dict(zip(("whole_lower", "whole_upper"), band.whole, strict=True))
     columns: dict[str, Any] = {
         # may be seconds since 1970
         "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
@@ -654,7 +655,7 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}"
     ]
-    if band.whole_lower is not None:
+    if band.shows_whole:
         head.append("whole: band of the whole history, of the same probability")
     if band.given is not None:
         columns["given"] = band.given.holds(trace.time).astype(int)

@@ -44,6 +44,7 @@ _UNITS = {
     **dict.fromkeys(("%g", "%ofg"), 0.01 * GRAVITY),
     **dict.fromkeys(("mg", "milli-g"), 0.001 * GRAVITY),
     **dict.fromkeys(("gal", "gals"), 1.0 / 2.54),
+    **dict.fromkeys(("ms2", "ms-2"), 1.0 / 0.0254),
     **dict.fromkeys(("mgal", "milligal"), 0.001 / 2.54),
 }
 _RATES = {"hz": "Hz", "khz": "kHz", "sps": "Hz", "samples/s": "Hz", "samples/sec": "Hz"}
@@ -58,6 +59,10 @@ def acceleration_factor(unit: str) -> float:
     if bracketed := re.fullmatch(r"[(\[]([^()\[\]]*)[)\]]", text):
         text = bracketed[1].strip()
     text = text.removesuffix(".")
+    if twice := re.fullmatch(r"([^()\[\]]+?)\s*[(\[]([^()\[\]]+)[)\]]", text):
+        one, other = map(_factor, twice.groups())  # "gal (cm/s/s)"
+        if one and other and math.isclose(one, other, rel_tol=1e-6):
+            return one
     if known := _UNITS.get(text.replace(" ", "")):
         return known
     text = re.sub(r"\s*\bper\b\s*", "/", text)
@@ -329,6 +334,7 @@ def _even_step(path: Path, written: Array, unit: float, given: float | None) -> 
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
 _WHOLE = rf"({_NUMBER})(?![\d.]|,\d|[+-]\d|[eEdD][+-]?\d)"  # never the beginning of a longer one
+_COMPONENTS = re.compile(r"\bN-?S\b.*\bE-?W\b|\bE-?W\b.*\bN-?S\b", re.IGNORECASE)
 _VALUE = re.compile(rf"{_NUMBER}|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 _GLUED = re.compile(rf"{_NUMBER}(?:[+-](?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?)+")  # "0.123-0.456"
 _STEP = re.compile(
@@ -347,7 +353,8 @@ _AFTER_STEP = re.compile(
 )
 _POINTS_AND_STEP = re.compile(rf"\s*{_WHOLE}[\s,]+{_WHOLE}[\s,]+NPTS[\s,]+DT\b", re.IGNORECASE)
 _POINTS = re.compile(
-    r"\b(?:NPTS|NDATA|N(?:UMBER|O\.?)[ _]OF[ _](?:DATA[ _])?(?:POINTS|SAMPLES))\s*[:=]\s*(.*)"
+    r"\b(?:NPTS|NDATA|N(?:UMBER|O\.?)[ _]OF[ _](?:DATA|(?:DATA[ _])?(?:POINTS|SAMPLES)))"
+    r"\s*[:=]\s*(.*)"
     r"|^\s*(\d\S*)\s+(?:points|pts)\b",
     re.IGNORECASE,
 )
@@ -390,6 +397,14 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
         rows = rows[lead[0] :]
         steps += [("its first numbers", lead[1])] if lead[1] else []
     values = np.array([_float(word) for row in rows for word in row])
+    width = len(rows[0]) if len({len(row) for row in rows}) == 1 else 1
+    if width in (2, 3) and (
+        points == values.size / width or (points is None and any(map(_COMPONENTS.search, header)))
+    ):
+        raise BuildingError(
+            f"{path} looks like columns of {width} components: save the one that is meant, as .csv "
+            "with a name such as acceleration_g in its first line"
+        )
     if points is not None and points != values.size:
         raise BuildingError(
             f"{path}: the header says NPTS = {points}, and there are {values.size} values"
@@ -512,7 +527,7 @@ def _units(header: Sequence[str]) -> list[tuple[str, str]]:
         match = _UNIT.search(line)
         if match and not _OF_OTHERS.match(match[1]):
             text = _OF_ACCELERATION.sub("", match[1], count=1)
-            inner = re.match(r"[(\[]([^)\]]*)[)\]]", text)
+            inner = re.match(r"[(\[{<]([^)\]}>]*)[)\]}>](?!\s*[*x/])", text)
             parts = [inner[1]] if inner else [part.strip() for part in _PHRASE.split(text)]
             unit = next((part for part in parts if not _seconds(1.0, part)), "")  # "sec, cm/s/s"
             end = line.index(unit, match.start()) + len(unit) + bool(inner) if unit else len(line)

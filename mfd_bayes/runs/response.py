@@ -12,6 +12,7 @@ import numpy as np
 
 from mfd_bayes.errors import MOST_DRAWS, BuildingError, path_of, real_number, whole_number
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.response.analysis import Response, response_of
 from mfd_bayes.response.building import (
     FEWEST,
     KINDS,
@@ -21,8 +22,6 @@ from mfd_bayes.response.building import (
     read_building,
 )
 from mfd_bayes.response.ground import Ground, parse_ground, read_ground
-from mfd_bayes.response.result import Response
-from mfd_bayes.response.time_integration import response_of
 from mfd_bayes.runs.tested_range import MARGIN, Span, departures
 from mfd_bayes.units import actuation_kind
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,23 +45,26 @@ from mfd_bayes.planning.candidate import (
     typical_of,
 )
 from mfd_bayes.planning.study import Advice, advise
-from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor, check_flag
+from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Ending, Population
 from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.response.analysis import Response
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
     MODEL,
     POPULATION,
     PRIORS,
+    Manifest,
+    Use,
     check_links,
     check_stored,
     pooled_of,
     posterior_of,
+    read_manifest,
     record_of,
 )
-from mfd_bayes.runs.manifest import Manifest, Use, read_manifest
 from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
@@ -73,9 +76,6 @@ from mfd_bayes.runs.unit_system import System, named_system
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
-
-if TYPE_CHECKING:
-    from mfd_bayes.response.result import Response
 
 Array = NDArray[np.float64]
 
@@ -432,7 +432,6 @@ class Run:
         conditions: Mapping[str, float] | None = None,
         test: str = "",
         whole: bool = False,
-        explain: bool = False,
         given: tuple[float, float] | None = None,
         after: str | Ending = "",
     ) -> Band:
@@ -461,9 +460,7 @@ class Run:
         test : str
             Id of the calibrated test, for the kind `this_test`.
         whole : bool
-            Whether to compute `Band.whole` at once.
-        explain : bool
-            Whether to compute `Band.shares` at once.
+            Whether its table and picture show `Band.whole` too.
         given : (float, float), s, optional
             Window of the record in which the trace's force is known: the band of all the record,
             given that part, for the kinds `new_test` and `observation`.
@@ -482,7 +479,6 @@ class Run:
             has no force in the given window.
         """
         check_trace("trace", trace, FitError)
-        check_flag("explain", explain)
         if given is not None and (test or after):
             other = f"a calibrated test ({test!r})" if test else f"after ({after!r})"
             raise FitError(
@@ -490,7 +486,7 @@ class Run:
                 "shows itself where in its gap the device stands"
             )
         forecast = Forecast(
-            *(kind, probability, draws, seed, session, whole, bool(explain)),
+            *(kind, probability, draws, seed, session, whole),
             device=device,
             conditions={**self.conditions, **(conditions or {})},
         )

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from mfd_bayes.cli.console import LINES, WIDTH, clean, print_end
 from mfd_bayes.evaluation.views import Check, Judgement
 from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.runs.manifest import Finding, Use, Verdict
+from mfd_bayes.runs.folder import Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SI
 
 

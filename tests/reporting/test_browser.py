@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mfd_bayes.reporting.publish import find_browser, print_page, publish
+from mfd_bayes.reporting.page import find_browser, print_page, publish
 from mfd_bayes.reporting.symbols import number
 
 playwright = pytest.importorskip(

@@ -10,15 +10,19 @@ import pytest
 from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test
-from mfd_bayes.reporting.figures.agg import to_png
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, stretches
-from mfd_bayes.reporting.figures.report import (
+from mfd_bayes.reporting.figures import (
     draw_corner,
+    draw_history,
+    draw_inspection,
+    draw_loops,
     draw_ranks,
     draw_residuals,
+    draw_shared,
+    draw_test,
     draw_truth,
     spread,
+    stretches,
+    to_png,
 )
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.runs.unit_system import SI, US

@@ -14,9 +14,10 @@ from mfd_bayes.pipeline.respond import (
     response_json,
     sweep_sentence,
 )
-from mfd_bayes.reporting.figures import agg, to_png
+from mfd_bayes.reporting import figures
+from mfd_bayes.reporting.figures import to_png
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.response.result import Sweep
+from mfd_bayes.response.analysis import Sweep
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, US
 from mfd_bayes.units import GRAVITY
@@ -65,7 +66,7 @@ def view():
 
 
 def test_a_page_of_a_response_has_both_systems_of_units():
-    dot = to_png(agg.new_figure(1, 1))
+    dot = to_png(figures.new_figure(1, 1))
     names = ("profile", "building", "history_1", "history_2", "loops_1", "loops_2")
     images = {f"{name}_{system}": dot for name in names for system in ("us", "si")}
     text = render_response(view(), images)

@@ -15,7 +15,7 @@ import pytest
 
 from mfd_bayes.evaluation.views import Check
 from mfd_bayes.reporting.tables import predicted_csv
-from mfd_bayes.runs.manifest import Verdict
+from mfd_bayes.runs.folder import Verdict
 
 KIP = 4.4482216  # kN
 STIFFNESS = KIP / 25.4  # kN/mm of a kip/in

@@ -119,6 +119,8 @@ def test_a_header_says_its_unit_in_many_ways(tmp_path):
         ("UNIT = gal", IN_GAL),
         ("UNITS OF %G", 100.0),
         ("Units [mm/s2]", 10.0 * IN_GAL),
+        ("UNITS OF {CM/S/S}", IN_GAL),
+        ("UNITS OF CM/S/S (GAL)", IN_GAL),
         ("UNITS: IN/S2", GRAVITY),
         ("units=cm/sec2(04),Format=(8f10.3)", IN_GAL),
         ("Acceleration (cm per sec per sec); units of velocity: cm/s", IN_GAL),
@@ -129,7 +131,7 @@ def test_a_header_says_its_unit_in_many_ways(tmp_path):
 
 
 def test_a_unit_that_cannot_be_read_is_never_taken_for_g(tmp_path):
-    for unit in ("CM/S", "COUNTS", "G/10", "1/100 G", "G X 1000", "(unknown)", ""):
+    for unit in ("CM/S", "COUNTS", "G/10", "1/100 G", "G X 1000", "(G)*10", "(unknown)", ""):
         path = written(tmp_path, f"ACCELERATION IN UNITS OF {unit}\n{NPTS}")
         refused(r"header says 'UNITS OF.* is no acceleration", read, path)
         check(read_ground(path, unit="g"))
@@ -199,6 +201,10 @@ def test_columns_of_time_and_acceleration_are_not_read_as_one(tmp_path):
         path.write_text("time accel\n" + "\n".join(map(between.join, rows)))
         words = "looks like columns of time and acceleration: save"
         refused(words, read_ground, path, step=0.02)
+    rows = "\n".join(f"{a:.4f} {-a:.4f} {a / 2:.4f}" for a in moves)
+    for header in ("UNITS: g\nN-S E-W U-D", "NUMBER OF DATA: 40\nUNITS: g"):
+        path.write_text(f"{header}\n{rows}\n")
+        refused("columns of 3 components", read_ground, path, step=0.02)
 
 
 def test_accelerations_in_rows_are_read_along_the_rows(tmp_path):
@@ -246,6 +252,7 @@ def test_a_table_has_units_in_its_names_or_in_a_row(tmp_path):
         ("time,acceleration\ns,%g", 100.0),
         ("time_s,Acceleration (CM/SEC/SEC)", IN_GAL),
         ("time_s,acceleration_gal", IN_GAL),
+        ("time_s,acc_ms2", 0.01 * IN_GAL),
         ("t,a\ns,m/s2", 0.01 * IN_GAL),
         ("Zeit [s],Beschleunigung [m/s²]", 0.01 * IN_GAL),
     ):

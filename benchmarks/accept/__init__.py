@@ -1,1 +1,0 @@
-"""Is this device like the others: rates of false alarms, and power."""

@@ -1,1 +1,0 @@
-"""Devices of any size, from loggers' files to a report."""

@@ -1,1 +1,0 @@
-"""Thirty steel coupons, each left out, beside least squares and beside quoFEM."""

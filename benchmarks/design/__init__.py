@@ -1,1 +1,0 @@
-"""Whether bounding properties hold what tests showed that were left out."""

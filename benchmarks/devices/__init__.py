@@ -1,1 +1,0 @@
-"""Devices of a user's own, each one file, from synthetic records to what is predicted."""

@@ -1,1 +1,0 @@
-"""Which random faults in the package the tests notice."""

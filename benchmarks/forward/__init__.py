@@ -1,1 +1,0 @@
-"""How long the computation of a force takes, beside other implementations that must agree."""

@@ -1,1 +1,0 @@
-"""Numbers that a rebuilding must not change unnoticed."""

@@ -1,1 +1,0 @@
-"""Whether predicted bands hold the force of tests that were not used."""

@@ -1,1 +1,0 @@
-"""Mistakes planted into real sessions, and who names them."""

@@ -1,1 +1,0 @@
-"""What advice on the next test is worth: see run.py."""

@@ -1,1 +1,0 @@
-"""How exactly, and how fast, buildings with dampers are stepped."""

@@ -1,1 +1,0 @@
-"""How time and memory grow with samples, walkers, parameters and tests."""

@@ -1,1 +1,0 @@
-"""Whether statistical tests hold for other seeds and on other processors."""

@@ -1,1 +1,0 @@
-"""When a test is long enough."""

@@ -1,0 +1,1016 @@
+"""Nonlinear time-history analysis of a building with dampers, for many draws at once.
+
+    M ẍ + C ẋ + K x + Bᵀ (f − f_rest) = −M r a_g
+
+The linear part is stepped exactly. Within a step the ground's acceleration is linear in time, and
+the devices' forces are parabolas through those at its begin, middle and end. Those at the end are
+in equilibrium with the motion, by Newton's method; the one in the middle tells how far the forces
+bend: where they do so too much, the step is halved, for each draw by itself.
+
+The response has peaks and bands, the shares of its variance, and its change with the actuation.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from mfd_bayes.errors import BuildingError, NotThereError, UnitError
+from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.local import Workplace, run_jobs
+from mfd_bayes.response.building import (
+    Building,
+    Dampers,
+    ElastoPlastic,
+    Limits,
+    no_dampers,
+    plain_friction,
+)
+from mfd_bayes.units import GRAVITY, parse_actuation, percent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from mfd_bayes.response.ground import Ground
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+Row = dict[str, Any]
+
+PROBABILITIES = (0.5, 0.9, 0.95)  # of the equal-tailed bands
+REFERENCES = ("bare", "plain", "lower", "upper")
+OPEN = 0.005  # share of the time in steps that should have been shorter, from which a draw is named
+PER_DRAW = (
+    *("drift", "acceleration", "base_shear", "force", "travel", "energy", "residual"),
+    *("unstable", "open", "imbalance", "change", "steps"),
+)
+"""Arrays (n, g, …) of a response."""
+
+PER_GROUND = ("histories", "travels", "forces")
+"""Tuples of arrays (n, T, …), one for each ground motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Response of n draws of a building to g ground motions."""
+
+    building: Building
+    grounds: tuple[Ground, ...]
+    dampers: Dampers
+    drift: Array  # (n, g, S), in, largest storey drifts
+    acceleration: Array  # (n, g, N), in/s², largest absolute accelerations of the floors
+    base_shear: Array  # (n, g), kip, the largest of inertia
+    # (n, g, m), kip, in, kip in: largest force and travel of each damper, and the energy that
+    # it took
+    force: Array
+    travel: Array
+    energy: Array
+    residual: Array  # (n, g, S), in, mean drift over the last two fundamental periods
+    unstable: NDArray[np.bool_]  # (n, g), draws that ran away
+    open: Array  # (n, g), share of the time in steps that should have been shorter still
+    imbalance: Array  # (n, g), largest energy that is not accounted for, over the largest input
+    change: Array  # (n, g), estimated error of the largest drift, relative
+    steps: Array  # (n, g), s, shortest step of each
+    histories: tuple[Array, ...]  # (n, T, S), in, drift at the samples of each ground motion
+    # (k, T, m), in, kip, of the dampers of the first k draws
+    travels: tuple[Array, ...]
+    forces: tuple[Array, ...]
+    # of one draw each: "bare", without dampers; "plain", with plain friction of the median
+    # slip forces; "lower" and "upper", with all dampers at those design values
+    references: Mapping[str, Response] = field(default_factory=dict)
+    tolerance: float = 0.01  # error up to which a draw counts as settled
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def bare(self) -> Response:
+        """Of the building without dampers, one draw."""
+        return self.references["bare"]
+
+    @property
+    def plain(self) -> Response:
+        """Of the building with plain friction of the median slip forces, one draw."""
+        return self.references["plain"]
+
+    @property
+    def draws(self) -> int:
+        """Number of draws n."""
+        return len(self.drift)
+
+    @property
+    def unsettled(self) -> NDArray[np.bool_]:
+        """Draws with a larger error than the tolerance, or steps that should be shorter, (n, g)."""
+        return np.asarray(((self.change > self.tolerance) | (self.open > OPEN)) & ~self.unstable)
+
+    def usable(self, ground: int) -> NDArray[np.bool_]:
+        """Draws that did not run away, (n,), by the number of the ground motion."""
+        try:
+            return np.asarray(~self.unstable[:, ground])
+        except IndexError as error:
+            known = f"0 to {len(self.grounds) - 1}"
+            raise NotThereError(f"no ground motion {ground!r}: there are {known}") from error
+
+    @property
+    def drift_ratio(self) -> Array:
+        """Largest drifts over the storeys' heights, (n, g, S)."""
+        return self.drift / self.building.heights
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with some draws, in sentences that name them."""
+        found = []
+        for g, ground in enumerate(self.grounds):
+            for flags, words in (
+                (self.unstable, "diverged and are left out of every figure"),
+                (self.unsettled, f"may be off by more than {self.tolerance:.2g}"),
+            ):
+                at = np.flatnonzero(flags[:, g])
+                if at.size:
+                    listed = ", ".join(map(str, at[:10])) + (", …" if at.size > 10 else "")
+                    found.append(
+                        f"{ground.name}: {at.size} of {self.draws} draws {words}: {listed}"
+                    )
+        return tuple(found)
+
+    def quantities(self) -> dict[str, tuple[str, tuple[str, ...], Array]]:
+        """Unit, names of the places and values (n, g, places) of each quantity of the tables."""
+        storeys = self.building.floors
+        floors = tuple(f"floor {i + 1}" for i in range(self.building.freedoms))
+        names = tuple(device.name for device in self.building.devices)
+        found = {
+            "drift ratio": ("1", storeys, self.drift_ratio),
+            "drift": ("in", storeys, self.drift),
+            "acceleration": ("in/s^2", floors, self.acceleration),
+            "base shear": ("kip", ("base",), self.base_shear[..., None]),
+            "residual drift": ("in", storeys, np.abs(self.residual)),
+            "residual drift ratio": ("1", storeys, np.abs(self.residual) / self.building.heights),
+            "damper travel": ("in", names, self.travel),
+            "damper force": ("kip", names, self.force),
+            "damper energy": ("kip*in", names, self.energy),
+        }
+        if not np.all(np.isfinite(self.building.heights)):
+            del found["drift ratio"], found["residual drift ratio"]
+        return found
+
+    def rows(self) -> list[Row]:
+        """Median, mean and bands of peaks and residuals, under each ground motion at each place.
+
+        With those of the references, NaN where they have no meaning. A unit of "1" is a ratio's.
+        """
+        references = {name: of.quantities() for name, of in self.references.items()}
+        tails = [(0.5 * (1.0 - p), 0.5 * (1.0 + p)) for p in PROBABILITIES]
+        names, rows = [percent(p) for p in PROBABILITIES], []
+        for g, ground in enumerate(self.grounds):
+            for quantity, (unit, places, values) in self.quantities().items():
+                used = values[self.usable(g), g]
+                if quantity == "residual drift ratio" or not len(used):
+                    continue
+                skipped = ("bare", "plain") if quantity.startswith("damper") else ()
+                for i, place in enumerate(places):
+                    own = used[:, i]
+                    bands = [tuple(np.quantile(own, tail).tolist()) for tail in tails]
+                    row: Row = {
+                        "quantity": quantity,
+                        "ground": ground.name,
+                        "place": place,
+                        "unit": unit,
+                        "median": float(np.median(own)),
+                        "mean": float(own.mean()),
+                        "bands": dict(zip(names, bands, strict=True)),
+                        **dict.fromkeys(REFERENCES, np.nan),
+                    }
+                    for name, of in references.items():
+                        if name not in skipped:
+                            row[name] = float(of[quantity][2][0, g, i])
+                    rows.append(row)
+        return rows
+
+    def limits(self) -> list[Row]:
+        """Probability of passing each limit in the building, under each motion, and its error."""
+        given, quantities, rows = self.building.limits, self.quantities(), []
+        limits = {
+            "drift ratio": given.drift,
+            "acceleration": given.acceleration,
+            "base shear": given.base_shear,
+            "damper travel": given.travel,
+            "residual drift ratio": given.residual,
+        }
+        for quantity, limit in limits.items():
+            if limit is None or not quantities[quantity][1]:
+                continue
+            unit, _, values = quantities[quantity]
+            for g, ground in enumerate(self.grounds):
+                passed = (values[self.usable(g), g] > limit).any(axis=1)
+                n = len(passed)
+                p = float(passed.mean()) if n else np.nan
+                # with the centre of Agresti and Coull, so that 0 of n has an error too
+                centre = (p * n + 2.0) / (n + 4.0)
+                error = float(np.sqrt(centre * (1.0 - centre) / (n + 4.0)))
+                row = {"quantity": quantity, "ground": ground.name, "limit": limit, "unit": unit}
+                rows.append(row | {"probability": p, "error": error})
+        return rows
+
+    def measure(self, name: str) -> Array:
+        """The largest of a quantity over the building, (n, g).
+
+        It is one of "drift", in; "acceleration", g; "base_shear", kip; "travel", in.
+        """
+        measures = {
+            "drift": self.drift,
+            "acceleration": self.acceleration / GRAVITY,
+            "base_shear": self.base_shear[..., None],
+            "travel": self.travel,
+        }
+        if name not in measures:
+            raise NotThereError(f"no measure {name!r}: there are {', '.join(measures)}")
+        return np.asarray(measures[name].max(axis=-1))
+
+
+def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
+    """Response of all dampers to all ground motions, of parts of the draws under each."""
+    by_ground = list(zip(*parts, strict=True))
+    arrays: dict[str, Any] = {
+        name: np.concatenate(
+            [np.concatenate([getattr(part, name) for part in some]) for some in by_ground], axis=1
+        )
+        for name in PER_DRAW
+    }
+    for name in PER_GROUND:
+        arrays[name] = tuple(
+            np.concatenate([getattr(part, name)[0] for part in some]) for some in by_ground
+        )
+    grounds = tuple(part.grounds[0] for part in parts[0])
+    return replace(parts[0][0], grounds=grounds, dampers=dampers, **arrays)
+
+
+# --- integration: what is kept of histories, and the steps
+
+LONGEST = 0.02  # longest step, s
+HALVINGS = 6  # most halvings of a step
+CLOSE = 1e-4  # A force is in equilibrium when it is answered within this share of the slip force
+NEWTON = 3  # iterations by Newton's method alone; from then on each force is held in a bracket
+ITERATIONS = (8, 30)
+"""Most iterations of a step; one that needs more is halved. Of the shortest step: more."""
+
+JUMP = 30.0
+"""Width, in tolerances, at which a bracket has closed on a jump: the force is in equilibrium."""
+
+EASY = 1 / 8  # share of the largest bend below which the next step is twice as long
+RUNAWAY = 1e5  # travel, in, beyond which a draw diverged
+TOLERANCE = 0.01  # largest estimated error of a draw's drift, relative
+ROUNDS = 2  # most times that a draw is computed again with shorter steps
+KEPT = 8  # draws of each block whose dampers' histories are kept
+BEND = 2.0  # largest bend of the forces at first (see `integrate`), over the tolerance
+LARGEST_BEND = 0.1
+SHARPER = 0.25  # share of this for the draws that are computed again
+ROWS = 1500  # dampers of a block of draws: enough for numpy to be quick, few enough for the cache
+BOOLE = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # weights of Boole's rule
+
+
+@dataclass(frozen=True, eq=False)
+class Devices:
+    """All devices of n buildings after a step: m dampers, then s storeys that yield."""
+
+    # states of n devices for each column of the slice: of the dampers, of what their model
+    # leaves over, and of storeys
+    states: tuple[tuple[Any, slice], ...]
+    force: Array  # (n, m + s), kip
+    times: Array | None
+    scales: Mapping[str, Array]
+
+    @classmethod
+    def at_rest(cls, building: Building, dampers: Dampers, way: Array) -> Devices:
+        """Devices at rest, the dampers about to move in the directions of the signs of `way`."""
+        n, m, strong = dampers.draws, dampers.count, np.isfinite(building.yields)
+        states = [(dampers.state(np.where(way < 0, -1.0, 1.0)), slice(0, m))]
+        if dampers.leftover is not None:
+            states.append((dampers.leftover, slice(0, m)))
+        if strong.any():
+            stiffness, strength = (
+                np.tile(values[strong], n) for values in (building.storeys, building.yields)
+            )
+            yielding = ElastoPlastic.at_rest(stiffness, strength, elastic=stiffness)
+            states.append((yielding, slice(m, m + int(strong.sum()))))
+        none = np.zeros((n, m + int(strong.sum())))
+        return cls((), none, dampers.times, dampers.scales)._with(states)
+
+    def _with(self, states: Sequence[tuple[Any, slice]]) -> Devices:
+        force = np.zeros(self.force.shape)
+        for state, columns in states:
+            force[:, columns] += state.force.reshape(len(force), -1)
+        return Devices(tuple(states), force, self.times, self.scales)
+
+    def step(self, travel: Array, velocity: Array, size: float, time: float) -> Devices:
+        """Devices after a step to `time`, from travels and velocities (n, m + s)."""
+        scales, states = None, []
+        if self.times is not None:
+            place = float(np.interp(time, self.times, np.arange(self.times.size)))
+            left = min(int(place), self.times.size - 2)
+            share = place - left
+            scales = {
+                name: ((1.0 - share) * s[..., left] + share * s[..., left + 1]).ravel()
+                for name, s in self.scales.items()
+            }
+        for state, columns in self.states:
+            x, v = travel[:, columns].ravel(), velocity[:, columns].ravel()
+            states.append((state.step(x, v, size, scales) if x.size else state, columns))
+            scales = None  # the dampers come first
+        return self._with(states)
+
+    def chosen(self, rows: Rows) -> Devices:
+        """The devices of some buildings."""
+        some = [(state.chosen(_flat(rows, columns)), columns) for state, columns in self.states]
+        scales = {name: column[rows] for name, column in self.scales.items()}
+        return Devices(tuple(some), self.force[rows], self.times, scales)
+
+    def replaced(self, rows: Rows, part: Devices) -> Devices:
+        """The devices with the state of those of some buildings replaced."""
+        pairs = zip(self.states, part.states, strict=True)
+        return self._with(
+            [
+                (old.replaced(_flat(rows, columns), new), columns)
+                for (old, columns), (new, _) in pairs
+            ]
+        )
+
+
+def _flat(rows: Rows, columns: slice) -> Rows:
+    """Places in a state of the devices of some buildings that have these columns."""
+    width = columns.stop - columns.start
+    return np.asarray((rows[:, None] * width + np.arange(width)).ravel())
+
+
+@dataclass(frozen=True, eq=False)
+class Propagator:
+    """What a linear building with devices does in a step: exact, by matrix exponentials.
+
+    A row (x, v, f at the begin) times `free`, plus the ground's acceleration at both ends times
+    `shaken`, plus (f at the end, bump) times `forced`, is the row
+
+        x, v after ¼, ½, ¾ and the whole step; travel, v of the devices after ½; and after 1
+
+    where forces are those beyond the ones at rest, f(s) = (1 − s) f₀ + s f₁ + 4 s (1 − s) bump, and
+    travels are less what a brace takes. From the exponential of the matrix that is augmented by the
+    loads' powers of time (Van Loan, 1978).
+    """
+
+    size: float  # s
+    # (2N + m, 8N + 4m), (2, 8N + 4m), (2m, 8N + 4m)
+    free: Array
+    shaken: Array
+    forced: Array
+
+    @classmethod
+    def of(cls, building: Building, places: Array, brace: Array, size: float) -> Propagator:
+        """Step of `size` seconds, with devices at places (m, N) and braces (m,), in/kip."""
+        n, m = building.freedoms, len(places)
+        inverse = linalg.inv(building.mass)
+        whole = np.zeros((2 * n + 3 * (1 + m),) * 2)
+        whole[:n, n : 2 * n] = np.eye(n)
+        whole[n : 2 * n, :n] = -inverse @ building.stiffness
+        whole[n : 2 * n, n : 2 * n] = -inverse @ building.damping
+        whole[n : 2 * n, 2 * n] = -building.influence
+        whole[n : 2 * n, 2 * n + 1 : 2 * n + 1 + m] = -inverse @ places.T
+        whole[: 2 * n] *= size / 4.0
+        whole[2 * n : 2 * n + 2 * (1 + m), 2 * n + 1 + m :] = np.eye(2 * (1 + m)) / 4.0
+        quarter = linalg.expm(whole)
+        columns, power = [], np.eye(len(whole))
+        for _ in range(4):  # the load's powers of time go on from quarter to quarter
+            power = quarter @ power
+            columns.append(power[: 2 * n].T)
+        found = np.concatenate(columns, axis=1)
+        one, linear, square = np.split(found[2 * n :], 3)  # answers to loads 1, s and s²/2
+        first, bump = one - linear, 4.0 * linear - 8.0 * square
+        free = np.concatenate([found[: 2 * n], first[1:]])
+        shaken = np.array([first[0], linear[0]])
+        forced = np.concatenate([linear[1:], bump[1:]])
+        travels = np.kron(np.eye(4), places.T)
+        free, shaken, forced = (
+            np.concatenate([a, a[:, np.r_[2 * n : 4 * n, 6 * n : 8 * n]] @ travels], axis=1)
+            for a in (free, shaken, forced)
+        )
+        loss, rate, none = np.diag(brace), np.diag(brace) / size, np.zeros((m, m))
+        free[2 * n :, 8 * n :] -= np.concatenate([0.5 * loss, -rate, none, -rate], axis=1)
+        forced[:m, 8 * n :] -= np.concatenate([0.5 * loss, rate, loss, rate], axis=1)
+        forced[m:, 8 * n :] -= np.concatenate([loss, none, none, -4.0 * rate], axis=1)
+        return cls(size, free, shaken, forced)
+
+    def inner(self, state: Array, shaking: Array, forces: Array) -> Array:
+        """States after ¼, ½ and ¾ of the step, (3, r, 2N).
+
+        `state` is (r, 2N), `shaking` (2,), and `forces` are (3, r, m), kip: at the begin,
+        in the middle and at the end.
+        """
+        first, middle, last = forces
+        width = 3 * state.shape[1]
+        given = np.concatenate([state, first], axis=1) @ self.free[:, :width]
+        given += shaking @ self.shaken[:, :width]
+        curve = np.concatenate([last, middle - 0.5 * (first + last)], axis=1)
+        given += curve @ self.forced[:, :width]
+        return given.reshape(len(state), 3, -1).swapaxes(0, 1)
+
+
+def equilibrium(
+    devices: Devices,
+    motion: Callable[[Array], tuple[Array, Array]],
+    when: tuple[float, float],
+    flexibility: Array,
+    begin: tuple[Array, Array],
+    tolerance: Array,
+    most: int,
+) -> tuple[Devices, Array, Array, NDArray[np.bool_]]:
+    """Devices that answer their motion with the forces that cause it, by Newton's method.
+
+    `motion` gives travel and velocity at the end of a step, (n, m) each, by the forces then; `when`
+    is the length of the step and the time at its end, s; `flexibility` is the change of the travel
+    of each device (row) by the force of each (column), (m, m), in/kip. It begins with forces and
+    changes of each device's force by its travel, (n, m): a secant of the last step at first, of the
+    last two iterations then; `tolerance` is (n, m), kip.
+
+    Returned are the devices, their forces and those changes, (n, m) each, and which of the n
+    buildings are in equilibrium, (n,).
+    """
+    (force, slope), own, last = begin, np.abs(flexibility.diagonal()), begin
+    low, high = np.full_like(force, -np.inf), np.full_like(force, np.inf)
+    for iteration in range(most):
+        travel, velocity = motion(force)
+        after = devices.step(travel, velocity, *when)
+        off = after.force - force
+        far = ~(np.abs(off) <= tolerance)
+        if iteration:
+            way = travel - last[0]
+            usable = np.abs(way) > 0.1 * tolerance * own
+            secant = (after.force - last[1]) / np.where(usable, way, 1.0)
+            usable &= np.isfinite(secant)
+            slope = np.where(usable, np.clip(secant, -0.5 / own, 1e4 / own), slope)
+        if not far.any():
+            break
+        last = travel, after.force
+        new = force + _solved(slope, flexibility, off)
+        if iteration >= NEWTON:
+            # the answer less the force falls with the force; a bracket is opened again where it
+            # was passed as other devices moved
+            above, below = off > 0, off < 0
+            high = np.where(above & (force >= high), np.inf, high)
+            low = np.where(below & (force <= low), -np.inf, low)
+            low, high = (
+                np.where(above, np.maximum(low, force), low),
+                np.where(below, np.minimum(high, force), high),
+            )
+            far &= ~(high - low <= JUMP * tolerance)
+            if not far.any():
+                break
+            new = np.where(far & ~((low < new) & (new < high)), 0.5 * (low + high), new)
+        # a building in equilibrium stays as it is, whatever others do
+        force = np.where(np.isfinite(new) & far.any(axis=1, keepdims=True), new, force)
+    answered = np.abs(off) <= tolerance
+    return after, np.where(answered, after.force, force), slope, np.asarray(~far.any(axis=1))
+
+
+def _solved(slope: Array, flexibility: Array, off: Array) -> Array:
+    """Solution d of (I − K A) d = off, with slopes K (n, m) and a flexibility A (m, m)."""
+    system = np.eye(len(flexibility)) - slope[:, :, None] * flexibility
+    return np.asarray(np.linalg.solve(system, off[..., None])[..., 0])
+
+
+class _Draws:
+    """Draws of a building under one ground motion, each stepped as its forces bend; its record."""
+
+    def __init__(
+        self, building: Building, ground: Ground, dampers: Dampers, bend: float, kept: int
+    ) -> None:
+        self.building, self.ground, self.dampers, self.bend = building, ground, dampers, bend
+        strong = np.isfinite(building.yields)
+        self.places = np.concatenate([building.travels, building.drifts[strong]])
+        self.brace = np.zeros(len(self.places))
+        self.brace[: len(building.devices)] = [1.0 / device.brace for device in building.devices]
+        self.parts = max(1, int(np.ceil(ground.step / LONGEST - 1e-9)))
+        # the sign of the first travel, as the building's own stiffness lets it sway
+        sway = np.linalg.solve(building.stiffness, building.mass @ building.influence)
+        way = -ground.acceleration[np.flatnonzero(ground.acceleration)[0]]
+        self.devices = Devices.at_rest(building, dampers, way * (building.travels @ sway))
+        self.rest = self.devices.force
+        n, m = self.rest.shape
+        yields = np.broadcast_to(building.yields[strong], (n, int(strong.sum())))
+        self.scale = np.concatenate([dampers.slip, yields], axis=1)
+        self.state, self.error = np.zeros((2, n, 2 * building.freedoms))
+        self.slope, self.rate = np.zeros((2, n, m))
+        self.level, self.deepest = np.zeros((2, n), dtype=np.intp)
+        self.change, self.open = np.zeros((2, n))
+        self.unstable = np.zeros(n, dtype=bool)
+        self.steps: dict[int, Propagator] = {}
+        # what is kept: peaks; work of the ground, of damping and of each device; residual drift
+        storeys, devices, samples = len(building.drifts), len(building.devices), ground.time.size
+        self.inverse = linalg.inv(building.mass)
+        self.late = float(ground.time[-1] - 2.0 * building.modes.periods[0])
+        widths = {"drift": storeys, "acceleration": building.freedoms, "base_shear": 1}
+        widths |= {"force": devices, "travel": devices}
+        self.peaks = {name: np.zeros((n, width)) for name, width in widths.items()}
+        self.work = np.zeros((n, 2 + m))
+        self.residual, self.late_time = np.zeros((n, storeys)), np.zeros((n, 1))
+        self.most_input, self.most_lost = np.zeros((2, n))
+        self.histories = np.zeros((n, samples, storeys), dtype=np.float32)
+        self.loops = np.zeros((2, min(kept, n), samples, devices), dtype=np.float32)
+
+    def advance(self, rows: Rows, begin: float, level: int) -> None:
+        """Move draws by a step of a level, from `begin`, in samples; or by two of the next one."""
+        wish = self.level[rows] > level
+        ready, deeper = rows[~wish], rows[wish]
+        if ready.size:
+            late = ready[~self.step(ready, begin, level)]
+            self.level[late] = level + 1
+            deeper = np.sort(np.concatenate([deeper, late]))
+        for half in (0.0, 0.5):
+            deeper = deeper[~self.unstable[deeper]]
+            if deeper.size:
+                self.advance(deeper, begin + half / (self.parts * 2**level), level + 1)
+
+    def step(self, rows: Rows, begin: float, level: int) -> NDArray[np.bool_]:
+        """Move draws by one step of a level, unless forces bend too much in it: which, (r,)."""
+        n, m = self.building.freedoms, len(self.places)
+        size = self.ground.step / (self.parts * 2**level)
+        if level not in self.steps:
+            self.steps[level] = Propagator.of(self.building, self.places, self.brace, size)
+        linear, k = self.steps[level], int(begin + 1e-9)
+        low, high = self.ground.acceleration[k : k + 2].tolist()
+        ends = np.array([begin, begin + size / self.ground.step])
+        shaking, time = low + (ends - k) * (high - low), begin * self.ground.step
+        every = rows.size == len(self.state)
+        devices = self.devices if every else self.devices.chosen(rows)
+        state, rest, scale = self.state[rows], self.rest[rows], self.scale[rows]
+        first, slope = devices.force - rest, self.slope[rows]
+        free = np.concatenate([state, first], axis=1) @ linear.free[:, 6 * n :]
+        free += shaking @ linear.shaken[:, 6 * n :]
+        forced, half, full = linear.forced[:, 6 * n :], 2 * n, 2 * n + 2 * m
+
+        def motion(force: Array) -> tuple[Array, Array]:
+            moved = free[:, full:] + (force - rest) @ forced[:m, full:]
+            return moved[:, :m], moved[:, m:]
+
+        after, force, slope, closed = equilibrium(
+            *(devices, motion, (size, time + size), forced[:m, full : full + m].T),
+            *((devices.force + size * self.rate[rows], slope), CLOSE * scale),
+            ITERATIONS[level == HALVINGS],
+        )
+        last = force - rest
+        moved = free[:, half:full] + last @ forced[:m, half:full]
+        there = devices.step(moved[:, :m], moved[:, m:], 0.5 * size, time + 0.5 * size)
+        answer = there.force - rest - 0.5 * (first + last)
+        # the bump itself takes from the travel in the middle: one iteration of Newton's
+        bump = _solved(slope, forced[m:, half : half + m].T, answer)
+        bump = np.clip(bump, np.minimum(answer, 0.0), np.maximum(answer, 0.0))
+        curve = np.concatenate([last, bump], axis=1)
+        end = free[:, : 2 * n] + curve @ forced[:, : 2 * n]
+        bent = np.max(np.abs(bump) / scale, axis=1, initial=0.0) * size / (LONGEST * self.bend)
+        sound = (np.abs(end).max(axis=1) < RUNAWAY) & np.isfinite(last).all(axis=1)
+        good = closed & (bent <= 1.0) & sound
+        if level == HALVINGS:
+            self.open[rows[~good]] += size
+            self.unstable[rows[~sound]] = True
+            self.state[rows[~sound]] = 0.0
+            good = sound
+        if not good.any():
+            return np.asarray(good)
+        taken, error = rows[good], self.error[rows] @ linear.free[: 2 * n, 6 * n : 8 * n]
+        error += bump @ forced[m:, : 2 * n]
+        off = np.abs(error[:, :n] @ self.building.drifts.T).max(axis=1)
+        for column, new in (
+            (self.state, end),
+            (self.error, error),
+            (self.slope, slope),
+            (self.rate, (last - first) / size),
+            (self.level, np.maximum(level - (bent < EASY), 0)),
+            (self.deepest, np.maximum(self.deepest[rows], level)),
+            (self.change, np.maximum(self.change[rows], off)),
+        ):
+            column[taken] = new[good]
+        forces = np.stack([first, 0.5 * (first + last) + bump, last])[:, good]
+        inner = linear.inner(state[good], shaking, forces)
+        states = np.concatenate([state[None, good], inner, end[None, good]])
+        self.record(taken, time, size, shaking, states, forces)
+        if every and good.all():
+            self.devices = after
+        else:
+            self.devices = self.devices.replaced(taken, after.chosen(np.flatnonzero(good)))
+        return np.asarray(good)
+
+    def sample(self, k: int) -> None:
+        """Keep the histories and the energy of all draws at a sample of the ground motion."""
+        building, m, kept = self.building, len(self.building.devices), len(self.loops[0])
+        x, v = np.split(self.state, 2, axis=1)
+        force, pulled = self.devices.force, self.devices.force - self.rest
+        self.histories[:, k] = x @ building.drifts.T
+        travels = x[:kept] @ self.places[:m].T - (pulled * self.brace)[:kept, :m]
+        self.loops[:, :, k] = travels, force[:kept, :m]
+        # energy that is not accounted for, now
+        stored = 0.5 * ((v @ building.mass) * v + (x @ building.stiffness) * x).sum(axis=1)
+        lost = self.work[:, 0] - self.work[:, 1:].sum(axis=1) - stored
+        self.most_lost = np.maximum(self.most_lost, np.abs(lost))
+        self.most_input = np.maximum(self.most_input, np.abs(self.work[:, 0]))
+        self.elastic = 0.5 * (self.brace * pulled**2)[:, :m]
+
+    def record(
+        self, rows: Rows, time: float, size: float, shaking: Array, state: Array, forces: Array
+    ) -> None:
+        """Keep what a step of some draws from `time` has of peaks, work and residual drift.
+
+        `shaking` is the ground's acceleration at both ends, (2,), in/s²; `state` is (5, r, 2N), at
+        the begin, after ¼, ½ and ¾, and at the end; `forces` are those of the devices beyond those
+        at rest, (3, r, m), at the begin, in the middle and at the end. The devices do work against
+        what they hold at rest, in which the building is in equilibrium.
+        """
+        building, n, m = self.building, self.building.freedoms, len(self.building.devices)
+        (first, half, last), share = forces, np.linspace(0.0, 1.0, 5)[:, None, None]
+        pulled = (1.0 - share) * first + share * last
+        pulled += 4.0 * share * (1.0 - share) * (half - 0.5 * (first + last))
+        x, v = state[..., :n], state[..., n:]
+        weights = building.mass @ building.influence
+        load = x @ building.stiffness + v @ building.damping + pulled @ self.places
+        acceleration, drift = -load @ self.inverse, x @ building.drifts.T  # absolute
+        peaks = {
+            "drift": drift,
+            "acceleration": acceleration,
+            "base_shear": (acceleration @ weights)[..., None],
+            "force": forces[..., :m] + self.rest[rows, :m],
+            "travel": x @ self.places[:m].T - pulled[..., :m] * self.brace[:m],
+        }
+        for name, values in peaks.items():
+            self.peaks[name][rows] = np.maximum(self.peaks[name][rows], np.abs(values).max(axis=0))
+        along = (1.0 - share[..., 0]) * shaking[0] + share[..., 0] * shaking[1]
+        given = -along * (v @ weights)
+        damped = ((v @ building.damping) * v).sum(axis=-1)
+        power = np.concatenate(
+            [given[..., None], damped[..., None], pulled * (v @ self.places.T)], axis=2
+        )
+        self.work[rows] += size * np.tensordot(BOOLE, power, axes=1)
+        if time + size > self.late:
+            self.residual[rows] += size * drift[2]
+            self.late_time[rows] += size
+
+    def response(self) -> Response:
+        """What was found of the draws."""
+        ground, devices = self.ground, len(self.building.devices)
+        drift = self.peaks["drift"].max(axis=1)
+        of_draws: dict[str, NDArray[Any]] = self.peaks | {
+            "base_shear": self.peaks["base_shear"][:, 0],
+            "energy": self.work[:, 2 : 2 + devices] - self.elastic,
+            "residual": self.residual / np.maximum(self.late_time, 1e-300),
+            "unstable": self.unstable,
+            "open": self.open / ground.time[-1],
+            "imbalance": self.most_lost / np.maximum(self.most_input, 1e-300),
+            "change": self.change / np.maximum(drift, 1e-300),
+            "steps": ground.step / self.parts / 2.0**self.deepest,
+        }
+        arrays: dict[str, Any] = {name: values[:, None] for name, values in of_draws.items()}
+        arrays |= {"histories": (self.histories,), "travels": (self.loops[0],)}
+        arrays |= {"forces": (self.loops[1],)}
+        return Response(self.building, (ground,), self.dampers, **arrays)
+
+
+def integrate(
+    building: Building,
+    ground: Ground,
+    dampers: Dampers,
+    bend: float,
+    *,
+    kept: int = 0,
+    tick: Callable[[float], object] = lambda share: None,
+) -> Response:
+    """Response of every draw to one ground motion.
+
+    A step is halved where a device's force in its middle, off the mean of those at its ends, gives
+    a larger impulse than the share `bend` of the slip force in the longest step. The histories of
+    the dampers are kept of the first draws, `kept` of them. `tick` is called with the share of the
+    motion that is done.
+    """
+    draws, samples = _Draws(building, ground, dampers, bend, kept), ground.time.size
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(samples):
+            draws.sample(k)
+            for part in range(draws.parts if k < samples - 1 else 0):
+                draws.advance(np.flatnonzero(~draws.unstable), k + part / draws.parts, 0)
+            if not k % 100:
+                tick(k / samples)
+    return draws.response()
+
+
+# --- blocks of draws, here or in processes
+
+
+def settle(
+    building: Building,
+    ground: Ground,
+    dampers: Dampers,
+    tolerance: float = TOLERANCE,
+    *,
+    rounds: int = ROUNDS,
+    tick: Callable[[float], object] = lambda share: None,
+) -> Response:
+    """Response of every draw to one ground motion, at steps that suit each.
+
+    A draw whose drift has an estimated relative error above the tolerance is computed again with
+    shorter steps, at most so many `rounds`.
+    """
+    bend, kept = min(BEND * tolerance, LARGEST_BEND), KEPT
+    response = integrate(building, ground, dampers, bend, kept=kept, tick=tick)
+    for _ in range(rounds):
+        rows = np.flatnonzero((response.change > tolerance) & ~response.unstable)
+        if not rows.size:
+            break
+        bend *= SHARPER
+        kept = int(np.searchsorted(rows, KEPT))
+        fine = integrate(building, ground, dampers.chosen(rows), bend, kept=kept, tick=tick)
+        for name in PER_DRAW:
+            getattr(response, name)[rows] = getattr(fine, name)
+        for name in PER_GROUND:
+            (old,), (new,) = getattr(response, name), getattr(fine, name)
+            old[rows[: len(new)]] = new
+    return response
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some draws of a building under one ground motion: work for one process."""
+
+    id: str
+    building: Building
+    ground: Ground
+    dampers: Dampers
+    tolerance: float
+    makes: tuple[str, ...] = ()
+
+    def needs(self, out: Path) -> tuple[str, ...]:
+        """No files."""
+        return ()
+
+    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+        """Compute the response of its draws, the value of the outcome."""
+        begun = time.perf_counter()
+
+        def tick(share: float) -> None:
+            observe(Step(self.id, "in the earthquake", message=f"{share:.0%}" if share else ""))
+
+        tick(0.0)
+        response = settle(self.building, self.ground, self.dampers, self.tolerance, tick=tick)
+        return Outcome(self.id, State.DONE, time.perf_counter() - begun, value=response)
+
+
+def response_of(
+    building: Building,
+    grounds: Sequence[Ground],
+    dampers: Dampers,
+    tolerance: float = TOLERANCE,
+    bounds: Mapping[str, Dampers] = MappingProxyType({}),
+    jobs: int = 1,
+    observe: Callable[[Step], None] = lambda step: None,
+) -> Response:
+    """Response of every draw to every ground motion, and its `references`.
+
+    `bounds` are the dampers of one more building each, such as "lower" and "upper". The result does
+    not depend on the number of processes, `jobs` (0 for one per processor), for blocks do not.
+    """
+    size = max(10, ROWS // max(dampers.count, 1))
+    rows = np.split(np.arange(dampers.draws), np.arange(size, dampers.draws, size))
+    plain = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
+    references = {
+        "bare": ("without dampers", building.bare(), no_dampers()),
+        "plain": ("with plain friction", building, plain),
+    } | {name: (f"all at the {name} bound", building, bound) for name, bound in bounds.items()}
+    # the longest work first, so that no process waits for another at the end
+    kinds = [(f"part {k}", building, dampers.chosen(r)) for k, r in enumerate(rows, 1)]
+    kinds += references.values()
+    blocks = [
+        Block(f"ground motion {g}, {ground.name}, {name}", built, ground, some, tolerance)
+        for name, built, some in kinds
+        for g, ground in enumerate(grounds, 1)
+    ]
+    here, processes = Path(), min(Workplace(jobs).processes, len(blocks))
+    outcomes = (
+        (block.run(here, observe) for block in blocks)
+        if processes == 1
+        else run_jobs(blocks, here, Workplace(processes), observe)
+    )
+    responses = {}
+    for outcome in outcomes:
+        observe(Step(outcome.id, outcome.status))
+        responses[outcome.id] = outcome.value
+    ordered = iter(responses[block.id] for block in blocks)
+    each = [[next(ordered) for _ in grounds] for _ in kinds]
+    whole = combined(each[: len(rows)], dampers)
+    single = {
+        name: combined([row], row[0].dampers)
+        for name, row in zip(references, each[len(rows) :], strict=True)
+    }
+    return replace(whole, references=single, tolerance=tolerance)
+
+
+# --- which uncertainty matters
+
+ORDERS = 24  # orders in which sources are added; the share of each is its mean gain
+FEWEST = 30  # fewest draws, of those that did not run away, of which there are shares
+PLACES = 6  # dampers whose own values are columns of the regression, beside the mean over all
+REST = "interactions and the rest"
+
+
+def variance_shares(
+    response: Response, quantity: str = "drift", ground: int = 0
+) -> dict[str, float]:
+    """Shares of the sources in the variance of the largest of a quantity; their sum is 1.
+
+    They are those within one ground motion, by its number from 0. Empty where there are fewer than
+    `FEWEST` draws, or all are equal.
+
+    The peak is regressed on the dampers' values (linear and quadratic, as means over the dampers
+    and of each by itself), and the explained variance, adjusted for the number of columns, is
+    divided by the mean gain over orders of adding the sources (Lindeman, Merenda and Gold, 1980).
+    What no source explains stays as "interactions and the rest".
+    """
+    good = response.usable(ground)
+    values = response.measure(quantity)[good, ground]
+    if len(values) < FEWEST or np.ptp(values) <= 0.0:
+        return {}
+    columns = {}
+    for name, about in response.dampers.about.items():
+        mean = about[good].mean(axis=1)
+        column = np.column_stack([mean, (mean - mean.mean()) ** 2, about[good][:, :PLACES]])
+        spread = column.std(axis=0)
+        if np.any(spread > 0):
+            columns[name] = ((column - column.mean(axis=0))[:, spread > 0]) / spread[spread > 0]
+    within = values - values.mean()
+
+    def explained(names: list[str]) -> float:
+        design = np.concatenate([columns[name] for name in names], axis=1)
+        fit, _, rank, _ = np.linalg.lstsq(design, within, rcond=1e-8)
+        freedom = len(within) - 1 - int(rank)
+        if freedom <= 0:
+            return 0.0
+        left = np.sum((within - design @ fit) ** 2) / np.sum(within**2)
+        return max(0.0, 1.0 - float(left) * (len(within) - 1) / freedom)
+
+    gains, rng = dict.fromkeys(columns, 0.0), np.random.default_rng(0)
+    for _ in range(ORDERS):
+        order, before = rng.permutation(list(columns)).tolist(), 0.0
+        for k, name in enumerate(order, start=1):
+            after = max(before, explained(order[:k]))
+            gains[name] += (after - before) / ORDERS
+            before = after
+    return {**gains, REST: max(0.0, 1.0 - sum(gains.values()))}
+
+
+# --- against the actuation of the dampers, and which is best
+
+STEPS = 8  # steps of a sweep that does not say how many
+MOST_STEPS = 100
+
+QUANTITIES = ("drift", "acceleration")
+"""What may be made small: the largest of these over the building."""
+
+MOST_AWAY = 0.1  # largest share of draws that may run away at a level
+RESAMPLES = 400
+
+GOALS: Mapping[str, Callable[[Array, float], Array]] = MappingProxyType(
+    {
+        "mean": lambda values, limit: values.mean(axis=-1),
+        "q90": lambda values, limit: np.quantile(values, 0.9, axis=-1),
+        "passing": lambda values, limit: np.mean(values > limit, axis=-1),
+    }
+)
+"""What is made small: the mean, the 90 % quantile, or the probability of passing a limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Peaks at several actuations, with the same random numbers."""
+
+    levels: Array  # (L,), ksi or kip
+    unit: str  # "ksi" or "kip"
+    # the largest over the building of "drift", in, and "acceleration", g, of the draws that
+    # ran away at no other level; NaN at levels that are left out
+    values: Mapping[str, Array]
+    quantity: str
+    goal: str
+    # (L,), what is made small, over all ground motions; infinite at levels that are left out
+    scores: Array
+    best: float  # the actuation at which it is smallest; NaN where it is so at several levels alike
+    # equal-tailed 90 % interval of the best actuation, over resampled draws;
+    # levels that are best alike are all in it
+    interval: tuple[float, float]
+    remarks: tuple[str, ...] = ()  # what it leaves out
+
+    @property
+    def lowest(self) -> Array:
+        """Levels that have the smallest score, (k,); several where they tie."""
+        return np.asarray(self.levels[self.scores == self.scores.min()])
+
+
+def parse_sweep(text: str) -> tuple[Array, str]:
+    """Levels, (L,), and unit of ``actuation="500 psi to 1500 psi"``, perhaps ``in 5 steps``."""
+    form = r"\s*actuation\s*=\s*(.+?)\s+to\s+(.+?)(?:\s+in\s+(\d+)\s+steps)?\s*"
+    match = re.fullmatch(form, re.sub("[\"']", "", text))
+    if match is None:
+        raise BuildingError(
+            f'--sweep {text!r}: expected actuation="500 psi to 1500 psi", or the same with '
+            "'in 5 steps' after it"
+        )
+    try:
+        (low, unit), (high, other) = (parse_actuation(match[i], of="--sweep") for i in (1, 2))
+    except UnitError as error:
+        raise BuildingError(str(error)) from error
+    if unit != other or not 0 < low < high:
+        raise BuildingError(
+            f"--sweep {text!r}: expected two levels above 0 of one kind, the lower one first"
+        )
+    steps = int(match[3] or STEPS)
+    if not 1 <= steps <= MOST_STEPS:
+        raise BuildingError(f"--sweep {text!r}: expected 1 to {MOST_STEPS} steps, got {steps}")
+    return np.linspace(low, high, steps + 1), unit
+
+
+def check_goal(quantity: str, goal: str, limits: Limits) -> float:
+    """The limit that a quantity may not pass; NaN where the goal needs none."""
+    if quantity not in QUANTITIES:
+        raise BuildingError(f"unknown quantity {quantity!r}: expected {' or '.join(QUANTITIES)}")
+    if goal not in GOALS:
+        raise BuildingError(f"unknown goal {goal!r}: expected one of {', '.join(GOALS)}")
+    limit = limits.drift if quantity == "drift" else limits.acceleration
+    if goal == "passing" and limit is None:
+        raise BuildingError(f"the goal 'passing' needs limits.{quantity} in the building file")
+    return np.nan if limit is None else limit
+
+
+def sweep_of(
+    swept: tuple[Array, str], responses: list[Response], quantity: str, goal: str, seed: int = 0
+) -> Sweep:
+    """The best actuation among the levels, between which a parabola is drawn, if there is one.
+
+    `swept` is the levels and their unit, as `parse_sweep` has them. Draws are the same at every
+    level, so that resampling them compares like with like.
+    """
+    levels, unit = swept
+    limit = check_goal(quantity, goal, responses[0].building.limits)
+    away = np.array([r.unstable.any(axis=1) for r in responses])
+    lost = away.mean(axis=1) > MOST_AWAY
+    if lost.all():
+        raise BuildingError("the sweep says nothing: many draws ran away at every level")
+    # a draw that ran away at one level is left out at all: the others are of the same dampers
+    usable = ~away[~lost].any(axis=0)
+    values = {name: np.stack([r.measure(name)[usable] for r in responses]) for name in QUANTITIES}
+    for value in values.values():
+        value[lost] = np.nan
+    shown = values[quantity]
+    if goal == "passing":  # limits are of ratios of drifts, and of accelerations in in/s²
+        peaks = [r.drift_ratio if quantity == "drift" else r.acceleration for r in responses]
+        shown = np.stack([peak.max(axis=-1)[usable] for peak in peaks])
+    n = shown.shape[1]
+
+    def score(of: Array) -> Array:
+        return np.where(lost, np.inf, GOALS[goal](of.reshape(len(levels), -1), limit))
+
+    scores, rng = score(shown), np.random.default_rng(seed)
+    resampled = [
+        _lowest(levels, score(shown[:, rng.integers(n, size=n)])) for _ in range(RESAMPLES)
+    ]
+    firsts, lasts = np.transpose(resampled)
+    first, last = _lowest(levels, scores)
+    low, high = float(np.quantile(firsts, 0.05)), float(np.quantile(lasts, 0.95))
+    best = first
+    if first < last:
+        best, low, high = np.nan, min(first, low), max(last, high)
+    remarks = []
+    if out := int((~usable).sum()):
+        remarks.append(
+            f"the sweep leaves out {out} of {usable.size} draws, which diverged at one of its "
+            "levels"
+        )
+    if lost.any():
+        remarks.append(
+            f"the sweep leaves out {lost.sum()} of its levels, at which more than "
+            f"{100 * MOST_AWAY:.0f} % of the draws diverged"
+        )
+    return Sweep(levels, unit, values, quantity, goal, scores, best, (low, high), tuple(remarks))
+
+
+def _lowest(levels: Array, scores: Array) -> tuple[float, float]:
+    """First and last place of the minimum; they differ where levels have the same score.
+
+    One level's place is that of a parabola through it and its neighbours.
+    """
+    k = int(np.argmin(scores))
+    ties = levels[scores == scores[k]]
+    if ties.size > 1:
+        return float(ties[0]), float(ties[-1])
+    place = float(levels[k])
+    if 0 < k < len(levels) - 1:
+        a, b, c = scores[k - 1 : k + 2]
+        bend = a - 2.0 * b + c
+        if np.isfinite(a + c) and bend > 0:
+            place += float(0.5 * (a - c) / bend * (levels[1] - levels[0]))
+    return place, place
