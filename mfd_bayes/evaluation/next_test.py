@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from mfd_bayes.planning.candidate import AT_MOTIONS, GAP, Candidate, typical_of
-from mfd_bayes.planning.study import CURVE, TOGETHER, Advice, Row, Together
+from mfd_bayes.planning.study import CURVE, TOGETHER, Advice, Together
+from mfd_bayes.planning.study import Row as AdviceRow
 from mfd_bayes.runs.unit_system import System
 
 LITTLE = 0.01
@@ -21,7 +22,7 @@ _SURE = 1.96  # errors of a 95 % interval
 _COUNT = ("none", "one", "two", "three", "four", "five", "six")
 
 
-def in_percent(row: Row | Together) -> str:
+def in_percent(row: AdviceRow | Together) -> str:
     """Expected reduction with its 95 % interval: "18 % (14 to 22)"."""
     low, high = max(0.0, row.reduction - _SURE * row.error), row.reduction + _SURE * row.error
     digits = 0 if row.reduction >= 0.1 else 1
@@ -110,7 +111,7 @@ class AdviceInWords:
     def rows(self) -> list[dict[str, str | float]]:
         """Rows of the table, the best first, and then what the limits rule out; by column."""
         axes, (by, name) = self.system.axes, self.system.of_actuation(self.unit)
-        entries: list[tuple[Candidate, Row | None, str]] = [
+        entries: list[tuple[Candidate, AdviceRow | None, str]] = [
             (r.candidate, r, "") for r in self.advice
         ]
         entries += [(candidate, None, why) for candidate, why in self.advice.ruled_out]

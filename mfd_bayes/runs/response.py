@@ -14,7 +14,7 @@ from mfd_bayes.errors import MOST_DRAWS, BuildingError, path_of, real_number, wh
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.response.analysis import Response, response_of
 from mfd_bayes.response.building import (
-    FEWEST,
+    FEWEST as FEWEST_DRAWS,
     KINDS,
     Building,
     bound_dampers,
@@ -45,7 +45,7 @@ def respond(
     """Response of a building with the device of a run as its dampers; see `Run.respond`."""
     if kind not in KINDS:
         raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
-    whole_number("draws", draws, FEWEST, BuildingError, MOST_DRAWS)
+    whole_number("draws", draws, FEWEST_DRAWS, BuildingError, MOST_DRAWS)
     whole_number("seed", seed, 0, BuildingError)
     whole_number("jobs", jobs, 0, BuildingError)
     tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
