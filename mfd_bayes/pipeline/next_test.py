@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mfd_bayes.errors import CampaignError, StoreError, why_no_file
-from mfd_bayes.evaluation.next_test import AdviceInWords
+from mfd_bayes.evaluation.views import AdviceInWords
 from mfd_bayes.reporting.tables import next_csv
 from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
 from mfd_bayes.runs.run import open_run

@@ -17,7 +17,6 @@ import shutil
 import subprocess
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cache, partial
@@ -33,8 +32,13 @@ from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.posterior import NOISES
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.next_test import AdviceInWords
-from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView, width_sentence
+from mfd_bayes.evaluation.views import (
+    FREE_EXPONENT,
+    AdviceInWords,
+    CampaignView,
+    TestView,
+    width_sentence,
+)
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, Quantity
@@ -63,6 +67,8 @@ from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from mfd_bayes.evaluation.acceptance import Acceptance
     from mfd_bayes.evaluation.properties import Datasheet
 
