@@ -79,7 +79,7 @@ def computing(monkeypatch):
     def stop(*_, **__):
         raise BuildingError("computing")
 
-    monkeypatch.setattr("mfd_bayes.runs.response.response_of", stop)
+    monkeypatch.setattr("mfd_bayes.runs.run.response_of", stop)
 
 
 def test_the_call_of_the_contract(run, path, ground):
