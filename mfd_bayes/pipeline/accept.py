@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.evaluation.acceptance import DRAWS, LIMITS, Acceptance, accept
+from mfd_bayes.evaluation.acceptance import DRAWS as ACCEPTANCE_DRAWS
+from mfd_bayes.evaluation.acceptance import LIMITS, Acceptance, accept
 from mfd_bayes.pipeline.predict import stated_actuation, stated_conditions
 from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enough
 from mfd_bayes.records.readers import read_table
@@ -48,7 +49,7 @@ class Inspection:
     date: str = ""
     cycles: float | None = None
     temperature: str = ""
-    draws: int = DRAWS
+    draws: int = ACCEPTANCE_DRAWS
     seed: int = 0
     units: str = ""
     force: bool = False
