@@ -277,7 +277,7 @@ def accept(
       mfd-bayes accept out new/*.csv --actuation 1ksi --limit "slip=10 %" -o qc
     """
     with mistakes():
-        from mfd_bayes.pipeline import accept as pipeline
+        from mfd_bayes.pipeline import predict as pipeline
 
         devices, pages = pipeline.accept_records(out, options.settings(pipeline.Inspection, ctx))
     console.warn(remark for each in devices for remark in each.remarks)
@@ -540,7 +540,7 @@ def watch(
       mfd-bayes watch record.csv --run out --actuation "1000 psi"
     """
     with mistakes():
-        from mfd_bayes.pipeline import accept as pipeline
+        from mfd_bayes.pipeline import predict as pipeline
 
         for cycle in pipeline.watch(run, options.settings(pipeline.Watched, ctx)):
             console.say(cycle.sentence)
