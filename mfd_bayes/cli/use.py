@@ -352,7 +352,7 @@ def next_test(
       mfd-bayes next out --goal "band at 1000 psi, 0.5 Hz, 1 in"
     """
     with mistakes():
-        from mfd_bayes.pipeline import next_test as pipeline
+        from mfd_bayes.pipeline import predict as pipeline
 
         best, files = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
     console.warn(best.advice.remarks)
