@@ -14,7 +14,7 @@ from mfd_bayes.cli.options import mistakes, resumption
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
-    from mfd_bayes.pipeline.predict import Answer, Question
+    from mfd_bayes.pipeline.use import Answer, Question
 
 
 _COMPARED = "three_stage,lugre,bouc_wen,backlash"
@@ -105,7 +105,7 @@ def predict(
       mfd-bayes predict a --with b --motion quake.csv --actuation "1 ksi" -o b.csv
     """
     with mistakes():
-        from mfd_bayes.pipeline import predict as pipeline
+        from mfd_bayes.pipeline import use as pipeline
 
         question = options.settings(pipeline.Question, ctx)
         answer = pipeline.predict(out, question)
@@ -277,7 +277,7 @@ def accept(
       mfd-bayes accept out new/*.csv --actuation 1ksi --limit "slip=10 %" -o qc
     """
     with mistakes():
-        from mfd_bayes.pipeline import predict as pipeline
+        from mfd_bayes.pipeline import use as pipeline
 
         devices, pages = pipeline.accept_records(out, options.settings(pipeline.Inspection, ctx))
     console.warn(remark for each in devices for remark in each.remarks)
@@ -352,7 +352,7 @@ def next_test(
       mfd-bayes next out --goal "band at 1000 psi, 0.5 Hz, 1 in"
     """
     with mistakes():
-        from mfd_bayes.pipeline import predict as pipeline
+        from mfd_bayes.pipeline import use as pipeline
 
         best, files = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
     console.warn(best.advice.remarks)
@@ -540,7 +540,7 @@ def watch(
       mfd-bayes watch record.csv --run out --actuation "1000 psi"
     """
     with mistakes():
-        from mfd_bayes.pipeline import predict as pipeline
+        from mfd_bayes.pipeline import use as pipeline
 
         for cycle in pipeline.watch(run, options.settings(pipeline.Watched, ctx)):
             console.say(cycle.sentence)
