@@ -8,6 +8,7 @@ have: `test`, `name` and `unit` of a quantity; `mean`, `sd`, and `lower`, `media
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -17,23 +18,21 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import COVERAGES, Identifiability
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message, Quantity, Writer
 from mfd_bayes.planning.candidate import AT_MOTIONS, GAP, Candidate, typical_of
 from mfd_bayes.planning.study import CURVE, TOGETHER, Advice, Together
 from mfd_bayes.planning.study import Row as AdviceRow
 from mfd_bayes.population.bands import ADVICE, Band
 from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import Comparison, Finding, Score, Use, Verdict
+from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mfd_bayes.evaluation.laws import DriftRow
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.tested_range import Span
 
 
 Array = NDArray[np.float64]

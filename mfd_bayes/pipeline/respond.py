@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, UnitError
+from mfd_bayes.jobs.job import Step
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
@@ -29,19 +32,14 @@ from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
 from mfd_bayes.runs.folder import Use, check_folder
 from mfd_bayes.runs.run import Run, beyond_tests, check_kind, grounds_of, open_run
+from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, System
 from mfd_bayes.store.cards import counted
 from mfd_bayes.store.files import json_text, remove_file, write_bytes, write_text
 from mfd_bayes.units import GRAVITY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
     import pandas as pd
-
-    from mfd_bayes.jobs.job import Step
-    from mfd_bayes.runs.tested_range import Span
 
 
 Array = NDArray[np.float64]

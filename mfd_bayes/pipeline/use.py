@@ -1,14 +1,15 @@
-"""A prediction from a finished run, written as files."""
+"""What a finished run is asked: predictions, devices and running tests, and which test is next."""
 
 from __future__ import annotations
 
 import re
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -25,7 +26,6 @@ from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enoug
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
 from mfd_bayes.records.trace import Trace, parse_sine
-from mfd_bayes.reporting.page import acceptance_page
 from mfd_bayes.reporting.tables import (
     acceptance_table,
     bands_csv,
@@ -38,14 +38,9 @@ from mfd_bayes.reporting.tables import (
 from mfd_bayes.runs.folder import ADVICE, alone_in, check_folder, check_outputs
 from mfd_bayes.runs.run import ModelAverage, Run, open_run
 from mfd_bayes.runs.tested_range import conditions_of, far_sentences
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import commented, json_text, quoted, remove_file, write_bytes, write_text
 from mfd_bayes.units import Axes, actuation_kind, parse_quantity
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from mfd_bayes.runs.unit_system import System
-
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""
@@ -393,8 +388,11 @@ def _write_acceptance(
     run: Run, wish: Inspection, devices: tuple[Acceptance, ...]
 ) -> tuple[Path, ...]:
     from mfd_bayes.reporting.figures import draw_batch, to_png
+    from mfd_bayes.reporting.page import acceptance_page
 
     today, manifest, folder = datetime.now(UTC).date().isoformat(), run.manifest, wish.folder
+    names = [name for name in run.devices if name]
+    compared = f"{len(names)} devices ({', '.join(names)})" if names[1:] else "one device"
     made = (
         f"{manifest.title}, {run.folder.resolve().name} (seed {manifest.seed}, {manifest.finished})"
     )
@@ -411,7 +409,7 @@ def _write_acceptance(
         }
         about |= {
             **actuation,
-            "compared with": f"{made}: {len(run.tests)} calibrated tests of {_devices(run)}",
+            "compared with": f"{made}: {len(run.tests)} calibrated tests of {compared}",
             "program": f"mfd_bayes {manifest.versions.get('mfd_bayes', '')}",
         }
         name = re.sub(r"[^\w+-]+", "_", device.device).strip("_")[:80] or "device"
@@ -426,11 +424,6 @@ def _write_acceptance(
     else:
         remove_file(picture)
     return tuple(pages)
-
-
-def _devices_in_words(run: Run) -> str:
-    names = [name for name in run.devices if name]
-    return f"{len(names)} devices ({', '.join(names)})" if len(names) > 1 else "one device"
 
 
 POLL = 1.0  # seconds between two looks at the file

@@ -17,6 +17,7 @@ import shutil
 import subprocess
 import tempfile
 import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cache, partial
@@ -67,8 +68,6 @@ from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import DAMPER, in_digits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from mfd_bayes.evaluation.acceptance import Acceptance
     from mfd_bayes.evaluation.properties import Datasheet
 

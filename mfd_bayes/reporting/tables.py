@@ -11,6 +11,7 @@ import io
 import json
 import math
 import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,18 +19,16 @@ import numpy as np
 
 from mfd_bayes.evaluation.views import AdviceInWords, CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.population.bands import KIND_NAMES, Band
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
+from mfd_bayes.runs.folder import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import Axes, percent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     import pandas as pd
 
     from mfd_bayes.evaluation.acceptance import Acceptance
-    from mfd_bayes.records.trace import Trace
-    from mfd_bayes.runs.folder import ComparisonRow
 
 
 _OF_UNIT = frozenset(

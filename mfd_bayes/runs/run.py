@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain, pairwise
 from os import PathLike, fspath
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from mfd_bayes.errors import (
     real_number,
     whole_number,
 )
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.planning.candidate import (
@@ -89,11 +91,6 @@ from mfd_bayes.runs.unit_system import System, named_system
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mfd_bayes.friction.model import Model
 
 Array = NDArray[np.float64]
 
@@ -618,7 +615,6 @@ class Run:
             When the building or a ground motion cannot be used, or the actuation is of another
             kind than the run's.
         """
-
         return respond(self, building, grounds, kind, draws, seed, tolerance, jobs, observe)
 
     def follow(
