@@ -1,4 +1,7 @@
-"""A finished calibration, opened from its folder, and several of them that predict together."""
+"""A finished calibration, opened from its folder, and several of them that predict together.
+
+And the response of a building whose dampers are the device of a run.
+"""
 
 from __future__ import annotations
 
@@ -577,15 +580,15 @@ class Run:
 
     def respond(
         self,
-        building: Any,
-        grounds: Any,
+        building: Building | str | PathLike[str],
+        grounds: Grounds,
         draws: int = 300,
         seed: int = 1,
         *,
         kind: str = "new_test",
         tolerance: float = 0.01,
         jobs: int = 1,
-        observe: Callable[[Any], None] = lambda step: None,
+        observe: Callable[[Step], None] = lambda step: None,
     ) -> Response:
         """Response of a building with this device as its dampers.
 
@@ -615,7 +618,38 @@ class Run:
             When the building or a ground motion cannot be used, or the actuation is of another
             kind than the run's.
         """
-        return respond(self, building, grounds, kind, draws, seed, tolerance, jobs, observe)
+        if kind not in KINDS:
+            raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
+        whole_number("draws", draws, FEWEST_DRAWS, BuildingError, MOST_DRAWS)
+        whole_number("seed", seed, 0, BuildingError)
+        whole_number("jobs", jobs, 0, BuildingError)
+        tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
+        built = building if isinstance(building, Building) else read_building(building)
+        motions = grounds_of(grounds)
+        for device in built.devices:
+            where = f"the actuation of the damper at {device.name}"
+            check_kind(where, device.unit, self.actuation_unit)
+        model, bounds = self.predictor.model, {}
+        dampers = draw_dampers(self.population, model, built, kind, draws, seed)
+        if dampers.count and (model.slip_forces or model.laws):
+            bounds = bound_dampers(self.population, model, built, dampers, seed)
+        if not model.slip_forces:  # by which forces are judged to be in equilibrium
+            typical = np.median([self.manifest.tests[name].peak_force for name in self.tests])
+            dampers, *few = (
+                replace(one, slip=np.full_like(one.slip, typical))
+                for one in (dampers, *bounds.values())
+            )
+            bounds = dict(zip(bounds, few, strict=True))
+        response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
+        remarks = [*chain.from_iterable(beyond_tests(self, response))]
+        remarks += [self.caution] if self.caution else []
+        remarks += _short_histories(built, motions)
+        if dampers.count and self.population.design.dependence:
+            remarks.append(
+                "quantities that depend on speed, amplitude, date, cycles or temperature are taken "
+                "at those of the typical, or the latest, test"
+            )
+        return replace(response, remarks=(*remarks, *response.faults))
 
     def follow(
         self,
@@ -946,53 +980,9 @@ def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
     return replace(worst, effective=sum(part.effective for part in parts))
 
 
+# --- a building whose dampers are the device of a run
+
 Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
-
-
-def respond(
-    run: Run,
-    building: Building | str | PathLike[str],
-    grounds: Grounds,
-    kind: str,
-    draws: int,
-    seed: int,
-    tolerance: float,
-    jobs: int,
-    observe: Callable[[Step], None],
-) -> Response:
-    """Response of a building with the device of a run as its dampers; see `Run.respond`."""
-    if kind not in KINDS:
-        raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
-    whole_number("draws", draws, FEWEST_DRAWS, BuildingError, MOST_DRAWS)
-    whole_number("seed", seed, 0, BuildingError)
-    whole_number("jobs", jobs, 0, BuildingError)
-    tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
-    built = building if isinstance(building, Building) else read_building(building)
-    motions = grounds_of(grounds)
-    for device in built.devices:
-        where = f"the actuation of the damper at {device.name}"
-        check_kind(where, device.unit, run.actuation_unit)
-    model, bounds = run.predictor.model, {}
-    dampers = draw_dampers(run.population, model, built, kind, draws, seed)
-    if dampers.count and (model.slip_forces or model.laws):
-        bounds = bound_dampers(run.population, model, built, dampers, seed)
-    if not model.slip_forces:  # by which forces are judged to be in equilibrium
-        typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
-        dampers, *few = (
-            replace(one, slip=np.full_like(one.slip, typical))
-            for one in (dampers, *bounds.values())
-        )
-        bounds = dict(zip(bounds, few, strict=True))
-    response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
-    remarks = [*chain.from_iterable(beyond_tests(run, response))]
-    remarks += [run.caution] if run.caution else []
-    remarks += _short_histories(built, motions)
-    if dampers.count and run.population.design.dependence:
-        remarks.append(
-            "quantities that depend on speed, amplitude, date, cycles or temperature are taken at "
-            "those of the typical, or the latest, test"
-        )
-    return replace(response, remarks=(*remarks, *response.faults))
 
 
 def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list[Ground]:
