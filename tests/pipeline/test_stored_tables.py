@@ -80,7 +80,7 @@ def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
     record = write_csv(tmp_path / "held.csv", held.time, held.displacement, held.force)
     at = ("--actuation", "800 psi", "-o")
     given = ("--motion", record, "--given", "0 s to 1 s", "--kind", "observation", "--compare")
-    said("predict", out, *given, *at, tmp_path / "given.csv")
+    said("predict", out, *given, "--units", "si", *at, tmp_path / "given.csv")
     said("accept", out, record, *at, tmp_path / "accepted")
     for path in sorted(tmp_path.rglob("*.csv")):
         with path.open(encoding="utf-8") as file:
