@@ -1,4 +1,4 @@
-"""Tables that two stored runs give are those of tests/data/tables.json, to a thousandth.
+"""Tables and figures of two stored runs are those of tests/data/tables.json, to a thousandth.
 
 Where MFD_BAYES_TABLES is set, that file is written anew: look at what differs.
 """
@@ -11,8 +11,9 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pytest
 
+import mfd_bayes as mb
+from mfd_bayes.reporting import figures
 from tests.command_line import said, write_csv
 
 DATA = Path(__file__).parents[1] / "data"
@@ -35,14 +36,38 @@ def alike(cell, other):
         return cell == other
 
 
-@pytest.mark.usefixtures("no_figures", "small_pictures")
-def test_tables_of_stored_runs_are_those_that_were_looked_at(made_run, tmp_path):
+def rows_of(figure):
+    """What is in a figure: its size, and the words, limits and contents of its axes."""
+    yield ["size", *map(str, figure.get_size_inches())]
+    for axes in figure.axes:
+        words = (axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel())
+        drawn = [np.asarray(line.get_ydata(), float) for line in axes.lines]
+        drawn += [path.vertices for each in axes.collections for path in each.get_paths()]
+        sums = (len(axes.patches), len(drawn), sum(np.nansum(np.abs(each)) for each in drawn))
+        limits = (*axes.get_xlim(), *axes.get_ylim())
+        yield [
+            *words,
+            *(text.get_text() for text in axes.texts),
+            *map("{:.6g}".format, limits + sums),
+        ]
+
+
+def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
+    made_run, tmp_path, monkeypatch
+):
+    tables, dot = {}, figures.to_png(figures.new_figure(1, 1))
+
+    def keep(figure):
+        tables[f"figure {len(tables) + 1}"] = [*rows_of(figure)]
+        return dot
+
+    monkeypatch.setattr(figures, "to_png", keep)
     out, made = tmp_path / "out", tmp_path / "made"
     shutil.copytree(DATA / "run", out)
     shutil.copytree(made_run, made)
     said("report", out, "--at", "700 psi, 0.9 in, 0.4 Hz")
     said("report", made, "--units", "si")
-    sine = ("--sine", "1 in, 0.4 Hz, 2 cycles", "--actuation", "700 psi", "--no-figures")
+    sine = ("--sine", "1 in, 0.4 Hz, 2 cycles", "--actuation", "700 psi")
     said("predict", out, *sine, "--design", "--whole", "-o", tmp_path / "bands.csv")
     said("next", out, "--draws", 200, "-o", tmp_path / "next.csv")
     (tmp_path / "b.toml").write_text(BUILDING)
@@ -51,7 +76,12 @@ def test_tables_of_stored_runs_are_those_that_were_looked_at(made_run, tmp_path)
     ground = write_csv(tmp_path / "g.csv", time, 100.0 * np.sin(6.0 * time), names=names)
     building = ("--building", tmp_path / "b.toml", "--ground", ground)
     said("respond", out, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "response")
-    tables = {}
+    held = mb.open_run(out).held_out["p800_f0.5"]
+    record = write_csv(tmp_path / "held.csv", held.time, held.displacement, held.force)
+    at = ("--actuation", "800 psi", "-o")
+    given = ("--motion", record, "--given", "0 s to 1 s", "--kind", "observation", "--compare")
+    said("predict", out, *given, "--units", "si", *at, tmp_path / "given.csv")
+    said("accept", out, record, *at, tmp_path / "accepted")
     for path in sorted(tmp_path.rglob("*.csv")):
         with path.open(encoding="utf-8") as file:
             rows = [*csv.reader(line for line in file if not line.startswith("#"))]
