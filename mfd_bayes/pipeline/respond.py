@@ -31,8 +31,7 @@ from mfd_bayes.response.analysis import (
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
 from mfd_bayes.runs.folder import Use, check_folder
-from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run, beyond_tests, check_kind, grounds_of, open_run
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, System
 from mfd_bayes.store.cards import counted

@@ -101,7 +101,7 @@ def read_text(path: Path) -> Table:
         layout,
         heading,
         columns,
-        decimals=(".",) if separator == "," else (".", ","),
+        decimals=(".", ","),
         head=tuple(lines[:top]),
     )
     if table.headed:

@@ -33,8 +33,13 @@ from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.posterior import NOISES
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.next_test import AdviceInWords
-from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, TestView, width_sentence
+from mfd_bayes.evaluation.views import (
+    FREE_EXPONENT,
+    AdviceInWords,
+    CampaignView,
+    TestView,
+    width_sentence,
+)
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, Quantity

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.next_test import AdviceInWords
-from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
+from mfd_bayes.evaluation.views import AdviceInWords, CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text

@@ -3,19 +3,16 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Directions, Effort
+from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import quantiles_of
 from mfd_bayes.evaluation.checks import (
     convergence_checks,
-    directions_check,
     length_check,
-    notes,
     slip_checks,
     standing_out,
 )
 from mfd_bayes.evaluation.summary import noise_rows
-from mfd_bayes.evaluation.views import DIRECTIONS
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
 
@@ -23,21 +20,6 @@ from mfd_bayes.records.trace import Trace
 def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
     row = {"name": name, "r_hat": r_hat, "contraction": contraction}
     return row | dict.fromkeys(("ess_bulk", "ess_tail"), ess)
-
-
-def test_what_the_data_do_not_inform_and_modes_are_noted():
-    axes = np.array([[0.8, 0.6], [0.6, -0.8]])
-    check = directions_check("p500", Directions(("k2", "d2"), np.array([80.0, 0.2]), axes))
-    assert check.check == DIRECTIONS
-    assert check.feature == "of 2 (best: k2 and d2; least: d2 and k2)"
-    assert (check.observed, check.limit, check.status) == (1, ">= 2", "note")
-    rows = [row("k2", contraction=0.2), row("k3"), row("gamma1", contraction=np.nan)]
-    found = notes("p500", rows, {"modes": 1, "mode_shares": [[1.0]]})
-    assert [(c.feature, c.status) for c in found] == [("k2", "note"), ("k3", "pass")]
-    (check,) = notes("p500", [], {"modes": 2, "mode_shares": [[0.9, 0.1], [0.94, 0.06]]})
-    assert check.feature == "posterior (92 %, 8 % of the draws)"
-    assert (check.observed, check.status) == (2, "note")
-    assert notes("p500", [], {"modes": 2, "mode_shares": [[0.995, 0.005]]}) == []
 
 
 def test_an_ensemble_that_is_stuck_fails_the_verdict():

@@ -66,28 +66,16 @@ def test_bounds_from_two_levels_come_with_a_warning():
 # --- the data sheet
 
 
-@pytest.fixture(scope="module")
-def sheet():
+def test_what_was_asked_for_has_bounds_and_nothing_measured():
     run = open_run(DATA)
-    return datasheet(run, [parse_condition("700 psi, 0.9 in, 0.4 Hz", run.actuation_unit)])
-
-
-def test_every_condition_has_every_quantity_and_what_was_asked_for_bounds(sheet):
-    rows = sheet.rows[sheet.rows["cycle"] == 0]
-    wanted = {"slip_force", "peak_force", "effective_stiffness", "effective_damping"}
-    for condition, part in rows.groupby("condition"):
-        assert set(part["quantity"]) == wanted | {"energy", "gap"}, condition
-        directions = set(part.loc[part["quantity"] == "peak_force", "direction"])
-        assert directions == {"forward", "backward"}
-    assert set(sheet.formulas) == set(rows["quantity"])
+    sheet = datasheet(run, [parse_condition("700 psi, 0.9 in, 0.4 Hz", run.actuation_unit)])
+    assert set(sheet.formulas) == set(sheet.rows["quantity"])
+    assert len(sheet.verdict) == 3
     asked = sheet.rows[sheet.rows["condition"] == "700 psi, 0.9 in, 0.4 Hz"]
     assert len(asked) == 11  # eight, and the energy of three cycles
-    assert not asked["tested"].any()
     assert asked["measured"].isna().all()
-    assert (asked["n_cycles"] == 0).all()
     assert (asked["lower"] < asked["nominal"]).all()
     assert (asked["nominal"] < asked["upper"]).all()
-    np.testing.assert_allclose(asked["lambda_max"], asked["upper"] / asked["nominal"])
 
 
 def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.evaluation.next_test import AdviceInWords
+from mfd_bayes.evaluation.views import AdviceInWords
 from mfd_bayes.planning.candidate import (
     SETUP,
     Candidate,

@@ -134,6 +134,10 @@ def test_the_samples_of_a_fault_are_given():
         spikes = next(fault for fault in faults(*arrays) if fault.name == "spikes")
         assert spikes.samples.tolist() == at
         assert "3 isolated samples" in str(spikes.message)
+    time, motion, force = signals(rate=20.0)  # of few samples
+    force[[0, 90, 91, 200]] = 9.999
+    spikes = next(fault for fault in faults(time, motion, force) if fault.name == "spikes")
+    assert spikes.samples.tolist() == [0, 90, 91, 200]
 
 
 def test_some_faults_depend_on_the_gap():

@@ -254,6 +254,7 @@ def test_numbers_of_text_come_back_to_the_last_bit(
     [
         ("a,note\n1,first\n2,\n", {"a": [1, 2]}),
         ("a;b\n0,5;\N{MINUS SIGN}3,1\n0,25;2\n", {"a": [0.5, 0.25], "b": [-3.1, 2]}),
+        ('a,b\n"0,5","-3,1"\n"0,25","2"\n', {"a": [0.5, 0.25], "b": [-3.1, 2]}),
         ("a  b\n0,5  -3,1\n0,25  2\n", {"a": [0.5, 0.25], "b": [-3.1, 2]}),
         ("a\tb\t\n0,125\t12,500\t\n2,250\t3\t\n", {"b": [12.5, 3]}),
         ("a,b\n1D-02,2d3\n1e4294967290,1\n", {"b": [2000, 1]}),
@@ -281,7 +282,7 @@ TEXTS = {
     "no names": ("1,2\n3,4\n", "a", ["{ column = 1 }"]),
     "names alone": ("a,b\n", "a", ["no data"]),
     "bytes": (bytes(range(256)), "a", ["UTF-8"]),
-    "thousands": ('a,b\n1,"1,234.5"\n2,"1,234"\n', "b", ["line 2", "thousands"]),
+    "thousands": ('a,b\n1,"1,234.5"\n2,"1,234"\n', "b", ["'1,234'", "thousands"]),
     "a comma for both": ("a\tb\n1,125\t12,500\n2,250\t3\n", "b", ["'1,125'"]),
     "points and commas": ("a;b\n1;2\n0,125;1.5\n", "ab", ["line 3", "points and commas"]),
     "thousands and decimals": ("a;b\n0,5;1\n0,25;1.234,5\n", "ab", ["line 3", "'1.234,5'"]),

@@ -244,6 +244,7 @@ def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path):
         ("force", "Time,Disp,Load\ns,mm,tonf", "tonf"),
         ("time", "Time (div),Disp (mm),Load (N)", "div"),
         ("displacement", "Time (s),Disp <V>,Load (N)", "V"),
+        ("force", "Time (s),Disp (mm),Load (kN) x10", "kN x10"),
     ):
         (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
         printed, campaign = init(tmp_path)

@@ -120,17 +120,6 @@ def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report)
                 assert page.evaluate(f"written({value!r}, {digits})") == number(value, digits)
 
 
-def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, report):
-    context = chromium.new_context(java_script_enabled=False)
-    page = context.new_page()
-    page.goto(report.as_uri())
-    assert page.locator("#explorer").is_hidden()
-    assert page.locator("fieldset.units").is_hidden()  # it would do nothing
-    assert page.locator("figure img").first.is_visible()
-    assert "800 psi" in page.inner_text(".properties thead")
-    context.close()
-
-
 def test_names_from_files_run_nothing(chromium, campaign, datasheet, tmp_path, no_figures):
     rows = tuple(row | {"note": HOSTILE} for row in campaign.tests[0].rows)
     test = replace(campaign.tests[0], rows=rows)

@@ -30,17 +30,6 @@ DOCUMENT = r"""\documentclass{article}
 ESTIMATE = {"name": "k3", "unit": "kip/in", "value": 14.25, "lower": 0.8, "median": 1.0}
 ESTIMATE |= {"upper": 1.2, "tolerance": 0.3, "missed": True}
 
-COLUMNS = {
-    "parameters": "test parameter unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat contraction",
-    "checks": "test check feature observed expected unit difference tolerance p_value status",
-    "laws": "group constant unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat",
-    "law_scores": "quantity law chosen elpd elpd_se elpd_difference",
-    "scores": "test role coverage_50 coverage_90 coverage_95 width_95_kip",
-    "tested_range": "condition unit smallest largest",
-    "derived": "test role quantity unit mean sd q2.5 q50 q97.5 measured note",
-    "crossvalidation": "part test coverage_50 coverage_90 coverage_95 width_95_kip",
-}
-
 
 def read(text):
     return list(csv.DictReader(io.StringIO(text)))
@@ -49,20 +38,6 @@ def read(text):
 def of_two(view, **changes):
     """The view with its first test changed, and the second as it is."""
     return replace(view, tests=(replace(view.tests[0], **changes), *view.tests[1:]))
-
-
-def test_values_are_those_of_the_report_under_their_columns(published):
-    texts = {name: (published / f"{name}.csv").read_text() for name in COLUMNS}
-    for name, columns in COLUMNS.items():
-        first = texts[name].splitlines()[0].split(",")
-        assert first[: len(columns.split())] == columns.split()
-    assert float(read(texts["parameters"])[1]["q97.5"]) == 1.2
-    assert [line["role"] for line in read(texts["scores"])] == ["calibrate", "validate"]
-    derived = read(texts["derived"])
-    assert [line["measured"] for line in derived][:3] == ["3.3", "1.4", ""]
-    assert derived[3]["q50"] == ""  # no full cycle
-    assert [line["test"] for line in read(texts["crossvalidation"])] == ["p800_f0.25", "mean"]
-    assert [line["chosen"] for line in read(texts["law_scores"])] == ["no", "yes"]
 
 
 def test_a_prediction_says_what_it_is(campaign):
@@ -163,21 +138,6 @@ def test_a_data_sheet_is_the_same_in_every_form(campaign, datasheet, written):
     for shown in ("6.01", "5.78--6.23", "4.45", "3.56--5.56"):
         assert shown in texts["datasheet.tex"]
     assert r"no test was made there.\par" in texts["datasheet.tex"]
-
-
-def test_the_table_of_a_record_has_every_sample(campaign, written):
-    test, held = campaign.tests
-    stage, travel = np.full(test.trace.samples, 2, np.int8), np.zeros(test.trace.samples)
-    texts = written(of_two(campaign, stage=stage, travel=travel))
-    frame = pd.read_csv(io.StringIO(texts[f"tests/{test.id}/record.csv"]))
-    np.testing.assert_allclose(frame["force_kip"], test.trace.force, rtol=1e-5, atol=1e-9)
-    residual = test.trace.force - test.observation.median
-    np.testing.assert_allclose(frame["residual_kip"], residual, rtol=1e-4, atol=1e-6)
-    assert (frame["lower_95_kip"] <= frame["lower_50_kip"]).all()
-    assert frame["fitted"].sum() == test.trace.samples - test.first
-    assert frame["stage"].eq(2).all()
-    predicted = pd.read_csv(io.StringIO(texts[f"tests/{held.id}/record.csv"]))
-    assert predicted["fitted"].eq(0).all()
 
 
 # --- LaTeX
