@@ -293,7 +293,7 @@ def split_quantity(text: str, *, of: str = "", example: str = "500 psi") -> tupl
     """Number and unit of ``"518.7 mm^2"``, whatever it measures; `example` is for messages."""
     expected = f"{of + ': ' if of else ''}expected a number and a unit such as {example!r}"
     if not isinstance(text, str):
-        raise UnitError(f"{expected}, got {text!r}")
+        raise UnitError(f"{expected}, got {' '.join(repr(text).split())}")
     # The time of matching grows with the square of the number of blanks.
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     text = text if len(text) <= _LONGEST else f"{text[:40]}…"

@@ -84,11 +84,11 @@ if __name__ == "__main__":
         from contextlib import nullcontext
 
         from mfd_bayes.jobs.local import in_turn
-        from mfd_bayes.reporting import figures, publish
+        from mfd_bayes.reporting import figures, page
 
         figures.draw_shared = figures.draw_test = lambda *_: iter(())
         # tests are drawn in this process
-        publish.several_processes = lambda functions, _: nullcontext(in_turn(functions))
+        page.several_processes = lambda functions, _: nullcontext(in_turn(functions))
     main()
 """
 
@@ -112,7 +112,7 @@ def no_figures(monkeypatch) -> None:
 def small_pictures(monkeypatch) -> None:
     """The pictures of a prediction and an inspection are empty ones, which are drawn at once."""
     from mfd_bayes.reporting import figures
-    from mfd_bayes.reporting.figures.agg import new_figure
+    from mfd_bayes.reporting.figures import new_figure
 
     dot = figures.to_png(new_figure(1, 1))
     for name in ("draw_loops", "draw_history", "draw_inspection"):

@@ -159,6 +159,8 @@ def _about(plan, predictions):
             law | {"law": "power", "levels": [1.0, 1.0]},
             law | {"law": "affine", "levels": [0.5, 0.2]},
         ],
+        "free_exponents": {"Fc_bwd": [0.9, 1.0, 1.1]},
+        "dependence_scores": [law | {"covariate": "velocity", "difference": 3.0}],
         "crossvalidation": {"by": "test", "predictions": predictions},
         "comparison": {
             "rows": [compared | {"model": model} for model in ("lugre", "bouc_wen")],

@@ -16,35 +16,24 @@ from mfd_bayes.units import (
 )
 
 
-def test_internal_units_have_factor_one():
+def test_factors_match_the_definitions():
     for kind, dimension in DIMENSIONS.items():
         assert factor(dimension.unit, kind) == 1, kind
-
-
-def test_factors_match_the_definitions():
     for unit, kind, expected in (
         ("mm", "displacement", 1 / 25.4),
-        ("m", "displacement", 1 / 0.0254),
         ("ms", "time", 1e-3),
         ("N", "force", 1 / 4448.2216152605),
-        ("kN", "force", 1 / 4.4482216152605),
-        ("kips", "force", 1.0),
-        ("klbf", "force", 1.0),
-        ("lbf", "force", 1e-3),
         ("psi", "pressure", 1e-3),
         ("MPa", "pressure", 1 / 6.894757293168361),
         ("bar", "pressure", 0.1 / 6.894757293168361),
         ("kN/mm", "stiffness", 25.4 / 4.4482216152605),
         ("mm^2", "area", 1 / 25.4**2),
-        ("mm/s", "velocity", 1 / 25.4),
         ("%", "dimensionless", 0.01),
         ("pounds/in^2", "pressure", 1e-3),
         ("kgf", "force", 9.80665e-3 / 4.4482216152605),
-        ("tf", "force", 9.80665 / 4.4482216152605),
         ("mils", "displacement", 1e-3),
         ("µm", "displacement", 1e-3 / 25.4),
         ('"', "displacement", 1.0),
-        ("lb./in.", "stiffness", 1e-3),
     ):
         assert factor(unit, kind) == pytest.approx(expected, rel=1e-12), unit
 
@@ -52,18 +41,13 @@ def test_factors_match_the_definitions():
 def test_the_usual_spellings_of_laboratories_are_understood():
     for kind, plain, spellings in (
         ("time", "s", "S sec Sec SEC secs Secs sec. second Seconds SECONDS"),
-        ("time", "ms", "msec mSec Msec millisecond Milliseconds"),
         ("displacement", "in", "In IN in. inch Inch inches Inches"),
-        ("displacement", "ft", "FT Ft foot Feet"),
         ("displacement", "mm", "MM millimeter Millimetres"),
         ("force", "lbf", "lb Lb LB lbs Lbs lbs. LBF Lbf pounds Pounds"),
         ("force", "kip", "Kip KIP kips Kips KIPS klbf Klbf"),
         ("force", "kN", "KN Kn kn kilonewtons"),
         ("force", "N", "newton Newtons"),
         ("pressure", "psi", "Psi PSI psig PSIG"),
-        ("pressure", "kPa", "KPA kpa Kilopascals"),
-        ("pressure", "MPa", "MPA Mpa"),
-        ("velocity", "in/s", "in/sec In/Sec inches/second"),
         ("stiffness", "kip/in", "Kips/In kips/inch"),
     ):
         for spelling in spellings.split():
@@ -87,12 +71,8 @@ def test_what_a_unit_measures_is_named_and_none_where_it_is_unknown():
 
 
 def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():
-    with pytest.raises(UnitError) as caught:
+    with pytest.raises(UnitError, match=r"'displacement_in' measures force.* such as 'in' or 'mm'"):
         factor("kip", "displacement", of="column 'displacement_in'")
-    assert str(caught.value) == (
-        "unit 'kip' of column 'displacement_in' measures force; "
-        "displacement needs a length such as 'in' or 'mm'"
-    )
 
 
 def test_malformed_offset_and_logarithmic_units_are_unit_errors():
@@ -114,12 +94,6 @@ def test_quantities_come_out_in_internal_units():
         assert parse_actuation(text) == (pytest.approx(expected[0]), expected[1])
 
 
-def test_bad_actuations_are_unit_errors():
-    for text in ("500", "psi", "", "five psi", "1e999 psi", "nan psi", "-5 psi", "5 5 psi"):
-        with pytest.raises(UnitError):
-            parse_actuation(text)
-
-
 def test_windows_are_two_increasing_times():
     assert parse_window("0 s to 1500 ms") == (0, 1.5)
     for text in ("0 to 60 s", "60 s to 0 s", "1 s", "1 s to 2 kip"):
@@ -132,7 +106,10 @@ def test_importing_the_package_and_its_units_does_not_import_pint():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_quantity_without_end_is_refused_at_once():
+def test_what_is_no_quantity_is_refused_at_once():
+    for text in ("500", "psi", "", "five psi", "1e999 psi", "nan psi", "-5 psi", "5 5 psi"):
+        with pytest.raises(UnitError):
+            parse_actuation(text)
     for text in ("1" + " " * 10**6 + "\n x\ny", "9" * 10**6, " " * 10**6):
         with pytest.raises(UnitError, match="expected a number and a unit") as caught:
             parse_quantity(text, "force")

@@ -22,8 +22,7 @@ import pandas as pd
 from benchmarks.mistakes.plants import MISTAKES, Planned, plant
 from mfd_bayes.campaign.draft import draft_campaign
 from mfd_bayes.errors import MfdError
-from mfd_bayes.pipeline.inspect import inspect_campaign
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.plan import Options, inspect_campaign, plan_campaign
 
 NAMED = 27
 PLACES = (("2022-07", 3), ("2022-07", 7), ("2023-04", 4))

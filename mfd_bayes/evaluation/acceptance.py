@@ -20,12 +20,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
-from scipy import interpolate, special
+from scipy import special
 
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.properties import (
@@ -49,6 +48,9 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.units import DAMPER, Axes
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -298,6 +300,8 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
 
     A record has more samples than the traces of calibrated tests.
     """
+    from scipy import interpolate  # which takes long to import
+
     step = float(np.median(np.diff(motion.time)))
     more = int(np.clip(round(rate * step), 1, FINEST))
     if more == 1:
@@ -314,7 +318,9 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
         values.append(_quantities(trace, band, band, NO_FACTOR))
     fine, coarse = values
     with np.errstate(all="ignore"):
-        ratios = {n: float(np.nanmedian(fine[n] / coarse[n])) for n in RESOLVED if n in fine}
+        quotients = {name: fine[name] / coarse[name] for name in RESOLVED if name in fine}
+    resolved = {name: q for name, q in quotients.items() if not np.all(np.isnan(q))}
+    ratios = {name: float(np.nanmedian(q)) for name, q in resolved.items()}
     return {name: ratio for name, ratio in ratios.items() if np.isfinite(ratio)}
 
 
@@ -450,6 +456,8 @@ def judge(
     axes: Axes = DAMPER,
 ) -> Acceptance:
     """Verdict of a device: two one-sided tests against limits, and what tests scatter."""
+    import pandas as pd  # which takes long to import
+
     rows: dict[str, Row] = {}
     for k, name in enumerate(level.names):
         _, words, direction = QUANTITIES[name]

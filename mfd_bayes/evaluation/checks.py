@@ -42,7 +42,7 @@ from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Setting
 from mfd_bayes.records.loops import MeasuredCycles
-from mfd_bayes.runs.manifest import Finding, Verdict
+from mfd_bayes.runs.folder import Finding, Verdict
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]

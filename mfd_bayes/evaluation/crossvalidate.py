@@ -29,8 +29,7 @@ from mfd_bayes.calibration.posterior import NOISES, Posterior
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError, MfdError, StoreError
-from mfd_bayes.evaluation.scores import score, score_record
-from mfd_bayes.evaluation.views import LeftOutView, Row
+from mfd_bayes.evaluation.views import LeftOutView, Row, score, score_record
 from mfd_bayes.friction import models
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
@@ -38,13 +37,15 @@ from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
-from mfd_bayes.runs.manifest import (
+from mfd_bayes.runs.folder import (
+    CROSSVALIDATION,
+    MANIFEST,
     CampaignCrossValidation,
     Comparison,
     ComparisonRow,
     PartKind,
     Prediction,
+    check_stored,
 )
 from mfd_bayes.runs.run import Run, TestSequence, open_run
 from mfd_bayes.runs.unit_system import US

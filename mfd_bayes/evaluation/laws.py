@@ -15,8 +15,7 @@ from mfd_bayes.calibration.posterior import units
 from mfd_bayes.evaluation.acceptance import DEFAULT_LIMITS
 from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.properties import sessions_of
-from mfd_bayes.evaluation.scores import fan_of, spread_of
-from mfd_bayes.evaluation.views import LawView, Row, Rows
+from mfd_bayes.evaluation.views import LawView, Row, Rows, fan_of, spread_of
 from mfd_bayes.population.design import (
     COMPARE,
     CONDITIONS,

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import derive_from_parameters
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.evaluation.scores import spread_of
-from mfd_bayes.evaluation.views import Rows
+from mfd_bayes.evaluation.views import Rows, spread_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.population.bands import KIND_NAMES, Band
@@ -30,7 +29,7 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
-from mfd_bayes.runs.manifest import Manifest, Use
+from mfd_bayes.runs.folder import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 

@@ -44,7 +44,6 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
     property_rows,
 )
-from mfd_bayes.evaluation.scores import fan_of, score, score_record, spread_of
 from mfd_bayes.evaluation.views import (
     CALIBRATION,
     COVERAGE,
@@ -61,13 +60,17 @@ from mfd_bayes.evaluation.views import (
     Row,
     Rows,
     TestView,
+    fan_of,
+    score,
+    score_record,
+    spread_of,
 )
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Finding, Manifest, Use, Verdict
+from mfd_bayes.runs.folder import Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from mfd_bayes.friction.model import (
+    PIECE,
     QUANTITIES,
     Array,
     Columns,
@@ -30,7 +31,7 @@ from mfd_bayes.friction.model import (
     named_columns,
     through_vertices,
 )
-from mfd_bayes.friction.three_stage import PIECE, of_direction, solve
+from mfd_bayes.friction.three_stage import of_direction, solve
 from mfd_bayes.records.trace import Trace
 
 Index = NDArray[np.intp]
@@ -48,7 +49,9 @@ cell shows 0.02, some of these springs bear 0.1.
 """
 
 # How a motion is cut into steps. Lengths are over the one in which slip sets in.
-RESOLVED = (1.7, 0.34)  # longest step near a turn, and n times it: 0.07 % off steps a tenth as long
+# longest step near a turn, and n times it: 0.07 % off steps a tenth as long; up to 0.5 % where n is
+# 1 without a gap: the force then crosses 0, where f has a corner, inside a step
+RESOLVED = (1.7, 0.34)
 SURE = 7.0  # way after which it surely slips
 FARTHEST = 256.0  # steps near a turn, at most
 FAR, MOST_FAR = 2.0, 8  # in slip a step may be longer by FAR, and a sample has so many at most

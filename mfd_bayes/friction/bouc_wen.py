@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.friction.model import (
+    PIECE,
     QUANTITIES,
     Array,
     Columns,
@@ -24,7 +25,6 @@ from mfd_bayes.friction.model import (
     State,
     through_vertices,
 )
-from mfd_bayes.friction.three_stage import PIECE
 from mfd_bayes.records.trace import Trace
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")

@@ -241,6 +241,8 @@ Columns = dict[str, Array]
 Rows = NDArray[np.intp]
 Scales = Mapping[str, ArrayLike] | None
 
+PIECE = 1 << 15  # size of a piece's arrays, in numbers: they stay in the cache
+
 _NONE: Mapping[str, str] = MappingProxyType({})
 OTHERS = MappingProxyType({"in": "inch", "kip": "klbf"})
 _FORCE = " force"  # where the memory of a user's own model keeps it; no name of theirs begins so

@@ -23,6 +23,7 @@ from scipy.special import expit
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import (
+    PIECE,
     STATIC,
     Array,
     Columns,
@@ -36,8 +37,6 @@ from mfd_bayes.records.trace import MotionPath, Trace
 
 FLOOR = 1e-9
 """Least slip force g, kip, and bristle stiffness, kip/in, so that nothing divides by zero."""
-
-PIECE = 1 << 15  # size of a piece's arrays, in numbers: they stay in the cache
 
 SHORT = 24  # up to this many steps of a recurrence are taken one after the other
 

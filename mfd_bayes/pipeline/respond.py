@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import BuildingError, UnitError
+from mfd_bayes.jobs.job import Step
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
@@ -27,23 +30,16 @@ from mfd_bayes.response.analysis import (
 )
 from mfd_bayes.response.building import Building, read_building
 from mfd_bayes.response.ground import Ground, parse_acceleration
-from mfd_bayes.runs.folder import check_folder
-from mfd_bayes.runs.manifest import Use
-from mfd_bayes.runs.response import beyond_tests, check_kind, grounds_of
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.folder import Use, check_folder
+from mfd_bayes.runs.run import Run, beyond_tests, check_kind, grounds_of, open_run
+from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, System
 from mfd_bayes.store.cards import counted
 from mfd_bayes.store.files import json_text, remove_file, write_bytes, write_text
 from mfd_bayes.units import GRAVITY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
     import pandas as pd
-
-    from mfd_bayes.jobs.job import Step
-    from mfd_bayes.runs.tested_range import Span
 
 
 Array = NDArray[np.float64]
@@ -275,8 +271,8 @@ def write_response(
     folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: System
 ) -> None:
     """Write page, tables and pictures; what an earlier response left beside them is removed."""
+    from mfd_bayes.reporting.building_figures import figures_of
     from mfd_bayes.reporting.figures import to_png
-    from mfd_bayes.reporting.figures.response import figures_of
 
     for path in sorted(folder.glob("*")):  # files that not every response has
         if re.fullmatch(r"sweep\.(csv|png)|(history|loops)_\d+\.png", path.name):

@@ -66,9 +66,13 @@ class Conditioned:
     window: tuple[float, float]  # s
     samples: int  # at the rate of the calibrated tests
     pareto_k: float  # of the last importance weights
-    method: str  # "weights" alone, or "sampling": resampled and moved too
     effective: float  # effective number of draws behind the band
     stages: int = 0  # how often the draws were resampled and moved
+
+    @property
+    def method(self) -> str:
+        """How they took it in: "weights" alone, or "sampling", resampled and moved too."""
+        return "sampling" if self.stages else "weights"
 
     def holds(self, time: Array) -> Mask:
         """Whether times (T,), s, are in the given part."""
@@ -184,7 +188,7 @@ class PartialTest:
             weights = (power - before) * log
             if power == 1.0:
                 log_weights, k = smoothed(weights)
-                effective = float(effective_draws(log_weights[:, None])[0])
+                effective = effective_draws(log_weights)
                 if not stages:  # weights alone
                     break
             gaussian = self._gaussian(p, weights)
@@ -200,7 +204,6 @@ class PartialTest:
             window=(float(part.time[counted][0]), float(part.time[counted][-1])),
             samples=int(counted.sum()),
             pareto_k=k,
-            method="sampling" if stages else "weights",
             effective=effective,
             stages=stages,
         )
@@ -268,7 +271,7 @@ def next_power(log: Array, power: float) -> float:
     """Largest power of the likelihood that leaves enough effective draws, at most 1."""
 
     def share(after: float) -> float:
-        return float(effective_draws((after - power) * log[:, None])[0]) / len(log)
+        return effective_draws((after - power) * log) / len(log)
 
     if share(1.0) >= LEAST_EFFECTIVE:
         return 1.0
@@ -292,10 +295,10 @@ def smoothed(log_weights: Array) -> tuple[Array, float]:
     return psis(np.maximum(np.nan_to_num(log_weights, nan=-np.inf), least))
 
 
-def effective_draws(log_weights: Array) -> Array:
-    """Effective number of draws of log weights (n, m), (m,)."""
-    w = np.exp(log_weights - log_weights.max(axis=0))
-    return np.asarray(w.sum(axis=0) ** 2 / np.sum(w**2, axis=0))
+def effective_draws(log_weights: Array) -> float:
+    """Effective number of draws of log weights (n,)."""
+    w = np.exp(log_weights - log_weights.max())
+    return float(w.sum() ** 2 / np.sum(w**2))
 
 
 def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> Index:
@@ -444,7 +447,7 @@ class Forecaster:
         self._new_tests = self._particles = self._test.draw(forecast.draws, self._rng)
         self._log_prior = np.zeros(forecast.draws)
         self._weighted: tuple[Array, float] | None = None  # of the samples so far
-        self._conditioned: Conditioned | None = None
+        self._stages = 0  # how often the last refresh resampled and moved them
 
     @property
     def time(self) -> float:
@@ -552,8 +555,9 @@ class Forecaster:
             return
         trace, n = self._trace(self._rows), self._forecast.draws
         every = np.ones(trace.samples, dtype=bool)
-        p, weights, self._conditioned = self._test.condition(trace, every, max(n, 1000), self._rng)
+        p, weights, given = self._test.condition(trace, every, max(n, 1000), self._rng)
         self._particles, self._weighted = p.of(systematic(weights, n, self._rng)), None
+        self._stages = given.stages
         self._log_prior = -self._log_likelihood()
 
     @property
@@ -653,10 +657,7 @@ class Forecaster:
         self._check_actuation(np.nan_to_num(np.asarray(trace.actuation)))
         log_weights, k = self._weights(trusted=True)
         window, samples = (self._first, self._last), self._rows.shape[1]
-        effective = float(effective_draws(log_weights[:, None])[0])
-        given = Conditioned(window, samples, k, "weights", effective)
-        if (past := self._conditioned) is not None:
-            given = replace(given, method="sampling", stages=past.stages)
+        given = Conditioned(window, samples, k, effective_draws(log_weights), self._stages)
         actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
         planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
         future = np.stack([trace.time, trace.displacement, planned, np.zeros(trace.samples)])

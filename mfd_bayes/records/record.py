@@ -467,7 +467,7 @@ def sources_of(
     """
     for name, mapping in (("columns", columns), ("units", units)):
         if mapping is not None and not isinstance(mapping, Mapping):
-            raise RecordError(f"{name} must be a mapping from roles, got {mapping!r}")
+            raise RecordError(f"{name} must be a mapping from roles, got {type(mapping).__name__}")
     given = {
         axes.role(r): c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()
     }

@@ -121,8 +121,8 @@ def stated_unit(name: str, row: str = "") -> str | None:
     if bare_unit(row):
         return bare_unit(row)
     name = normalize("NFKC", own_name(name))
-    for square, round_, angle in re.findall(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
-        text = bare_unit(square or round_ or angle)
+    for match in re.finditer(r"\[([^\]]+)\]|\(([^()]+)\)|[<{]([^<>{}]+)[>}]", name):
+        text = bare_unit(match[match.lastindex or 0])
         if not re.search(r"[^\W\d_]|[%°\"″′”]", text) or _REMARKS.fullmatch(text.lower()):
             continue
         words = re.findall(r"[^\W\d_]+", text)
@@ -130,6 +130,8 @@ def stated_unit(name: str, row: str = "") -> str | None:
         if multiple and measure(multiple[1]):
             return text
         is_remark = re.search(r"[\s,;:=]|^[^\W\d_]+[ _.-]?\d+$", text)  # "as wired", "ch2"
+        if times := re.match(r"\s*[x×*/]\s*\d[\d.,^]*", name[match.end() :]):
+            return f"{text}{times[0]}"  # kN x10
         if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
             return text
     last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)

@@ -394,9 +394,10 @@ Samples = NDArray[np.intp]
 SPIKE = 0.10  # an isolated sample that stands out by this share of the signal's range is a spike
 
 
-OVERFLOW, LONGEST = 10.0, 5
+OVERFLOW, LONGEST, MARKED = 10.0, 5, 0.05
 """Further from the median than so many times the range of the middle half, a value that does not
-change, or that lasts for at most so many samples, is no measurement."""
+change, or that lasts for at most so many samples, is no measurement; nor is one that less than the
+last share of the samples have, so far from all others."""
 
 
 def runs(flags: NDArray[np.bool_]) -> tuple[Samples, Samples]:
@@ -462,7 +463,8 @@ def _isolated(values: Array, width: int) -> Samples:
     height = np.maximum(away.min(axis=(0, 2)), -away.max(axis=(0, 2)))
     height = np.maximum(height, 0.0)
     agree = np.abs(ends[1] - ends[0]) < 0.25 * height
-    reach = float(np.subtract(*np.quantile(values, [0.995, 0.005])))
+    tail = min(max(0.005, LONGEST / values.size), 0.25)  # in which spikes of a short record lie
+    reach = float(np.subtract(*np.quantile(values, [1.0 - tail, tail])))
     usual = float(np.quantile(height, 0.99))
     share = SPIKE if width == 1 else 1.0  # a peak of the signal itself is wider
     at = np.flatnonzero(agree & (height > share * reach) & (height > 4 * usual)) + 1
@@ -481,6 +483,11 @@ def _over(values: Array) -> Samples:
             sudden = all(away[n] < 0.5 * away[at].min() for n in ends)
             if sudden and (length <= LONGEST or np.ptp(values[at]) == 0.0):
                 spikes.append(at)
+    for side in (values, -values):  # as far from all others as these from each other: 9999
+        top = side == side.max()
+        reach = np.ptp(side[~top]) if not top.all() else 0.0
+        if 0.0 < reach < side.max() - side[~top].max() and top.mean() < MARKED:
+            spikes.append(np.flatnonzero(top))
     return np.concatenate(spikes)
 
 

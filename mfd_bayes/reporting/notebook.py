@@ -39,22 +39,24 @@ class Notebook:
 
     def plot_band(self, band: Band, axes: Any, displacement: Any) -> Any:
         """Axes with a band over time, or over a displacement, in."""
-        from mfd_bayes.evaluation.scores import fan_of_band
-        from mfd_bayes.reporting.figures import loops
+        from mfd_bayes.evaluation.views import fan_of_band
+        from mfd_bayes.reporting import figures
 
         along = None if displacement is None else _along(band, displacement)
-        return loops.draw_band(axes, fan_of_band(band), band.time, along, self.system)
+        return figures.draw_band(axes, fan_of_band(band), band.time, along, self.system)
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
-        from mfd_bayes.evaluation.scores import fan_of
-        from mfd_bayes.reporting.figures import loops
+        from mfd_bayes.evaluation.views import fan_of
+        from mfd_bayes.reporting import figures
         from mfd_bayes.store.netcdf import load_groups
 
         force = load_groups(test.path)["posterior_predictive"]["force"].to_numpy()
         fan = fan_of("observation", force.reshape(-1, force.shape[-1]).astype(np.float64))
         trace = test.trace
-        return loops.draw_band(axes, fan, trace.time, trace.displacement, self.system, trace.force)
+        return figures.draw_band(
+            axes, fan, trace.time, trace.displacement, self.system, trace.force
+        )
 
     def inference_data(self, result: TestResult | Band) -> Any:
         """Groups of a test, or of a band, as ArviZ's functions take them."""

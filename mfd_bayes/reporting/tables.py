@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.next_test import AdviceInWords
-from mfd_bayes.evaluation.views import CampaignView, Fan, Row, Rows, TestView
+from mfd_bayes.evaluation.views import AdviceInWords, CampaignView, Fan, Row, Rows, TestView
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
-from mfd_bayes.runs.manifest import ComparisonRow
+from mfd_bayes.runs.folder import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import Axes, percent
 

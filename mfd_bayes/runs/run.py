@@ -1,12 +1,17 @@
-"""A finished calibration, opened from its folder, and several of them that predict together."""
+"""A finished calibration, opened from its folder, and several of them that predict together.
+
+And the response of a building whose dampers are the device of a run.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from itertools import chain, pairwise
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +21,18 @@ from mfd_bayes.calibration.result import Extras, TestResult, load_result
 from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
 from mfd_bayes.errors import (
     MOST_DRAWS,
+    BuildingError,
     CampaignError,
     FitError,
     NotThereError,
     StoreError,
     path_of,
+    real_number,
     whole_number,
 )
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
-from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.planning.candidate import (
     MOST,
     NEW_DEVICE,
@@ -48,19 +56,34 @@ from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Ending, Population
 from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.response.analysis import Response, response_of
+from mfd_bayes.response.building import (
+    FEWEST as FEWEST_DRAWS,
+)
+from mfd_bayes.response.building import (
+    KINDS,
+    Building,
+    bound_dampers,
+    draw_dampers,
+    read_building,
+)
+from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
     MODEL,
     POPULATION,
     PRIORS,
+    Manifest,
+    Use,
     check_links,
     check_stored,
     pooled_of,
     posterior_of,
+    read_manifest,
     record_of,
 )
-from mfd_bayes.runs.manifest import Manifest, Use, read_manifest
 from mfd_bayes.runs.tested_range import (
+    MARGIN,
     Departure,
     Span,
     departures,
@@ -71,12 +94,6 @@ from mfd_bayes.runs.unit_system import System, named_system
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mfd_bayes.friction.model import Model
-    from mfd_bayes.response.analysis import Response
 
 Array = NDArray[np.float64]
 
@@ -563,15 +580,15 @@ class Run:
 
     def respond(
         self,
-        building: Any,
-        grounds: Any,
+        building: Building | str | PathLike[str],
+        grounds: Grounds,
         draws: int = 300,
         seed: int = 1,
         *,
         kind: str = "new_test",
         tolerance: float = 0.01,
         jobs: int = 1,
-        observe: Callable[[Any], None] = lambda step: None,
+        observe: Callable[[Step], None] = lambda step: None,
     ) -> Response:
         """Response of a building with this device as its dampers.
 
@@ -601,9 +618,38 @@ class Run:
             When the building or a ground motion cannot be used, or the actuation is of another
             kind than the run's.
         """
-        from mfd_bayes.runs.response import respond
-
-        return respond(self, building, grounds, kind, draws, seed, tolerance, jobs, observe)
+        if kind not in KINDS:
+            raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
+        whole_number("draws", draws, FEWEST_DRAWS, BuildingError, MOST_DRAWS)
+        whole_number("seed", seed, 0, BuildingError)
+        whole_number("jobs", jobs, 0, BuildingError)
+        tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
+        built = building if isinstance(building, Building) else read_building(building)
+        motions = grounds_of(grounds)
+        for device in built.devices:
+            where = f"the actuation of the damper at {device.name}"
+            check_kind(where, device.unit, self.actuation_unit)
+        model, bounds = self.predictor.model, {}
+        dampers = draw_dampers(self.population, model, built, kind, draws, seed)
+        if dampers.count and (model.slip_forces or model.laws):
+            bounds = bound_dampers(self.population, model, built, dampers, seed)
+        if not model.slip_forces:  # by which forces are judged to be in equilibrium
+            typical = np.median([self.manifest.tests[name].peak_force for name in self.tests])
+            dampers, *few = (
+                replace(one, slip=np.full_like(one.slip, typical))
+                for one in (dampers, *bounds.values())
+            )
+            bounds = dict(zip(bounds, few, strict=True))
+        response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
+        remarks = [*chain.from_iterable(beyond_tests(self, response))]
+        remarks += [self.caution] if self.caution else []
+        remarks += _short_histories(built, motions)
+        if dampers.count and self.population.design.dependence:
+            remarks.append(
+                "quantities that depend on speed, amplitude, date, cycles or temperature are taken "
+                "at those of the typical, or the latest, test"
+            )
+        return replace(response, remarks=(*remarks, *response.faults))
 
     def follow(
         self,
@@ -932,3 +978,73 @@ def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
         return None
     worst = max(parts, key=lambda part: part.pareto_k)
     return replace(worst, effective=sum(part.effective for part in parts))
+
+
+# --- a building whose dampers are the device of a run
+
+Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
+
+
+def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list[Ground]:
+    """Ground motions of what is given; `unit` and `meant` are as in `read_ground`."""
+    motions = []
+    for given in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
+        if isinstance(given, Ground):
+            motions.append(given)
+            continue
+        path_of("a ground motion", given, BuildingError)
+        path, step, own = parse_ground(fspath(given), of="ground")
+        motions.append(read_ground(path, step=step, unit=own or unit, meant=meant))
+    if not motions:
+        raise BuildingError("give at least one ground motion")
+    return motions
+
+
+def check_kind(where: str, unit: str, expected: str) -> None:
+    """Refuse an actuation whose internal unit is of another kind than the tests had."""
+    if unit != expected:
+        raise BuildingError(f"{where} must be {actuation_kind(expected)}, as in the campaign")
+
+
+def _short_histories(building: Building, grounds: Sequence[Ground]) -> list[str]:
+    """Actuation histories that do not go on for as long as a ground motion, in sentences."""
+    sentences = []
+    for device in building.devices:
+        if device.history is None:
+            continue
+        begin, end = device.history[0][[0, -1]].tolist()
+        for ground in grounds:
+            last = float(ground.time[-1])
+            if begin > MARGIN * last or end < (1 - MARGIN) * last:
+                sentences.append(
+                    f"the actuation of the damper at {device.name} is known from {begin:.4g} s to "
+                    f"{end:.4g} s, and the ground motion {ground.name} goes on to {last:.4g} s: "
+                    "the first and the last actuation are taken to stay"
+                )
+    return sentences
+
+
+def beyond_tests(run: Run, response: Response) -> list[list[str]]:
+    """Where the dampers leave what was tested: sentences of each ground motion, then of all.
+
+    The stroke is that of the damper which travels most, in the median draw.
+    """
+
+    def sentences(name: str, unit: str, low: float, high: float, of: str = "") -> list[str]:
+        outside = departures(run.tested, [Span(name, unit, low, high)])
+        return [f"{of}beyond the tests: {each.sentence(run.system)}" for each in outside]
+
+    if not response.dampers.count:
+        return [[]]
+    beyond = []
+    for g, ground in enumerate(response.grounds):
+        travel = response.travel[response.usable(g), g]
+        stroke = 2.0 * float(np.median(travel.max(axis=1))) if len(travel) else np.nan
+        beyond.append(sentences("stroke", "in", stroke, stroke, f"{ground.name}: "))
+    levels = np.concatenate(
+        [
+            [device.actuation] if device.history is None else device.history[1]
+            for device in response.building.devices
+        ]
+    )
+    return [*beyond, sentences("actuation", run.actuation_unit, levels.min(), levels.max())]

@@ -5,11 +5,8 @@ from mfd_bayes.calibration.diagnostics import (
     autocorrelation_time,
     find_directions,
     find_pairs,
-    identify,
     measure,
 )
-from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.records.trace import Trace
 
 
 def autoregressive(phi, steps=3000, seed=0, shape=(4, 20)):
@@ -42,16 +39,6 @@ def test_stuck_walkers_have_a_long_autocorrelation_time():
     # the control: the same places visited in a random order by every walker
     order = np.random.default_rng(4).normal(size=(4, steps, 20, 1))
     assert autocorrelation_time(order)[0] < 2
-
-
-def test_independent_draws_converge():
-    chains = np.random.default_rng(5).normal(size=(4, 200, 20, 3))
-    found = measure(chains)
-    assert found.worst_r_hat < 1.01
-    assert found.worst_ess > 0.5 * 4 * 200 * 20
-    assert found.reached(1.01, 400)
-    assert not found.reached(1.01, 1e6)
-    assert not found.reached(found.worst_r_hat - 1e-6, 400)
 
 
 def test_a_shifted_ensemble_and_a_drift_in_time_raise_r_hat():
@@ -125,17 +112,3 @@ def test_pairs_that_trade_off_are_named():
     # independent parameters do not
     assert find_pairs(NAMES, np.random.default_rng(2).normal(size=(4000, 3))) == ()
     assert find_pairs(("a",), np.random.default_rng(2).normal(size=(4000, 1))) == ()
-
-
-def test_draws_of_the_prior_say_that_the_data_tell_nothing():
-    time = np.arange(0, 2, 1 / 32)
-    motion = np.sin(np.pi * time)
-    trace = Trace.from_arrays(time, motion, actuation=0.8, force=np.cos(np.pi * time))
-    posterior = Posterior(trace, "mfd")
-    rng = np.random.default_rng(8)
-    flat = posterior.draw_prior(rng, 8000)
-    values = {name: column.reshape(4, -1) for name, column in flat.items()}
-    found = identify(posterior, values, posterior.draw_prior(rng, 8000))
-    assert found.directions.names == posterior.names
-    assert found.directions.informed == 0
-    assert found.pairs == ()

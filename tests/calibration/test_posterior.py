@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from mfd_bayes.calibration.diagnostics import derive_from_parameters
 from mfd_bayes.calibration.posterior import NOISES, Posterior, Prior, load_priors
 from mfd_bayes.errors import FitError, PriorError
-from mfd_bayes.friction.three_stage import ThreeStage
+from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.records.trace import Trace
 
 FILE = load_priors("brfd")
@@ -62,14 +63,6 @@ def test_the_density_is_prior_times_the_likelihood_computed_by_hand(model, noise
     np.testing.assert_allclose(total, posterior.log_prior(q) + expected, rtol=1e-12)
     single = [posterior.log_prob(point[None])[0] for point in q[:5]]
     np.testing.assert_allclose(total[:5], single, rtol=1e-9)
-
-
-def test_what_follows_from_several_coordinates_must_converge_too():
-    posterior = build()
-    theta = posterior.theta(posterior.values(points(posterior))).T
-    theta = dict(zip(posterior.model.parameters, theta, strict=True))
-    expected = [theta[name] for name in ("Fs_fwd", "Fs_bwd")]
-    np.testing.assert_array_equal(posterior.derived(points(posterior)).T, expected)
 
 
 @pytest.mark.parametrize("model", ["three_stage", "backlash"])
@@ -196,3 +189,18 @@ def test_a_prior_that_allows_what_no_damper_has_is_refused():
         fewer = {key: value for key, value in FILE.parameters.items() if key != name}
         with pytest.raises(PriorError, match=name):
             Posterior(TRACE, replace(FILE, parameters=fewer), model=model)
+
+
+# --- what is computed of draws
+
+
+def test_gap_and_self_energizing_factors_follow_from_the_parameters():
+    columns = {"d2": [0.1, 0.2], "d3": [0.05, 0.1], "Fc_fwd": [2.0, 4.0], "Fc_bwd": [6.0, 8.0]}
+    values = {name: np.array(column) for name, column in columns.items()}
+    derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=4.0)
+    for name, expected in (("gap_width", [0.15, 0.3]), ("C_fwd", [1, 2]), ("C_bwd", [3, 4])):
+        np.testing.assert_allclose(derived[name], expected)
+    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap_width"}
+    without = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
+    assert set(without) == {"gap_width"}
+    assert derive_from_parameters(LuGre(), values) == {}

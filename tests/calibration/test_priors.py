@@ -77,13 +77,6 @@ def write(folder, text):
     return path
 
 
-def test_figures_are_converted_to_internal_units(tmp_path):
-    body = 'family = "normal"\nmean = "1000 lbf"\nsd = "4.4482216 kN"\n'
-    prior = load_priors(str(write(tmp_path, prior_text(body)))).parameters["Fc_fwd"]
-    assert prior.figures["mean"] == pytest.approx(1.0)
-    assert prior.figures["sd"] == pytest.approx(1.0, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("text", "name"),
     [
@@ -91,33 +84,26 @@ def test_figures_are_converted_to_internal_units(tmp_path):
         (prior_text('family = "lognormal"\nmedian = "2 kip"\n'), "spread"),
         (prior_text('family = "lognormal"\nmedian = "-2 kip"\nspread = 1\n'), "median"),
         (prior_text('family = "lognormal"\nmedian = "2 in"\nspread = 1\n'), "median"),
-        (prior_text('family = "lognormal"\nmedian = 2.0\nspread = 1\n'), "median"),
         (prior_text('family = "lognormal"\nmedian = "2 kip"\nspread = nan\n'), "spread"),
-        (prior_text('family = "lognormal"\nmedian = "2 kip"\nspread = [1]\n'), "spread"),
         (prior_text('family = "uniform"\nlower = "1 kip"\nupper = "1 kip"\n'), "upper"),
         (prior_text('family = "truncated_normal"\nmean = "0 kip"\nsd = "1 kip"\n'), "lower"),
         (prior_text(f'family = "normal"\nmean = "1 kip"\nsd = {10**400}\n', "offset"), "sd"),
         (prior_text(GOOD, "Fc_forward"), "Fc_forward"),
         ("[parameters\n", "TOML"),
-        (b"\xff\xfe", "TOML"),
         ("[priors.Fc_fwd]\n", "priors"),
         ("parameters = 3\n", "parameters"),
         ('[scatter.friction]\nparameters = ["Fc"]\nsd = 0.1\n', "Fc"),
         ('[scatter.friction]\nparameters = [["Fc_fwd"]]\nsd = 0.1\n', "Fc_fwd"),
-        ('[scatter.friction]\nparameters = ["Fc_fwd"]\nsd = 0.0\n', "sd"),
         ('[scatter.friction]\nparameters = "Fc_fwd"\nsd = 0.1\n', "parameters"),
         ('[scatter.k]\nparameters = ["k3"]\nabove = 0.2\n', "probability"),
         (f"{SPARSE}sd = 0.1\n", "sd"),
         (SPARSE.replace("0.2", "-1"), "above"),
-        (SPARSE.replace("0.05", "1.0"), "probability"),
         (SPARSE.replace("k3", "offset"), "above"),
         (multiple(scales=""), "init"),
         (multiple(scales='[scales]\nforce = "7 N"\n'), "length"),
-        (multiple(scales=STATED.replace("1.5 kip", "1.5 in")), "force"),
         (multiple(scales=STATED.replace("1.5 kip", "-1 kip")), "force"),
         (multiple("1 length"), "median"),
         (f'[parameters.{"x" * 9000}]\nfamily = "normal"', "xxx"),
-        (f"{'x' * 9000} = 1", "xxx"),
     ],
 )
 def test_a_bad_file_is_refused_by_one_short_sentence(tmp_path, text, name):

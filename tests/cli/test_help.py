@@ -55,15 +55,6 @@ def test_a_help_says_what_is_written_with_examples_that_are_valid_and_what_is_ne
             assert not re.search(r"\[[a-z\[/]", getattr(part, "help", None) or "")  # as markup
 
 
-def test_commands_are_listed_in_the_order_of_work():
-    names = [line.strip("│ ").split()[0] for line in help_of() if line.startswith("│")]
-    names = [name for name in names if name in COMMANDS]
-    assert sorted(names) == sorted(COMMANDS)
-    assert names[:3] == ["init", "inspect", "prior-check"]
-    assert names[-1] == "demo"
-    assert here("-h").stdout == here("--help").stdout
-
-
 def test_it_runs_as_a_module_too():
     outcome = ran([sys.executable, "-m", "mfd_bayes", "--version"])
     assert (outcome.returncode, outcome.stderr) == (0, "")

@@ -1,7 +1,6 @@
 """Bounding properties from draws whose quantiles are known, and the data sheet of a run."""
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +19,6 @@ from mfd_bayes.evaluation.properties import (
 from mfd_bayes.records.trace import Trace
 from tests.run_folders import FORCE, MOTION
 
-DATA = Path(__file__).parents[1] / "data" / "run"
 UNIT = (np.arange(2000) + 0.5) / 2000.0
 DRAWN = {
     "device": {"slip_fwd": 2.0 + 0.2 * (UNIT - 0.5), "energy_per_cycle": np.full(2000, 4.0)},
@@ -64,30 +62,6 @@ def test_bounds_from_two_levels_come_with_a_warning():
 
 
 # --- the data sheet
-
-
-@pytest.fixture(scope="module")
-def sheet():
-    run = open_run(DATA)
-    return datasheet(run, [parse_condition("700 psi, 0.9 in, 0.4 Hz", run.actuation_unit)])
-
-
-def test_every_condition_has_every_quantity_and_what_was_asked_for_bounds(sheet):
-    rows = sheet.rows[sheet.rows["cycle"] == 0]
-    wanted = {"slip_force", "peak_force", "effective_stiffness", "effective_damping"}
-    for condition, part in rows.groupby("condition"):
-        assert set(part["quantity"]) == wanted | {"energy", "gap"}, condition
-        directions = set(part.loc[part["quantity"] == "peak_force", "direction"])
-        assert directions == {"forward", "backward"}
-    assert set(sheet.formulas) == set(rows["quantity"])
-    asked = sheet.rows[sheet.rows["condition"] == "700 psi, 0.9 in, 0.4 Hz"]
-    assert len(asked) == 11  # eight, and the energy of three cycles
-    assert not asked["tested"].any()
-    assert asked["measured"].isna().all()
-    assert (asked["n_cycles"] == 0).all()
-    assert (asked["lower"] < asked["nominal"]).all()
-    assert (asked["nominal"] < asked["upper"]).all()
-    np.testing.assert_allclose(asked["lambda_max"], asked["upper"] / asked["nominal"])
 
 
 def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):

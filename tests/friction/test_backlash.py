@@ -1,42 +1,77 @@
-"""The backlash model's physics: an ODE solver, closed forms, memory and energy."""
+"""The backlash model's physics: an ODE solver, closed forms, memory, and motions cut in two."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.records.loops import loop_estimate
 from mfd_bayes.records.trace import Trace
-from tests.friction.backlash_cases import (
-    MODEL,
-    VALUES,
-    of_sine,
-    of_walk,
+from tests.friction.motions import (
+    cut,
+    off_after_cut,
     sine,
-    theta,
+    solved_along_sine,
+    solved_along_walk,
     walk,
 )
 
+MODEL = BacklashLuGre()
+ROW = (50.0, 42.0, 0.2, 0.02, 0.4, 2.2, 1.8, 3.0, 0.02, 0.2, 0.15, 0.5)
+VALUES = dict(zip(MODEL.parameters, ROW, strict=True))
 BAR = 2e-3  # of the peak
 
 
-def off(force, expected):
+def theta(**changes):
+    values = VALUES | changes
+    return np.array([[values[name] for name in MODEL.parameters]])
+
+
+def vectors(n, seed=0, spread=0.4):
+    rng = np.random.default_rng(seed)
+    batch = theta() * rng.lognormal(0, spread, size=(n, 12))
+    batch[:, MODEL.parameters.index("n")] = rng.uniform(1.0, 10.0, n)
+    return batch
+
+
+# --- an ODE solver
+
+
+def spring(z, p):
+    a, b = (z - p["gap"] / 2) / p["ell"], (z + p["gap"] / 2) / p["ell"]
+    found = p["k_fwd"] * p["ell"] * np.logaddexp(0, a) - p["k_bwd"] * p["ell"] * np.logaddexp(0, -b)
+    return found + p["k_0"] * z
+
+
+def error(solve, trace, *amplitude, level=lambda time: 1.0, **changes):
+    """Largest difference from the ODE solver, as a share of the peak."""
+    p = VALUES | changes
+
+    def rate(time, z, v):
+        force = spring(z, p)
+        side = "fwd" if force > 0 else "bwd"
+        slip = p[f"Fc_{side}"] * (1 + p[f"static_excess_{side}"] * np.exp(-((v / p["v_s"]) ** 2)))
+        return v * (1 - abs(force / (level(time) * slip)) ** p["n"]) if v * force > 0 else v
+
+    low = -p["gap"] / 2 - p["Fc_bwd"] / p["k_bwd"]
+    middle = 0.5 * (low + p["gap"] / 2 + p["Fc_fwd"] / p["k_fwd"])
+    expected = spring(solve(rate, trace, *amplitude, middle), p) + p["sigma2"] * trace.velocity
+    force = MODEL.force(theta(**changes), trace)[0]
     return np.max(np.abs(force - expected)) / np.max(np.abs(expected))
 
 
 def test_force_equals_an_ode_solver_in_full_and_partial_cycles_and_in_the_gap():
     for n in [1.0, 6.0]:
         for amplitude in [1.0, 0.15, 0.05]:
-            values, trace = VALUES | {"n": n}, sine(amplitude)
-            assert off(MODEL.force(theta(n=n), trace)[0], of_sine(trace, amplitude, values)) < BAR
+            assert error(solved_along_sine, sine(amplitude), amplitude, n=n) < BAR
 
 
 def test_a_random_walk_equals_an_ode_solver():
     for size, seed in [(0.01, 1), (0.05, 2), (0.3, 3)]:
         trace = walk(seed, samples=60, size=size)
-        values = VALUES | {"n": 1.0 + 2.0 * seed, "gap": 0.1 * (seed - 1)}
-        batch = theta(n=values["n"], gap=values["gap"])
-        assert off(MODEL.force(batch, trace)[0], of_walk(trace, values)) < BAR
+        changes = {"n": 1.0 + 2.0 * seed, "gap": 0.1 * (seed - 1)}
+        assert error(solved_along_walk, trace, **changes) < BAR
 
 
 def test_a_varying_actuation_equals_an_ode_solver():
@@ -45,8 +80,10 @@ def test_a_varying_actuation_equals_an_ode_solver():
 
     trace = sine(0.5, actuation=level(np.arange(0, 5, 0.005)))
     mean = trace.reference_actuation
-    expected = of_sine(trace, 0.5, VALUES, lambda t: level(t) / mean)
-    assert off(MODEL.force(theta(), trace)[0], expected) < BAR
+    assert error(solved_along_sine, trace, 0.5, level=lambda t: level(t) / mean) < BAR
+
+
+# --- closed forms
 
 
 def test_stages_follow_each_other_after_a_turn():
@@ -71,21 +108,17 @@ def test_the_travel_from_slip_to_slip_is_what_a_loop_shows():
     np.testing.assert_allclose(MODEL.gap_width(values), expected)
     trace = sine(1.0, seconds=8.0)
     force = MODEL.force(theta(n=12.0, ell=0.005), trace)[0]
-    read = loop_estimate(replace(trace, force=force))
-    assert read.gap == pytest.approx(expected, rel=0.1)
+    assert loop_estimate(replace(trace, force=force)).gap == pytest.approx(expected, rel=0.1)
 
 
 def test_friction_that_falls_lets_go_as_the_motion_goes_on():
     for back in [1.0, -1.0]:
         for n in [1.0, 20.0]:
-            motion = np.concatenate(
-                [np.linspace(0, 1, 50), np.ones(5), 1 + back * np.linspace(0, 0.5, 50)]
-            )
-            level = np.where(np.arange(105) < 52, 1.0, 1e-9)
-            still = np.zeros(105)
-            trace = Trace.from_arrays(
-                np.arange(105) * 0.01, motion, actuation=level, velocity=still
-            )
+            there, away = np.linspace(0, 1, 50), 1 + back * np.linspace(0, 0.5, 50)
+            motion, level = np.concatenate([there, np.ones(5), away]), np.ones(105)
+            level[52:] = 1e-9
+            time, still = np.arange(105) * 0.01, np.zeros(105)
+            trace = Trace.from_arrays(time, motion, actuation=level, velocity=still)
             force = MODEL.force(theta(k_0=0.0, n=n), trace)[0]
             np.testing.assert_allclose(force[50:55], force[49], rtol=1e-9)  # nothing moves
             assert abs(force[-1]) < 1e-3 * force[49]
@@ -106,3 +139,49 @@ def test_dampers_that_are_hard_to_solve_leave_the_others_of_their_batch_alone():
             together = MODEL.force_unbounded(batch, trace)
         np.testing.assert_allclose(together, alone, atol=1e-5)
         assert np.all(np.isfinite(together[0]))
+
+
+# --- a motion cut in two goes on as the whole does
+
+
+def test_a_motion_cut_anywhere_goes_on_as_the_whole_does():
+    for at in [40, 250, 420]:
+        for amplitude in [1.0, 0.15, 0.05]:
+            batch, trace = vectors(5), sine(amplitude)
+            batch[:, -3:-1] = 0.0  # no static friction, by which a deflection can be out of range
+            assert np.max(off_after_cut(MODEL, batch, trace, at)) < 0.01, at
+            assert np.max(off_after_cut(MODEL, batch, trace, at, start=0.5)) > 0.05, at
+
+
+def test_a_motion_cut_under_a_varying_actuation_goes_on_as_the_whole_does():
+    level = 1.0 + 0.4 * np.sin(np.arange(1000) / 90.0)
+    batch, whole = vectors(3), sine(0.4, actuation=level)
+    at = 155  # in the gap, at a higher actuation than the mean
+    first, second = cut(whole, at)
+    share = level / whole.reference_actuation
+    scales, other = (
+        dict.fromkeys(("Fc_fwd", "Fc_bwd"), part[None]) for part in (share[: at + 1], share[at:])
+    )
+    start = MODEL.start_at(MODEL.end(batch, first, scales=scales), second)
+    found = MODEL.force(batch, second, start, scales=other)
+    np.testing.assert_allclose(found, MODEL.force(batch, whole)[:, at:], atol=0.02)
+    without = MODEL.end(batch, first)  # at the mean of the first part
+    assert np.max(np.abs(without - MODEL.end(batch, first, scales=scales))) > 1e-3
+
+
+def test_the_place_of_the_spring_is_taken_over_by_other_parameters():
+    trace, own = sine(), theta()
+    wide, strong = theta(gap=0.4), theta(Fc_fwd=4.4, Fc_bwd=3.6)
+    middle, slip = np.array([0.5]), np.array([1.0])
+    assert MODEL.start_at(slip, trace, own, own) == pytest.approx(1.0)
+    # beyond the gap the spring keeps its deflection: in slip with a wider gap, too
+    assert MODEL.start_at(slip, trace, own, wide) == pytest.approx(1.0)
+    # and at twice the actuation it is half way to slip
+    force = MODEL.force(strong, trace, MODEL.start_at(slip, trace, own, strong))[0, 0]
+    assert force == pytest.approx(MODEL.force(own, trace, slip)[0, 0], rel=0.05)
+    # back at the lower one it slips
+    assert MODEL.start_at(slip, trace, strong, own) == 1.0
+    inside = MODEL.start_at(middle, trace, own, wide)
+    z = 0.5 * (2.2 / 50.0 - 1.8 / 42.0)  # of the middle of the range, doubled as the gap is
+    low, high = -0.2 - 1.8 / 42.0, 0.2 + 2.2 / 50.0
+    assert inside == pytest.approx((2.0 * z - low) / (high - low))

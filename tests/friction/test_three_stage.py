@@ -1,21 +1,20 @@
+"""Three stages, and LuGre without the gap, against a stiff solver and the model's text."""
+
+import itertools
 import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from mfd_bayes.errors import FitError
+from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.records.trace import Trace
+from tests.friction.motions import off_after_cut, sine, solved
 
 MODEL = ThreeStage()
-VALUES = dict(
-    zip(
-        MODEL.parameters,
-        (60.0, 0.02, 0.01, 2.4, 2.0, 1.9, 1.5, 0.5, 30.0, 0.1, 0.08, 1.0, 0.005, 0.5),
-        strict=True,
-    )
-)
+ROW = (60.0, 0.02, 0.01, 2.4, 2.0, 1.9, 1.5, 0.5, 30.0, 0.1, 0.08, 1.0, 0.005, 0.5)
+VALUES = dict(zip(MODEL.parameters, ROW, strict=True))
 D = VALUES["d2"] + VALUES["d3"]
 SECONDS = 8.0
 
@@ -60,22 +59,25 @@ ON_SAMPLES = Sines((1.0, 0.0, 0.5, 0.0))
 MOTIONS = (ON_SAMPLES, FULL, PARTIAL, IN_GAP)
 
 
+def stribeck(velocity, values=VALUES):
+    side = "fwd" if velocity >= 0 else "bwd"
+    static, kinetic = values[f"Fs_{side}"], values[f"Fc_{side}"]
+    return kinetic + (static - kinetic) * math.exp(-((velocity / values["v_s"]) ** 2))
+
+
+def bristle_rate(_, z, v, values=VALUES):
+    return v - values["sigma0"] * abs(v) * z / stribeck(v, values)
+
+
 def reference_slip(values, motion, time):
     """F1 by a stiff solver on the motion itself, (T,), kip."""
 
-    def level(v):
-        side = "fwd" if v >= 0 else "bwd"
-        static, kinetic = values[f"Fs_{side}"], values[f"Fc_{side}"]
-        return kinetic + (static - kinetic) * math.exp(-((v / values["v_s"]) ** 2))
+    def rate(t, z, v):
+        return bristle_rate(t, z, v, values)
 
-    def rate(t, z):
-        v = float(motion.v(t))
-        return [v - values["sigma0"] * abs(v) * z[0] / level(v)]
-
-    options = {"method": "LSODA", "t_eval": time, "rtol": 1e-9, "atol": 1e-12, "max_step": 0.01}
-    z = solve_ivp(rate, (time[0], time[-1]), [0.0], **options).y[0]
-    v = motion.v(time)
-    z_rate = np.array([rate(t, [state])[0] for t, state in zip(time, z, strict=True)])
+    edges, v = np.linspace(time[0], time[-1], 100), motion.v(time)
+    z = solved(rate, time, edges, lambda t, _: float(motion.v(t)), 0.0)
+    z_rate = np.array([rate(*state) for state in zip(time, z, v, strict=True)])
     return values["sigma0"] * z + values["sigma1"] * z_rate + values["sigma2"] * v
 
 
@@ -207,31 +209,18 @@ def lugre(**changes):
     return np.array([[values[name] for name in LUGRE.parameters]])
 
 
-def stribeck(velocity, values=VALUES):
-    side = "fwd" if velocity >= 0 else "bwd"
-    static, kinetic = values[f"Fs_{side}"], values[f"Fc_{side}"]
-    return kinetic + (static - kinetic) * np.exp(-((velocity / values["v_s"]) ** 2))
-
-
 def test_exact_step_equals_a_stiff_solver_while_the_velocity_is_constant():
+    samples, rate = 20, 50.0
     for velocities in [(0.3, -0.3), (3.0, -1.0, 0.2), (-0.05, 0.4, -4.0)]:
-        rate, samples = 50.0, 20
-        time, motion, states = [0.0], [0.0], [0.0]
-        for v in velocities:
-            span = np.arange(1, samples + 1) / rate
-            level = stribeck(v)
+        v = np.repeat(velocities, samples)
+        time, motion = np.arange(v.size + 1) / rate, np.append(0.0, np.cumsum(v) / rate)
 
-            def slope(_, z, v=v, level=level):
-                return v - VALUES["sigma0"] * abs(v) * z / level
+        def velocity(_, middle, v=v):
+            return v[int(middle * rate)]
 
-            options = {"method": "Radau", "t_eval": span, "rtol": 1e-11, "atol": 1e-14}
-            leg = solve_ivp(slope, (0, span[-1]), [states[-1]], **options)
-            time.extend(time[-1] + span)
-            motion.extend(motion[-1] + v * span)
-            states.extend(leg.y[0])
-        bristles = lugre(sigma1=0.0, sigma2=0.0)
-        force = LUGRE.force(bristles, Trace.from_arrays(time, motion))[0]
-        np.testing.assert_allclose(force, VALUES["sigma0"] * np.array(states), rtol=1e-7, atol=1e-9)
+        z = solved(bristle_rate, time, time[::samples], velocity, 0.0)
+        force = LUGRE.force(lugre(sigma1=0.0, sigma2=0.0), Trace.from_arrays(time, motion))[0]
+        np.testing.assert_allclose(force, VALUES["sigma0"] * z, rtol=1e-7, atol=1e-9)
 
 
 def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms():
@@ -247,3 +236,47 @@ def test_a_sample_without_a_step_keeps_the_bristles_and_has_its_rate_terms():
             z = elastic[1] / VALUES["sigma0"]
             rate = velocity - VALUES["sigma0"] * abs(velocity) * z / VALUES["Fs_fwd"]
             assert force[2] == pytest.approx(elastic[2] + 0.03 * rate, rel=1e-9)
+
+
+# --- where in the gap a motion ends: one cut in two goes on as the whole does
+
+
+def motion_of(*corners, samples=40):
+    """Straight from corner to corner, at 1 in/s or less."""
+    pieces = [np.linspace(a, b, samples)[1:] for a, b in itertools.pairwise(corners)]
+    x = np.concatenate([[corners[0]], *pieces])
+    return Trace.from_arrays(0.02 * np.arange(x.size), x, velocity=np.zeros(x.size), hysteresis=0.0)
+
+
+def test_a_motion_cut_in_the_gap_goes_on_as_the_whole_does():
+    fixed = {"d2": 0.12, "d3": 0.1}
+    batch = np.concatenate([theta(), random_theta(np.random.default_rng(1), 4, **fixed)])
+    for sign in [1.0, -1.0]:
+        for reached in [0.04, 0.1, 0.16]:
+            corners = [0.0, 0.6, -0.6, -0.6 + 0.5 * reached, -0.6 + reached, 0.5, -0.5]
+            trace, at = motion_of(*sign * np.array(corners)), 4 * 39
+            away = off_after_cut(MODEL, batch, trace, at)
+            assert np.max(away[39 + 5 :]) < 1e-6  # past the first turn after slip
+            middle = off_after_cut(MODEL, batch, trace, at, start=0.5)
+            # before it, bristles that begin at rest differ on a short way
+            assert np.linalg.norm(away[:39]) < 0.6 * np.linalg.norm(middle[:39])
+
+
+def test_at_a_turn_after_slip_a_motion_begins_at_an_end_of_the_gap():
+    for x, place in ((0.6, 1.0), (-0.6, 0.0)):
+        end = MODEL.end(theta(), motion_of(0.0, x))
+        assert end == place
+        assert MODEL.start_at(end, motion_of(x, 0.0)) == 0.0  # travel since the slip
+        assert MODEL.start_at(end, motion_of(x, 2.0 * x)) == 1.0
+    inside = motion_of(0.6, -0.6, -0.6 + 0.25 * D)
+    assert MODEL.end(theta(), inside) == pytest.approx(0.25)
+
+
+def test_a_model_of_ones_own_with_a_gap_must_say_where_it_ends():
+    class Own(Model):
+        name = "own"
+        parameters = (Parameter("k"),)
+        has_gap = True
+
+    with pytest.raises(FitError, match="the model own does not say where in its gap"):
+        Own().end(np.ones((1, 1)), sine())

@@ -1,29 +1,25 @@
 """Real schedulers and workers of dask.distributed: their results, also when one is lost."""
 
 import importlib.util
-import json
 import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
-from mfd_bayes.cli.commands import app
-from mfd_bayes.errors import FitError
 from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.folder import posterior_of
+from tests.command_line import refusal
 from tests.run_folders import content
 
 pytestmark = [
@@ -48,50 +44,38 @@ def until(found, what):
     raise TimeoutError(what)
 
 
-@contextmanager
-def running(log, module, *words, **environment):
-    """A command of dask whose output goes to a file."""
-    with log.open("w") as file:
-        process = subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words), "--no-dashboard"],
-            stdout=file,
-            stderr=file,
-            env=os.environ | environment,
-            start_new_session=True,
-        )
-    try:
-        yield process
-    finally:
-        process.terminate()
-        try:
-            process.wait(20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+
+local = LocalCluster(
+    n_workers=1, threads_per_worker=2, local_directory=sys.argv[1], dashboard_address=None
+)
+print(local.scheduler_address, flush=True)
+sys.stdin.read()
+local.close()
+"""
 
 
 @contextmanager
 def cluster(folder):
-    """A scheduler, and its address, with a worker that does two tests at a time.
+    """A process with a scheduler, its address, and a worker that does two tests at a time.
 
-    It gives up a test whose workers are lost twice. The worker's environment asks for several
-    threads.
+    It gives up a test whose workers are lost twice. The environment asks for several threads.
     """
-    file, once = folder / "scheduler.json", {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
-    words = ("--port", 0, "--host", "127.0.0.1", "--scheduler-file", file)
-
-    def address():
-        try:
-            return json.loads(file.read_text())["address"]
-        except (OSError, ValueError):
-            return ""
-
-    with running(folder / "scheduler.log", "dask_scheduler", *words, **once) as scheduler:
-        at = until(address, "no scheduler")
-        words = (at, "--nthreads", 2, "--local-directory", folder)
-        with running(folder / "worker.log", "dask_worker", *words, **MANY), ask(at) as client:
-            until(client.nthreads, "no worker")
-            yield scheduler, at
+    environment = os.environ | MANY | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    with (
+        (folder / "log.txt").open("w") as log,
+        subprocess.Popen(
+            [sys.executable, "-c", CLUSTER, folder],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            env=environment,
+        ) as process,
+    ):
+        yield process, process.stdout.readline().strip()
 
 
 def ask(address):
@@ -208,11 +192,9 @@ def test_a_test_whose_worker_is_killed_begins_again(address, tasks, reference, t
     assert stored(tmp_path)[name] == stored(reference)[name]
 
 
-def begun(campaign, out, address, folder):
-    """The process of the command, once the cluster has begun its tests."""
-    log = folder / "printed.txt"
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    with log.open("w") as file:
+def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tmp_path):
+    out, printed = tmp_path / "out", tmp_path / "printed.txt"
+    with cluster(tmp_path) as (scheduler, address), printed.open("w") as file:
         process = subprocess.Popen(
             [sys.executable, "-m", "mfd_bayes", *command(campaign, out, address)],
             stdout=file,
@@ -220,14 +202,7 @@ def begun(campaign, out, address, folder):
             text=True,
             env=os.environ | {"PYTHONUNBUFFERED": "1"},
         )
-    until(lambda: "finding modes" in log.read_text() or process.poll() is not None, "not begun")
-    return process
-
-
-def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tmp_path):
-    out = tmp_path / "out"
-    with cluster(tmp_path) as (scheduler, address):
-        process = begun(campaign, out, address, tmp_path)
+        until(lambda: "finding modes" in printed.read_text() or process.poll() is not None, "begun")
         scheduler.kill()
         _, complaint = process.communicate(timeout=60)
     assert process.returncode == 2
@@ -240,57 +215,12 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     assert stored(out) == stored(whole)
 
 
-def test_ctrl_c_cancels_the_jobs_that_have_not_ended(address, campaign, tmp_path):
-    process = begun(campaign, tmp_path / "out", address, tmp_path)
-    with ask(address) as client:
-        assert any(client.processing().values())
-        process.send_signal(signal.SIGINT)
-        _, complaint = process.communicate(timeout=60)
-        assert process.returncode == 130
-        assert complaint.startswith("mfd-bayes: interrupted")
-        until(lambda: not any(client.processing().values()), "still waiting")
-        at_work = "lambda dask_worker: dask_worker.state.executing_count"
-        until(lambda: not any(client.run(eval(at_work)).values()), "still at work")
-
-
-def test_a_job_that_cannot_be_pickled_is_refused(address, tmp_path):
-    @dataclass
-    class Clenched:
-        id: str
-        lock: object
-        makes: tuple[str, ...] = ()
-
-        def needs(self, out):
-            return ()
-
-    with pytest.raises(FitError, match=r"^cannot send held to the workers: "):
-        list(on_cluster([Clenched("held", threading.Lock())], tmp_path, address, lambda _: None))
-
-
 # --- refusals
 
 
 def test_a_scheduler_that_does_not_answer_is_refused_at_once(campaign, tmp_path):
     for address in ("tcp://127.0.0.1:9", "tcp://127.0.0.1:87867"):
         began = time.monotonic()
-        outcome = CliRunner().invoke(app, command(campaign, tmp_path / "out", address))
+        assert address in refusal(*command(campaign, tmp_path / "out", address))
         assert time.monotonic() - began < 60.0
-        assert outcome.exit_code == 2, (outcome.output, outcome.exception)
-        (sentence,) = outcome.stderr.splitlines()
-        assert address in sentence
         assert not (tmp_path / "out").exists()
-
-
-def test_workers_of_other_versions_are_refused(address, tasks, tmp_path, monkeypatch):
-    from mfd_bayes.jobs import dask_cluster
-
-    dask_cluster.check_cluster(address)  # the same versions
-    ours = dask_cluster.versions()
-    monkeypatch.setattr(dask_cluster, "versions", lambda: ours | {"numpy": "0.0.1"})
-    words = f"^the worker tcp://127.* has numpy {ours['numpy']} and not 0.0.1"
-    with (
-        pytest.raises(FitError, match=words),
-        closing(on_cluster(tasks, tmp_path, address, lambda _: None)) as outcomes,
-    ):
-        next(outcomes)
-    assert not list(tmp_path.iterdir())

@@ -144,10 +144,7 @@ def test_a_signal_ends_a_pool_with_one_sentence(tmp_path):
 
 # --- functions that several processes compute
 
-TESTS = 9
-
-
-RNG = np.random.default_rng(1)
+RNG, TESTS = np.random.default_rng(1), 9
 POINTS = [(j, RNG.standard_normal((5, 3))) for j in [*range(TESTS), 3, 3, 0]]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.jobs.local import in_turn
-from mfd_bayes.reporting import figures, publish
+from mfd_bayes.reporting import figures, page
 
 
 @pytest.fixture(scope="session")
@@ -25,5 +25,5 @@ def no_figures_of_tests(monkeypatch) -> None:
 
     A report of more than three tests is else drawn by other processes, which know nothing of this.
     """
-    monkeypatch.setattr(publish, "several_processes", lambda fs, _: nullcontext(in_turn(fs)))
+    monkeypatch.setattr(page, "several_processes", lambda fs, _: nullcontext(in_turn(fs)))
     monkeypatch.setattr(figures, "draw_test", lambda *_: iter(()))

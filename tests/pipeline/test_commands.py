@@ -126,21 +126,6 @@ def test_every_file_of_the_contract_is_there(finished_run, out):
     assert not list(out.rglob(".*"))
 
 
-def test_parameters_csv_is_table_one_with_the_uncertainty_of_the_draws(out, run):
-    table = table_of(out, "parameters.csv", "test", "parameter")
-    names = mb.ThreeStage().parameters
-    for test in TESTS:
-        assert list(table.loc[test].index[: len(names)]) == list(names)  # in the paper's order
-    assert (table["sd"] > 0).all()
-    assert (table.dropna(subset=["r_hat"])["ess_bulk"] > 50).all()
-    assert table.loc[(TESTS[0], "k3"), "unit"] == "kip/in"
-    for name in ("Fs_bwd", "gamma2"):
-        draws, row = run.tests[TESTS[1]].draws[name].to_numpy(), table.loc[(TESTS[1], name)]
-        assert row["mean"] == pytest.approx(draws.mean(), rel=1e-5)
-        expected = np.quantile(draws, [0.025, 0.5, 0.975])
-        assert row[["q2.5", "q50", "q97.5"]].to_numpy(float) == pytest.approx(expected, rel=1e-5)
-
-
 def test_the_manifest_says_how_it_came_about(finished_run, out):
     manifest = json.loads((out / "manifest.json").read_text(), parse_constant=pytest.fail)
     assert (manifest["status"], manifest["seed"]) == ("finished", 1)

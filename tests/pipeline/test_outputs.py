@@ -137,16 +137,6 @@ def test_a_folder_that_cannot_be_used_is_refused_and_kept(home):
 # --- buildings and responses
 
 
-def test_a_first_building_has_the_actuation_of_the_campaign_beside_it(home):
-    said("init", "--building", home)
-    assert (home / "building.toml").read_text().count('actuation = "500 psi"') == 3
-    refused(home, "building.toml exists: give --force", "init", "--building", home)
-    campaign = (home / "campaign.toml").read_text().replace("500 psi", "36 lbf")
-    (home / "campaign.toml").write_text(campaign)
-    said("init", "--building", home, "--force")
-    assert (home / "building.toml").read_text().count('actuation = "36 lbf"') == 3
-
-
 def test_an_earlier_response_goes_and_what_is_anothers_stays(home, monkeypatch):
     folder = home / "response"
     earlier = {"history_2.png", "loops_2.png", "sweep.png", "sweep.csv"}

@@ -9,7 +9,6 @@ import urllib.error
 import urllib.request
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 
 from tests.command_line import said
@@ -72,23 +71,34 @@ def test_what_cannot_be_served_is_one_sentence():
         assert offender in said("serve", *words, code=2)
 
 
-def test_a_run_gives_its_log_posterior_to_a_client_of_the_protocol(out, run):
-    umbridge = pytest.importorskip("umbridge", reason="needs the extra umbridge")
-    first, test, *_ = run.tests.values()
-    config, posterior = {"test": test.id}, test.posterior
+def test_a_run_gives_its_log_posterior_and_its_force(out, run):
+    test = list(run.tests.values())[1]
+    posterior = test.posterior
+    q = posterior.coordinates(test.stored.values())[:1]
+    drawn = posterior.values(q)
+    theta = posterior.theta(drawn)
+    expected = {
+        "posterior": (q, posterior.log_prob(q)),
+        "values": (q, [drawn[name][0] for name in posterior.names]),
+        "forward": (theta, posterior.model.force(theta, test.trace)[0]),
+    }
     with served(out) as (address, said):
-        models = umbridge.supported_models(address)
-        assert models == ["posterior", "values", "forward"]
-        density, values, forward = (umbridge.HTTPModel(address, name) for name in models)
-        q = posterior.coordinates(test.stored.values())[:1]
-        drawn = posterior.values(q)
-        theta = posterior.theta(drawn)
-        assert density.get_input_sizes(config) == [posterior.dim]
-        assert density(q.tolist(), config)[0] == pytest.approx(posterior.log_prob(q))
-        (named,) = values(q.tolist(), config)
-        assert named == pytest.approx([drawn[name][0] for name in posterior.names])
-        (force,) = forward(theta.tolist(), config)
-        assert force == pytest.approx(posterior.model.force(theta, test.trace)[0])
-        far = np.full(first.posterior.dim, 1e9).tolist()
-        assert density([far])[0] == [-1e300]  # of the first test
-        assert f"q({first.posterior.names[0]})" in said
+        with urllib.request.urlopen(f"{address}/Info", timeout=60) as answer:
+            assert json.load(answer)["models"] == [*expected]
+        for name, (point, values) in expected.items():
+            words = {"name": name, "config": {"test": test.id}}
+            assert ask(address, "InputSizes", **words) == {"inputSizes": [point.size]}
+            (answer,) = ask(address, "Evaluate", input=point.tolist(), **words)["output"]
+            assert answer == pytest.approx(values)
+        far = {"name": "posterior", "input": [[1e9] * posterior.dim]}
+        assert ask(address, "Evaluate", **far)["output"] == [[-1e300]]  # of the first test
+        assert f"q({posterior.names[0]})" in said
+        assert "no test" in refusal(address, "Evaluate", config={"test": "no"}, **far)[1]
+
+
+def test_a_client_of_the_protocol_is_answered():
+    umbridge = pytest.importorskip("umbridge", reason="needs the extra umbridge")
+    with served("lugre", *SINE) as (address, _):
+        assert umbridge.supported_models(address) == ["forward"]
+        (force,) = umbridge.HTTPModel(address, "forward")([THETA])
+        assert max(force) == pytest.approx(2.0, rel=0.1)

@@ -88,23 +88,3 @@ def test_a_file_that_grows_is_followed_to_its_end(words, tests):
     assert len(growing.stdout.splitlines()) == CYCLES
     # the same as of the finished file, but for the draws of the band
     assert growing.stdout.split("band")[0] == of_whole.split("band")[0]
-
-
-@pytest.mark.slow
-def test_intervals_narrow_and_hold_the_slip_force_of_the_test(run, tests):
-    motion, forces, slips = tests
-    inside, narrower = 0, []
-    for force, slip in zip(forces[:8], slips, strict=False):
-        follower, begin, known = run.follow(1.0, amplitude=1.0, velocity=np.pi), 0, []
-        for number, end in enumerate(motion.cycle_turns[2::2], start=1):
-            part = slice(begin, end + 1)
-            follower.update(motion.time[part], motion.displacement[part], None, force[part])
-            begin = end + 1
-            known.append(follower.estimates(number)[SLIP])
-        first, last = known[0], known[-1]
-        narrower.append((last.upper - last.lower) / (first.upper - first.lower))
-        assert last.narrowing < first.narrowing
-        inside += last.lower <= slip <= last.upper
-    # of eight intervals of 95 %, fewer than four hold their value with a probability of 2e-5
-    assert inside >= 4
-    assert np.median(narrower) < 0.95  # one may widen: another slip force widens an interval too

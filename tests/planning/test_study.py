@@ -1,4 +1,4 @@
-"""Advice on populations of given values, whose best next tests are known."""
+"""Advice on populations of given values, whose best next tests have closed forms."""
 
 from dataclasses import replace
 
@@ -9,7 +9,15 @@ from mfd_bayes.calibration.posterior import find_noise
 from mfd_bayes.errors import CampaignError, NotThereError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
-from mfd_bayes.planning.study import Devices, Loop, advise
+from mfd_bayes.planning.study import (
+    Devices,
+    Goals,
+    Loop,
+    advise,
+    directions_of,
+    fit_left_out,
+    gain_of,
+)
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import Setting, setting_of
 from tests.population.made import THREE_STAGE, make_population, no_residual
@@ -121,16 +129,6 @@ def test_tests_that_tell_nothing_promise_nothing():
     assert ask(situation, goal, *tell, draws=600).together[0].reduction > 0.3
 
 
-def test_scatter_of_a_single_test_is_not_reduced():
-    situation = make_situation(level=0.03, scatter=0.09)
-    at = parse_goal("band at 900|1000 psi", "ksi").at
-    device, new_test = (
-        ask(situation, Goal(kind=kind, at=at), draws=800)[0] for kind in ("device", "new_test")
-    )
-    assert new_test.reduction < 0.02  # of its variance only a tenth is the law's
-    assert device.reduction > 0.025
-
-
 def test_a_repeat_is_worth_little_where_the_exponent_is_unknown():
     far = parse_goal("slip at 1500 psi, 0.5 Hz, 1 in", "ksi")
     elsewhere = Candidate(1.5, 0.5, 1.0)
@@ -223,3 +221,50 @@ def test_a_loop_is_a_full_stroke_and_then_a_full_loop(waveform):
     assert x.size < 70
     fastest = np.abs(loop.trace.velocity).max()
     assert fastest == pytest.approx(Candidate(1.0, 0.5, 1.0, waveform=waveform).speed, rel=0.02)
+
+
+# --- remaining variance and information where both have a closed form
+
+MANY = 20_000
+
+
+def linear_gaussian(seed, noise):
+    """Draws of goals A u and of summaries B u + noise of standard normal u (6,).
+
+    And the covariance of the goals before and after the summaries are known.
+    """
+    rng = np.random.default_rng(seed)
+    a, b = np.linalg.qr(rng.standard_normal((6, 3)))[0].T, rng.standard_normal((5, 6))
+    sd, u = noise * rng.uniform(0.5, 2.0, 5), rng.standard_normal((MANY, 6))
+    summaries = u @ b.T + sd * rng.standard_normal((MANY, 5))
+    before = a @ a.T
+    after = before - a @ b.T @ np.linalg.inv(b @ b.T + np.diag(sd**2)) @ b @ a.T
+    return u @ a.T, summaries, before, after
+
+
+def judged(goals, summaries):
+    left = fit_left_out(goals, directions_of(summaries))
+    return gain_of(Goals(goals), left, np.random.default_rng(0)), left
+
+
+@pytest.mark.parametrize("noise", [0.3, 3.0])
+def test_a_linear_gaussian_population_gives_its_closed_form(noise):
+    for seed in range(3):
+        goals, summaries, before, after = linear_gaussian(seed, noise)
+        gain, left = judged(goals, summaries)
+        reduction = 1.0 - np.sqrt(np.diag(after)).sum() / np.sqrt(np.diag(before)).sum()
+        assert abs(gain.reduction - reduction) < 4.0 * gain.error + 0.005  # which a penalty costs
+        information = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
+        assert abs(gain.information - information) < 4.0 * gain.information_error
+        closed = np.diag(after) / np.diag(before)
+        share = left.var(axis=0) / goals.var(axis=0)
+        np.testing.assert_allclose(share, closed, rtol=4.0 * np.sqrt(4.0 / MANY))
+
+
+def test_a_test_that_tells_nothing_has_no_gain():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        goals = rng.standard_normal((1000, 2))
+        gain, _ = judged(goals, rng.standard_normal((1000, 8)))
+        assert 0.0 <= gain.reduction < 0.004
+        assert 0.0 <= gain.information < 0.01

@@ -96,11 +96,3 @@ def test_tests_without_actuation_inform_a_law_with_an_intercept_alone(priors):
     assert np.median(found.values(0)["Fc_fwd"]) == pytest.approx(0.4, rel=0.3)
     informs = design.informs[0, [design.names.index(name) for name in ("Fc_fwd", "Fc_bwd")]]
     assert informs.tolist() == [False, True]
-
-
-def test_sessions_that_differ_are_told_from_scatter(priors):
-    lucks = np.repeat([0.15, -0.15], 2)
-    tests = made_tests(priors, "lugre", (0.5, 1.5) * 2, lucks)
-    found = infer(priors, tests, sessions={f"t{i}": "ab"[i // 2] for i in range(4)}).population
-    scatter = np.median(found.scatters["Fc_fwd"])
-    assert np.median(found.effect_sds["session_friction"]) > 2.0 * scatter

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import linalg, special, stats
 
-from mfd_bayes.population.design import LAW_NAMES, Setting, design_of, levels_of
+from mfd_bayes.population.design import (
+    LAW_NAMES,
+    LAWS,
+    Coordinates,
+    Setting,
+    design_of,
+    levels_of,
+    ratio,
+)
 from mfd_bayes.population.mixed_model import (
     MixedModel,
     TestGaussians,
@@ -15,7 +23,7 @@ from mfd_bayes.population.mixed_model import (
 )
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
-LAWS = {"Fc_fwd": "power", "sigma0": "affine"}
+SOME_LAWS = {"Fc_fwd": "power", "sigma0": "affine"}
 CONDITIONS = [  # actuation, session, half the stroke
     (0.5, "a", 1.0), (1.0, "a", 0.5), (2.0, "a", 1.0), (1.0, "b", 2.0), (2.0, "b", 0.7),
     (0.5, "b", 1.5),
@@ -23,7 +31,7 @@ CONDITIONS = [  # actuation, session, half the stroke
 SETTINGS = [Setting(p, s, {"amplitude": x, "velocity": 3.0 * x}) for p, s, x in CONDITIONS]
 
 
-def design(priors, settings=SETTINGS, names=NAMES, laws=LAWS, dependence=None):
+def design(priors, settings=SETTINGS, names=NAMES, laws=SOME_LAWS, dependence=None):
     found = design_of(priors, names, settings, laws, dependence or {"Fc_fwd": ("amplitude",)})
     return replace(found, common=np.array([name == "k3" for name in names]))
 
@@ -258,54 +266,105 @@ def test_a_law_that_predicts_the_levels_left_out_is_preferred(priors):
     assert compare_laws(two) == ()
 
 
-# --- devices and dates
-
-TESTS = 6  # of each of eight devices
-TESTED = [Setting(1.0, "", {}, f"no. {d}") for d in range(8) for _ in range(TESTS)]
-
-
-def learned(priors, tested, values, dependence=None):
-    """Draws of h and z of ln Fc_fwd of tests, known to 0.2 %, and the design."""
-    laws = {"Fc_fwd": "proportional"}
-    design = design_of(priors, ("Fc_fwd",), tested, laws, dependence)
-    design = replace(design, leveled=False)
-    y = (np.asarray(values) / design.spread[0])[:, None]
-    precision = np.full((len(tested), 1, 1), (design.spread[0] / 0.002) ** 2)
-    mixed = MixedModel(design, y, precision)
-    choice, rng = np.array([0]), np.random.default_rng(1)
-    h = mixed.sample(choice, rng, 2000)
-    return design, h, mixed.marginal(h, choice)[1].draw(rng)
-
-
-def test_the_scatter_of_devices_and_that_of_tests_are_told_apart(priors):
-    rng = np.random.default_rng(0)
-    devices, noise = rng.normal(0.0, 0.15, 8), rng.normal(0.0, 0.02, 8 * TESTS)
-    design, h, z = learned(priors, TESTED, np.repeat(devices, TESTS) + noise)
-    tau, omega = np.exp(np.quantile(h, [0.0, 1.0], axis=0)).T  # of all draws
-    assert tau[0] < 0.02 < tau[1]
-    assert omega[0] < devices.std(ddof=1) < omega[1]
-    effects = z[:, design.columns(0)[0]] + z[:, [0]] * design.spread[0]
-    np.testing.assert_allclose(effects.mean(axis=0), devices, atol=0.03)
-    # the control: devices that do not differ
-    _, h, _ = learned(priors, TESTED, np.random.default_rng(2).normal(0.0, 0.05, len(TESTED)))
-    tau, omega = np.exp(np.median(h, axis=0))
-    assert omega < tau
-    design, *_ = learned(priors, TESTED[:TESTS], np.zeros(TESTS))  # of one device
-    assert design.effects == ()
+# --- dates
 
 
 def test_a_drift_is_found_where_there_is_one(priors):
     rng, years = np.random.default_rng(3), np.repeat(2020.0 + np.arange(5.0), 3)
-    tested = [Setting(1.0, "", {"date": year}) for year in years]
-    slopes = []
+    tested, slopes = [Setting(1.0, "", {"date": year}) for year in years], []
+    laid = design(priors, tested, ("Fc_fwd",), {"Fc_fwd": "proportional"}, {"Fc_fwd": ("date",)})
+    laid = replace(laid, leveled=False)
     for rate in (-0.04, 0.0):
         values = rate * (years - 2022.0) + rng.normal(0.0, 0.02, years.size)
-        design, _, z = learned(priors, tested, values, {"Fc_fwd": ("date",)})
+        precision = np.full((years.size, 1, 1), (laid.spread[0] / 0.002) ** 2)
+        mixed = MixedModel(laid, values[:, None] / laid.spread[0], precision)
+        h = mixed.sample(np.array([0]), np.random.default_rng(1), 2000)
+        z = mixed.marginal(h, np.array([0]))[1].draw(rng)
         slopes.append((np.mean(z[:, 1] / 4.0), np.std(z[:, 1] / 4.0)))  # of four years
     (drift, error), (none, wide) = slopes
     assert abs(drift + 0.04) < 4.0 * error
     assert drift + 4.0 * error < 0.0
     assert abs(none) < 4.0 * wide
-    assert design.changed("date", Setting(1.0)) == pytest.approx(0.5)  # the latest one
+    assert laid.changed("date", Setting(1.0)) == pytest.approx(0.5)  # the latest one
     later = Setting(1.0, "", {"date": 2030.0})
-    assert design.changed("date", later) == pytest.approx(2.0)
+    assert laid.changed("date", later) == pytest.approx(2.0)
+
+
+# --- laws, and the coordinates in which tests are compared
+
+SOME = {"share": 0.3, "exponent": 0.6}
+
+
+def at(law: str, relative: np.ndarray, **free: float) -> np.ndarray:
+    """Ratio of a law by name, with the given share and exponent where they are free."""
+    share, exponent = (
+        np.array(getattr(LAWS[law], s) if getattr(LAWS[law], s) is not None else (SOME | free)[s])
+        for s in ("share", "exponent")
+    )
+    return ratio(relative, share, exponent)
+
+
+def test_laws_are_their_formulas():
+    relative = np.array([0.2, 0.5, 1.0, 3.0])
+    np.testing.assert_allclose(at("proportional", relative), relative)
+    np.testing.assert_allclose(at("affine", relative, share=0.7), 0.3 + 0.7 * relative)
+    np.testing.assert_allclose(at("power", relative, exponent=1.7), relative**1.7)
+    np.testing.assert_array_equal(at("constant", relative), 1.0)
+    residual = at("residual_power", relative, share=0.7, exponent=1.4)
+    np.testing.assert_allclose(residual, 0.3 + 0.7 * relative**1.4)
+    with np.errstate(all="raise"):
+        assert np.isfinite(ratio(np.array([1e10]), np.array([1.0]), np.array([40.0])))
+    for law, left in zip(LAWS, (0.0, 0.7, 0.0, 1.0, 0.7), strict=True):  # without actuation
+        with np.errstate(all="raise"):
+            assert at(law, np.zeros(1)) == pytest.approx(left)
+        assert LAWS[law].intercept == (left > 0.0)
+
+
+# --- coordinates
+
+EVERY = ("sigma0", "Fc_fwd", "Fc_bwd", "static_excess_fwd", "static_excess_bwd", "k3", "d2", "d3")
+EVERY = (*EVERY, "v_s", "offset")
+SPEED = 0.6
+SUBSETS = (EVERY, ("Fc_fwd", "static_excess_fwd"), ("d3", "offset"))  # without speeds, or a gap
+
+
+def coordinates(priors, names=EVERY):
+    return Coordinates(names, {n: priors.parameters[n] for n in names}, SPEED)
+
+
+def draw(priors, names=EVERY, n=50):
+    rng = np.random.default_rng(1)
+    return {name: priors.parameters[name].draw(rng, n) for name in names}
+
+
+@pytest.mark.parametrize("names", SUBSETS)
+def test_prior_units_are_those_of_the_prior_and_the_change_has_determinant_one(priors, names):
+    shared, values = coordinates(priors, names), draw(priors, names)
+    back = shared.values(shared.of(values))
+    for name in names:
+        np.testing.assert_allclose(back[name], values[name], rtol=1e-9, atol=1e-12)
+    x = shared.of(draw(priors, names, 4000))
+    np.testing.assert_allclose(x.mean(axis=0), 0.0, atol=4.0 * np.sqrt(2.0 / 4000))
+    np.testing.assert_allclose(x.std(axis=0), 1.0, atol=0.1)
+    for one in x[:5]:
+        steps = 1e-5 * np.eye(len(names))
+        jacobian = (
+            (shared.of_priors(one + steps) - shared.of_priors(one - steps)) / 2e-5 / shared.spread
+        )
+        assert abs(np.linalg.det(jacobian)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_slip_forces_at_a_common_speed_and_the_width_of_the_gap_are_compared(priors):
+    shared, values = coordinates(priors), draw(priors)
+    q = shared.centre + shared.spread * shared.of(values)
+    stribeck = np.exp(-((SPEED / values["v_s"]) ** 2))
+    for side in ("fwd", "bwd"):
+        slip = values[f"Fc_{side}"] * (1.0 + values[f"static_excess_{side}"] * stribeck)
+        np.testing.assert_allclose(np.exp(q[:, EVERY.index(f"Fc_{side}")]), slip, rtol=1e-10)
+        assert np.max(np.abs(slip / values[f"Fc_{side}"] - 1.0)) > 0.05
+    width, share = (np.exp(q[:, EVERY.index(name)]) for name in ("d2", "d3"))
+    np.testing.assert_allclose(width, values["d2"] + values["d3"], rtol=1e-10)
+    np.testing.assert_allclose(share, values["d3"] / values["d2"], rtol=1e-10)
+    for name in ("sigma0", "v_s", "static_excess_fwd", "k3", "offset"):
+        own = priors.parameters[name].coordinate(values[name])
+        np.testing.assert_allclose(q[:, EVERY.index(name)], own, rtol=1e-10, atol=1e-12)

@@ -1,11 +1,13 @@
-"""Bands of populations of given values: laws, levels, sessions, sources and whole curves."""
+"""Bands of populations of given values: laws, levels, sessions, sources, curves and starts."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from mfd_bayes.errors import FitError, NotThereError
+from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import (
     ADVICE,
     Forecast,
@@ -13,6 +15,7 @@ from mfd_bayes.population.bands import (
     whole_band,
 )
 from mfd_bayes.population.design import setting_of, with_zeros
+from mfd_bayes.population.population import SHAPES, Ending, Starts
 from mfd_bayes.records.trace import Trace
 from tests.population.made import THREE_STAGE, make_predictor, no_residual
 
@@ -79,19 +82,6 @@ def test_the_named_law_gives_the_median_and_its_slope():
         population.median("zz", 1.0)
     with pytest.raises(FitError, match="actuation must be finite numbers of at least 0"):
         population.ratio("Fc_fwd", [1.0, -1.0])
-
-
-def test_levels_deviate_from_the_laws_less_where_tests_are_near():
-    made = predictor(
-        {"Fc_fwd": "power"}, effect={"level_friction": 0.1}, scatter=1e-9, level_sd=0.0
-    )
-    forecast = Forecast("device", draws=DRAWS)
-    tested, between, far = (
-        spread(made.predict(motion(p), forecast)) for p in (1.0, 1.4, 2.0 * 1.9)
-    )
-    assert tested < 1e-6  # its effect is known, and 0 here
-    assert 0.005 < between < 0.05
-    assert far > 1.3 * between
 
 
 # --- a test without actuation, and one whose actuation changes
@@ -193,15 +183,6 @@ def test_the_kinds_are_nested_and_an_observation_has_its_noise():
     np.testing.assert_allclose(sds, 0.2, rtol=5.0 / np.sqrt(2.0 * DRAWS))
 
 
-def test_the_same_seed_gives_the_same_draws_and_another_does_not():
-    made = predictor()
-    one, again, other = (made.predict(motion(), Forecast(draws=20, seed=s)) for s in (1, 1, 2))
-    np.testing.assert_array_equal(one.draws, again.draws)
-    assert np.any(one.draws != other.draws)
-    with pytest.raises(ValueError, match="read-only"):
-        one.draws[0, 0] = 1.0
-
-
 def test_a_band_of_whole_curves_holds_its_share_of_new_ones():
     rng, probability = np.random.default_rng(5), 0.95
     drawn, fresh = (np.cumsum(rng.standard_normal((4000, 40)), axis=1) for _ in "ab")
@@ -234,16 +215,6 @@ def test_each_source_of_the_width_is_named_by_what_varies():
     assert noise.predict(motion(), Forecast("observation", draws=200)).shares["noise"] > 0.5
 
 
-def test_one_calibrated_test_is_repeated_with_its_own_parameters():
-    made = predictor(level_sd=0.2, scatter=0.3)
-    own = {n: np.full(50, v) for n, v in THREE_STAGE.items()} | {"start": np.full(50, 0.5)}
-    own["Fc_fwd"] = 2.0 * np.exp(0.01 * np.random.default_rng(1).standard_normal(50))
-    band = made.repeat(motion(), Forecast("this_test", draws=400), own)
-    assert np.median(band.values["Fc_fwd"]) == pytest.approx(2.0, rel=0.01)
-    assert spread(band) < 0.02
-    assert "posterior draws of this test" in band.source
-
-
 def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
     knots = np.full(32, 0.1)
     plain, shifted = (
@@ -257,13 +228,79 @@ def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
         assert np.abs(difference).max() == pytest.approx(0.1 * level, rel=0.1)
 
 
-def test_what_cannot_be_asked_of_a_prediction_is_named():
-    for name, value in (
-        ("kind", "all"),
-        ("probability", 1.0),
-        ("draws", 9),
-        ("session", 5),
-        ("whole", "no"),
-    ):
-        with pytest.raises(FitError, match=name):
-            Forecast(**{name: value})
+# --- where new tests begin: what repeats say holds for repeats alone
+
+LONG = np.arange(300) / 50.0
+SINE = Trace.from_arrays(LONG, np.sin(np.pi * LONG), 1.0)
+
+
+def test_another_kind_or_stroke_never_begins_as_repeats_did():
+    weights = np.zeros((2, SHAPES.size))
+    weights[1, -1] = 1.0  # as of many tests that began exactly where their motions end
+    tested = [replace(setting_of(SINE), actuation=p) for p in (0.5, 1.0, 2.0)]
+    made = predictor(tested=tested, scatter=1e-9, level_sd=0.0, starts=Starts(weights))
+
+    def uniformity(x):
+        trace = Trace.from_arrays(LONG, x, 1.0)
+        drawn = made.draw(trace, Forecast(draws=DRAWS), np.random.default_rng(1))
+        return stats.kstest(drawn.unshared["start"], "uniform").pvalue
+
+    sine = np.sin(np.pi * LONG)
+    assert uniformity(sine) < 1e-20  # the control
+    fading = sine * np.exp(-0.6 * LONG)  # with few full strokes
+    fading *= 2.0 / np.ptp(fading)
+    setting = setting_of(Trace.from_arrays(LONG, fading, 1.0)).covariates
+    full = setting_of(SINE).covariates["full_strokes"]
+    assert abs(setting["full_strokes"] - full) > 0.25  # it differs in kind alone
+    assert setting["amplitude"] == pytest.approx(1.0, rel=0.01)
+    for motion in (1.3 * sine, 0.8 * sine, fading):
+        assert uniformity(motion) > 1e-4
+
+
+def test_starts_that_are_learned_of_are_those_of_the_tests():
+    left = np.array([0.2, 0.7, 0.35, 0.6, 0.8, 0.3])
+    numbers = np.random.default_rng(2).standard_normal((DRAWS, 2))
+
+    def places(begun, ends):
+        starts = Starts.learned(np.tile(begun, (100, 1)), ends, [None] * begun.size)
+        found = starts.place(numbers, 0.75, None, repeat=True)
+        return np.median(found), np.mean(np.abs(found - 0.75) < 0.15)
+
+    middle, near = places(left + np.array([0.03, -0.02, 0.01, 0.0, -0.03, 0.02]), left)
+    assert middle == pytest.approx(0.75, abs=0.06)
+    assert near > 0.6
+    assert places(np.full(6, 0.5), None)[0] == pytest.approx(0.5, abs=0.03)
+    assert places(1.0 - left, left)[1] < 0.4  # the control: they began elsewhere
+    assert places(left[:1] + 0.03, left[:1])[1] < near  # one test says less than six
+
+
+def test_tests_that_began_without_load_make_others_begin_without_load():
+    begun = np.tile([0.45, 0.5, 0.55], (200, 1))
+    ends = [(np.full(200, 0.4), np.full(200, 0.6))] * 3
+    learned = Starts.learned(begun, None, ends)
+    assert 0.75 < learned.unloaded <= 0.95
+    loaded = Starts.learned(np.tile([0.1, 0.9, 0.05], (200, 1)), None, ends)
+    assert loaded.unloaded < 0.05
+    numbers = np.random.default_rng(4).standard_normal((DRAWS, 2))
+    ends = np.full(DRAWS, 0.4), np.full(DRAWS, 0.6)
+    found = learned.place(numbers, None, ends, repeat=False)
+    inside = np.mean((found >= 0.4) & (found <= 0.6))
+    expected = learned.unloaded + 0.2 * (1.0 - learned.unloaded)
+    assert abs(inside - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / DRAWS)
+
+
+@pytest.mark.parametrize("name", ["three_stage", "backlash"])
+def test_a_test_that_follows_begins_where_the_one_before_ended(priors, name):
+    model = find_model(name)
+    typical = {
+        q.name: np.full(50, priors.parameters[q.name].typical)
+        for q in model.quantities
+        if q.name in priors.parameters
+    }
+    values = {"gamma1": np.ones(50), **typical, "start": np.linspace(0.05, 0.95, 50)}
+    ending = Ending.of(model, "a", SINE, values)
+    again = ending.starts(model, model.theta(values), SINE, seed=1)
+    assert np.ptp(again) < 0.05  # full strokes forget where they began
+    assert "test a ended" in ending.words
+    moved = ending.moved(model, [0.0, 0.6, -0.6]).starts(model, model.theta(values), SINE, seed=1)
+    assert np.abs(np.median(moved) - np.median(again)) > 0.02  # the control

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import warnings
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -63,20 +61,7 @@ def stored(tmp_path_factory, population):
     return path
 
 
-@pytest.fixture
-def path(stored, tmp_path):
-    return shutil.copy(stored, tmp_path / "population.nc")
-
-
-def change(path, **facts):
-    """The facts of a stored file changed; those that become None are left out."""
-    with h5py.File(path, "r+") as file:
-        found = json.loads(file["posterior"].attrs["facts"]) | facts
-        kept = {name: value for name, value in found.items() if value is not None}
-        file["posterior"].attrs["facts"] = json.dumps(kept)
-
-
-def test_predictions_come_back_bit_by_bit(population, stored, priors):
+def test_predictions_and_what_tables_show_come_back_bit_by_bit(population, stored, priors):
     back = load_population(stored, priors)
     for actuation, kind, session in (
         (0.8, "device", "b"),
@@ -90,10 +75,6 @@ def test_predictions_come_back_bit_by_bit(population, stored, priors):
         )
         np.testing.assert_array_equal(first.draws, again.draws)
         assert np.all(np.isfinite(first.draws))
-
-
-def test_what_tables_show_comes_back(population, stored, priors):
-    back = load_population(stored, priors)
     for what in ("slopes", "scatters", "effect_sds", "dependences"):
         assert getattr(back, what).keys() == getattr(population, what).keys() != set()
         for name, values in getattr(population, what).items():
@@ -104,19 +85,8 @@ def test_what_tables_show_comes_back(population, stored, priors):
         np.testing.assert_array_equal(getattr(back.convergence, name), values)
 
 
-def test_arviz_reads_the_file_by_the_papers_names(stored, population):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz as az
-    data = az.from_netcdf(stored)
-    slope = data.posterior["K_c_bwd"]
-    assert slope.dims == ("chain", "draw")
-    np.testing.assert_array_equal(slope, population.slopes["K_c_bwd"])
-    for name in ("scatter_Fc_fwd", "deviation_level_friction", "deviation_session_friction"):
-        assert data.posterior[name].dims == ("chain", "draw")
-
-
-def test_facts_that_do_not_fit_together_are_refused(stored, path, priors):
+def test_facts_that_do_not_fit_together_are_refused(stored, tmp_path, priors):
+    path = tmp_path / "population.nc"
     for key, value in (
         ("format", "mixed model 0"),
         ("names", ["sigma0"]),
@@ -126,17 +96,10 @@ def test_facts_that_do_not_fit_together_are_refused(stored, path, priors):
         ("r_hat", None),
     ):
         shutil.copy(stored, path)
-        change(path, **{key: value})
+        with h5py.File(path, "r+") as file:
+            facts = json.loads(file["posterior"].attrs["facts"]) | {key: value}
+            kept = {name: fact for name, fact in facts.items() if fact is not None}
+            file["posterior"].attrs["facts"] = json.dumps(kept)
         words = "another version.*run mfd-bayes calibrate" if key == "format" else "is damaged"
         with pytest.raises(StoreError, match=rf"population\.nc.* {words}"):
             load_population(path, priors)
-
-
-def test_what_is_no_such_file_is_refused(path, priors, tmp_path):
-    with pytest.raises(StoreError, match=r"nothing\.nc does not exist"):
-        load_population(tmp_path / "nothing.nc", priors)
-    whole = Path(path).read_bytes()
-    for text in (b"", b"time_s,force_kip\n0,1\n", whole[: len(whole) // 2]):
-        (tmp_path / "bad.nc").write_bytes(text)
-        with pytest.raises(StoreError, match=r"bad\.nc"):
-            load_population(tmp_path / "bad.nc", priors)

@@ -12,8 +12,6 @@ import signal
 import struct
 import sys
 import threading
-import time
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -152,9 +150,6 @@ LAYOUTS = {
     "free text, tabs, decimal commas": layout(
         text(TITLE + lines("\t", ","), suffix=".asc"), 1, 2, 3, units=UNITS
     ),
-    "free text, then blanks": layout(
-        text(TITLE + lines("   "), suffix=".txt"), 1, 2, 3, units=UNITS
-    ),
     "semicolons, decimal commas": layout(
         text("Zeit [s];Weg [mm];Kraft [N]\n" + lines(";", ",")), "Zeit [s]", "Weg [mm]", "Kraft [N]"
     ),
@@ -170,7 +165,6 @@ LAYOUTS = {
     "quoted cells with commas in names": layout(
         quoted, "Time (s)", "Stroke (mm)", "Load, axial (N)"
     ),
-    "pandas' index without a name": layout(text(FRAME.to_csv())),
     "LabVIEW's .lvm": layout(
         text(LVM + "X_Value\tStroke\tLoad\tComment\n" + lines("\t"), suffix=".lvm"),
         *("X_Value", "Stroke", "Load"),
@@ -260,6 +254,7 @@ def test_numbers_of_text_come_back_to_the_last_bit(
     [
         ("a,note\n1,first\n2,\n", {"a": [1, 2]}),
         ("a;b\n0,5;\N{MINUS SIGN}3,1\n0,25;2\n", {"a": [0.5, 0.25], "b": [-3.1, 2]}),
+        ('a,b\n"0,5","-3,1"\n"0,25","2"\n', {"a": [0.5, 0.25], "b": [-3.1, 2]}),
         ("a  b\n0,5  -3,1\n0,25  2\n", {"a": [0.5, 0.25], "b": [-3.1, 2]}),
         ("a\tb\t\n0,125\t12,500\t\n2,250\t3\t\n", {"b": [12.5, 3]}),
         ("a,b\n1D-02,2d3\n1e4294967290,1\n", {"b": [2000, 1]}),
@@ -278,21 +273,16 @@ def test_numbers_of_other_countries_and_programs_are_read(tmp_path, content, exp
 LONG = 2**17
 TEXTS = {
     "text": ("# note\na,b\n1,2\n\n3,oops\n4,5\n", "ab", ["line 5", "'b'", "'oops'"]),
-    "nan": ("a,b\n1,2\nnan,3\n", "a", ["line 3", "'nan'"]),
-    "no cell": ("a,b\n1,2\n,3\n", "a", ["line 3"]),
     "an underscore": ("a,b\n1,2\n1_0,3\n", "a", ["line 3", "'1_0'"]),
     "a short line": ("a,b\n1,2\n3\n", "b", ["line 3", "'b'"]),
     "a long line": ("a,b\n1,2\n3,4,5\n", "a", ["line 3", "line 1"]),
-    "a short line of blanks": ("a b\n1 2\n3\n", "a", ["line 3"]),
     "an open quotation": ('a,b\n0,"1\n1,2\n', "a", ["line 2", "quotation mark"]),
     "no such column": ("time_s,b\n0,1\n", "a", ["'a'", "time_s, b"]),
     "a name twice": ("a,a\n1,2\n", "a", ["{ column = 1 } or { column = 2 }"]),
-    "comments alone": ("\n# only\n\n", "a", ["empty"]),
     "no names": ("1,2\n3,4\n", "a", ["{ column = 1 }"]),
-    "words for names": ("Axial Force Time\n1 2\n3 4\n", "a", ["{ column = 1 }"]),
     "names alone": ("a,b\n", "a", ["no data"]),
     "bytes": (bytes(range(256)), "a", ["UTF-8"]),
-    "thousands": ('a,b\n1,"1,234.5"\n2,"1,234"\n', "b", ["line 2", "thousands"]),
+    "thousands": ('a,b\n1,"1,234.5"\n2,"1,234"\n', "b", ["'1,234'", "thousands"]),
     "a comma for both": ("a\tb\n1,125\t12,500\n2,250\t3\n", "b", ["'1,125'"]),
     "points and commas": ("a;b\n1;2\n0,125;1.5\n", "ab", ["line 3", "points and commas"]),
     "thousands and decimals": ("a;b\n0,5;1\n0,25;1.234,5\n", "ab", ["line 3", "'1.234,5'"]),
@@ -306,9 +296,7 @@ JSONS = {
     "cut": ("{", "a", ["JSON"]),
     "a number": ("3", "a", ["object of lists"]),
     "no columns": ("{}", "a", ["no columns"]),
-    "numbers": ("[1, 2]", "a", ["row 1"]),
     "text": ('{"a": [1, "x"]}', "a", ["sample 2", "'x'"]),
-    "true": ('{"a": [1, true]}', "a", ["sample 2"]),
     "NaN": ('{"a": [1, NaN]}', "a", ["sample 2"]),
     "too large": ('{"a": [1, 1' + "0" * 400 + "]}", "a", ["sample 2"]),
     "other rows": ('{"a": {"0": 1}, "b": {"1": 1}}', "ab", ["'b'"]),
@@ -337,6 +325,17 @@ def test_files_that_are_none_are_refused_and_nothing_is_unpickled(tmp_path):
         path.unlink()
         path.mkdir()
         refusal(path)
+
+
+def test_a_small_file_that_declares_much_is_refused(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file.create_dataset("force", (1_250_000_000,), "f8")  # 10 GB
+    assert "needs more than 2 GB" in refusal(tmp_path / "a.mat", ["force"])
+    for content, words in (
+        ("[" + "[]," * 2_000_000 + "[]]", "1,000,000 lists"),
+        (json.dumps([{f"c{i}": i} for i in range(200_000)]), "200,000 columns"),
+    ):
+        assert words in refusal(put(tmp_path, content, "a.json"))
 
 
 def test_a_missing_library_is_named(tmp_path, monkeypatch):
@@ -464,35 +463,13 @@ def test_the_file_itself_is_read_and_not_an_index_beside_it(tmp_path):
 # --- all formats
 
 
-def test_bad_cells_outside_the_window_do_not_matter_in_any_format(tmp_path):
-    load = np.where(TIME == 6.0, np.nan, FORCE)
-    path = matlab({"t_s": TIME, "x_mm": TRAVEL, "f_N": load})(tmp_path)
-    roles = {"time": "t_s", "displacement": "x_mm", "force": "f_N"}
-    record = mb.read_record(path, roles, UNITS, fit="0 s to 5 s")
-    assert record.time.size == 300
-    assert "outside" in record.doubts[0]
-    with pytest.raises(RecordError, match="'f_N'"):
-        mb.read_record(path, roles, UNITS, fit="0 s to 7 s")
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="a process is copied as on Linux")
-def test_binary_files_are_read_in_a_process_that_may_die_and_beside_threads(tmp_path, monkeypatch):
-    columns, roles = {"t_s": TIME, "x_mm": TRAVEL}, {"time": "t_s", "displacement": "x_mm"}
-    pd.DataFrame(columns).to_excel(tmp_path / "a.xlsx", index=False)
-    tdms(*(("G", name, values) for name, values in columns.items()))(tmp_path)
-    matlab(columns)(tmp_path)
-    done = threading.Event()
-    for suffix in ("xlsx", "tdms", "mat"):
-        alone = mb.read_record(tmp_path / f"a.{suffix}", roles)
-        thread = threading.Thread(target=done.wait)
-        thread.start()
-        beside = mb.read_record(tmp_path / f"a.{suffix}", roles)
-        done.set()
-        thread.join()
-        done.clear()
-        np.testing.assert_array_equal(alone.displacement, beside.displacement)
+def test_binary_files_are_read_beside_threads_in_a_process_that_may_die(tmp_path, monkeypatch):
+    path, done = matlab({"t_s": TIME, "x_mm": TRAVEL})(tmp_path), threading.Event()
+    thread = threading.Thread(target=done.wait)
+    thread.start()
+    np.testing.assert_array_equal(read_table(path).columns(["x_mm"])["x_mm"], TRAVEL)
+    done.set()
+    thread.join()
     monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: os.kill(os.getpid(), signal.SIGSEGV))
-    refusal(tmp_path / "a.mat")
-    monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: time.sleep(60))
-    monkeypatch.setattr("mfd_bayes.records.readers.SECONDS", 0.2)
-    assert "0.2 s" in refusal(Path(tmp_path / "a.mat"))
+    refusal(path)

@@ -4,13 +4,19 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from mfd_bayes import Trace, read_record
 from mfd_bayes.cli.commands import app
-from mfd_bayes.records.loops import MeasuredCycles, find_loops, loop_estimate, measured_cycles
+from mfd_bayes.records.loops import (
+    MeasuredCycles,
+    cycle_values,
+    find_loops,
+    loop_estimate,
+    measured_cycles,
+)
 
 FORWARD, BACKWARD, SLOPE, GAP = 2.0, 2.5, 25.0, 0.3
 TIME = np.arange(0.0, 8.0, 1 / 500)
@@ -88,6 +94,7 @@ def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
     assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
 
 
+@settings(deadline=None)
 @given(
     amplitude=st.floats(0.1, 5.0),
     frequency=st.sampled_from([0.5, 1.0, 2.0]),
@@ -125,6 +132,24 @@ def test_the_damping_of_a_rectangular_loop_and_a_record_without_values():
     assert part.energy.size == 0
     assert np.isnan(part.of_test()["energy"])
     assert part.of_test()["peak_fwd"] == x[:300].max()
+
+
+def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
+    x, omega, friction = 1.3, 0.5 * np.pi, np.array([0.5, 2.0])
+    time = np.arange(0.0, 14.0, 0.005)  # three and a half periods
+    motion = x * np.sin(omega * time)
+    trace = Trace.from_arrays(time, motion, velocity=x * omega * np.cos(omega * time))
+    values = cycle_values(trace, friction[:, None] * np.sign(trace.velocity))
+    assert values["energy"].shape == (2, 3)
+    np.testing.assert_allclose(values["energy"], np.tile(4.0 * friction[:, None] * x, 3), rtol=1e-3)
+    equivalent = 4.0 * friction / (np.pi * omega * x)  # Chopra, Coulomb damping
+    np.testing.assert_allclose(values["c_eq"], np.tile(equivalent[:, None], 3), rtol=1e-3)
+    for name in ("peak_fwd", "peak_bwd"):
+        np.testing.assert_array_equal(values[name], np.tile(friction[:, None], 3))
+    decaying = Trace.from_arrays(time, motion * np.exp(-0.1 * time))
+    for moved in (trace, decaying):  # a dashpot is equivalent to itself
+        own = cycle_values(moved, 0.7 * moved.velocity[None])
+        np.testing.assert_allclose(own["c_eq"], 0.7, rtol=1e-3)
 
 
 TITLES = {

@@ -5,10 +5,7 @@ import shutil
 import signal
 import socket
 
-from typer.testing import CliRunner
-
-from mfd_bayes.cli.commands import app
-from tests.run_folders import write_run
+from tests.command_line import refusal
 
 READERS = {
     "odd.toml": ("calibrate", "odd.toml", "-o", "out", "--dry-run"),
@@ -34,21 +31,17 @@ def too_late(*_):
     raise TimeoutError("the command hangs")
 
 
-def test_what_is_no_file_is_refused_at_once(tmp_path, monkeypatch):
-    write_run(tmp_path / "run", small=True)
+def test_what_is_no_file_is_refused_at_once(tmp_path, monkeypatch, small_run):
     before = signal.signal(signal.SIGALRM, too_late)
     for kind in ("pipe", "socket", *(["device"] if os.geteuid() == 0 else [])):
         for name, words in READERS.items():
             folder = tmp_path / kind / name.replace("/", "_")
-            folder.mkdir(parents=True)
-            shutil.copytree(tmp_path / "run", folder / "run")
+            shutil.copytree(small_run, folder / "run")
             make(kind, folder / name, monkeypatch)
             monkeypatch.chdir(folder)
             signal.alarm(60)
-            ended = CliRunner().invoke(app, words)
+            sentence = refusal(*words)
             signal.alarm(0)
-            assert ended.exit_code == 2, (kind, name)
-            (sentence,) = ended.stderr.splitlines()
             assert "not a file" in sentence or "is missing" in sentence, (kind, name)
             assert name.rpartition("/")[2] in sentence, (kind, name)
     signal.signal(signal.SIGALRM, before)

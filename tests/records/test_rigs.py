@@ -4,7 +4,6 @@ Rates, time stamps, signs, units, blocks and footers, by what `init` and `inspec
 """
 
 import json
-import re
 import tomllib
 from datetime import datetime, timedelta
 
@@ -12,11 +11,10 @@ import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 from openpyxl import Workbook
-from typer.testing import CliRunner
 
 import mfd_bayes as mb
-from mfd_bayes.cli.commands import app
 from mfd_bayes.records.record import Source
+from tests.command_line import said
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -49,25 +47,21 @@ def write(path, head, *columns, above=""):
 
 def run(*words, code=0):
     """What a command says, which must end with this code."""
-    words = [str(word) for word in words]
     if words[0] == "inspect":
-        words += ["-o", words[1].rpartition("/")[0], "--force"]
-    outcome = CliRunner().invoke(app, words)
-    assert outcome.exit_code == code, outcome.output
-    return " ".join(outcome.output.split())
+        words = (*words, "-o", words[1].parent, "--force")
+    return said(*words, code=code)
 
 
 def init(folder, code=0):
     """What `init` says, and the campaign that it writes."""
-    said = run("init", folder, "--force", code=code)
+    printed = run("init", folder, "--force", code=code)
     path = folder / "campaign.toml"
-    return said, tomllib.loads(path.read_text()) if code == 0 else {}
+    return printed, tomllib.loads(path.read_text()) if code == 0 else {}
 
 
 def drafted(folder):
     """What `init` says, its campaign, and what `inspect` says of that."""
-    said, campaign = init(folder)
-    return said, campaign, run("inspect", folder / "campaign.toml")
+    return *init(folder), run("inspect", folder / "campaign.toml")
 
 
 CAMPAIGN = """[columns]
@@ -110,7 +104,6 @@ COMMENT = "# time_s,stroke_mm,load_N\n"
 BELOW = "\nMax,12.00,956.1\nMin,-12.00,-957.2\nEnd of test\n"
 READ = {
     "blocks of 5 samples": (mts(*(ROWS[at : at + 5] for at in range(0, 240, 5))), ""),
-    "blocks of 200 samples": (mts(ROWS[:200], ROWS[200:]), ""),
     "names again": (between(HEAD), ""),
     "names below a line": ("Cycle 1\n" + between("Cycle 2\n" + HEAD), ""),
     "comments": (COMMENT + text(ROWS[:80]) + COMMENT + text(ROWS[80:]), ""),
@@ -151,7 +144,6 @@ REFUSED = {
     "times that start again": (mts(ROWS[:80], ROWS[80:160] - [4.0, 0.0, 0.0]), "line 86"),
     "names in another order": (between("Time (s),Load (N),Stroke (mm)\n"), "lines 2 to 81"),
     "names in another unit": (between("Time (s),Stroke (mm),Load (kN)\n", 220), ""),
-    "a word": (between("pause\n", 10), "line 12"),
     "another table": (between("Channel,Peak,Mean\n", 220), "line 222"),
     "a block in other units": (mts(ROWS[:80]) + MTS_NAMES + "Sec\tmm\tkN\n" + KILO, ""),
     "80 numbers above": (text(ROWS[:80]) + HEAD + text(ROWS[80:]), "lines 1 to 80"),
@@ -171,9 +163,9 @@ REFUSED = {
 def test_what_may_be_lost_is_refused(tmp_path, name):
     content, named = REFUSED[name]
     (tmp_path / "run_5bar.csv").write_text(content)
-    said, _ = init(tmp_path, code=2)
-    assert "run_5bar.csv" in said
-    assert named in said
+    printed, _ = init(tmp_path, code=2)
+    assert "run_5bar.csv" in printed
+    assert named in printed
 
 
 def test_blocks_and_a_footer_of_a_sheet(tmp_path):
@@ -252,48 +244,37 @@ def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path):
         ("force", "Time,Disp,Load\ns,mm,tonf", "tonf"),
         ("time", "Time (div),Disp (mm),Load (N)", "div"),
         ("displacement", "Time (s),Disp <V>,Load (N)", "V"),
+        ("force", "Time (s),Disp (mm),Load (kN) x10", "kN x10"),
     ):
         (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
-        said, campaign = init(tmp_path)
+        printed, campaign = init(tmp_path)
         assert "unit" not in campaign["columns"][role], head
-        assert f"the unit of {role} is unknown; {unit!r}" in said
-
-
-def test_it_is_named_in_every_format(tmp_path):
-    tdms(tmp_path, ("Disp", TRAVEL, wave("mm")), ("Load", FORCE, wave("tonf")))
-    columns = dict(zip(("time", "disp", "load"), ROWS.T.tolist(), strict=True))
-    units = {"units": {"time": "s", "disp": "mm", "load": "tonf"}}
-    (tmp_path / "run_5bar.json").write_text(json.dumps(columns | units))
-    said, campaign = init(tmp_path)
-    assert len(campaign["test"]) == 2
-    assert "'tonf'" in said
+        assert f"the unit of {role} is unknown; {unit!r}" in printed
 
 
 def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path):
     for head, unit, warned in (
         ("Time(s),Disp(mm),Load(tonf)", "kN", True),
-        ("Time(s),Disp(mm),Load [div]", "kN", True),
         ("Time,Disp,Load\ns,mm,N", "kN", True),
         ("Time(s),Disp(mm),Load(tonf)", "tf", False),
         ("Time(s),Disp(mm),Load(measured)", "kN", False),
         ("Time(s),Disp(mm),Load (25 kip cell)", "kN", False),
-        ("Time(s),X_Value,Axial_Load", "kN", False),
     ):
         (tmp_path / "a.csv").write_text(head + "\n" + text(ROWS))
         assert ("which is it" in inspected(tmp_path, unit=unit)) == warned, head
 
 
-@pytest.mark.parametrize("name", ["Scan", "No.", "", "Time"])
+@pytest.mark.parametrize("name", ["Scan", "Time"])
 def test_a_counter_is_no_time(tmp_path, name):
     path = tmp_path / "run_5bar.csv"
     write(path, f"{name},Stroke (mm),Load (N)", range(1, 241), TRAVEL, FORCE)
-    said, campaign = init(tmp_path)
+    printed, campaign = init(tmp_path)
     assert "unit" not in campaign["columns"]["time"]
-    assert "at which rate?" in said
+    assert "at which rate?" in printed
     path.write_text("Scan rate: 20 Hz\n" + path.read_text())
-    said, campaign, seen = drafted(tmp_path)
+    printed, campaign, seen = drafted(tmp_path)
     assert campaign["columns"]["time"] == {"rate": "20 Hz"}
-    assert "FIXME" not in said
+    assert "FIXME" not in printed
     assert ALL in seen
     write(path, "Sample time (ms),Stroke (mm),Load (N)", range(240), TRAVEL, FORCE)
     assert init(tmp_path)[1]["columns"]["time"]["unit"] == "ms"  # which states what it counts
@@ -301,10 +282,10 @@ def test_a_counter_is_no_time(tmp_path, name):
 
 def test_a_length_in_the_files_name_tells_the_unit_and_is_not_compared_without(tmp_path):
     (tmp_path / "slow_25mm.txt").write_text(text(ROWS * [1.0, 24.4 / 12.0, 1.0], " "))
-    said, campaign = init(tmp_path)
+    printed, campaign = init(tmp_path)
     assert "unit" not in campaign["columns"]["displacement"]
-    assert " in (a stroke" not in said
-    assert 'write unit = "mm"' in said
+    assert " in (a stroke" not in printed
+    assert 'write unit = "mm"' in printed
 
 
 # --- slow tests
@@ -323,13 +304,13 @@ def test_a_slow_test_is_in_ms_only_where_its_heading_does_not_state_seconds(tmp_
         (60.0, 7200.0, "Elapsed Time (s)"),
     ):
         (tmp_path / "a_5bar.csv").write_text(f"{head},Stroke (mm),Load (kN)\n" + slow(step, cycle))
-        said, _, seen = drafted(tmp_path)
-        assert " ms" not in said
+        printed, _, seen = drafted(tmp_path)
+        assert " ms" not in printed
         assert "in ms rather" not in seen
     (tmp_path / "a_5bar.csv").write_text("Time,Stroke (mm),Load (kN)\n" + slow(5.0, 600.0))
-    said, campaign = init(tmp_path)
+    printed, campaign = init(tmp_path)
     assert "unit" not in campaign["columns"]["time"]
-    assert "s or ms" in said
+    assert "s or ms" in printed
     (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(50.0, 4000.0))
     assert "in ms rather than in s?" in inspected(tmp_path, unit="kN")
     (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(5.0, 600.0))
@@ -349,39 +330,37 @@ def test_init_drafts_the_rate_that_a_file_states(tmp_path):
     for above, rate in (
         ("Sampling Rate (Hz),20\n", "20 Hz"),
         ("Sampling interval: 0,05 s\n", "0.05 s"),
-        ("# dt = 0.05 s\n", "0.05 s"),
         ("Scan rate: 0.02 kHz per channel\n", "0.02 kHz"),
-        ("Acquired 2024, at 20 Hz\nSampling Frequency, Hz: 20\n", "20 Hz"),
         ("Test frequency: 20 Hz\n", ""),
         ("Sample rate: 1,000 Hz\n", ""),
         ("fs = 20\nSample rate: 30 Hz\n", ""),
         ("Max. sample rate: 20 Hz\n", ""),
         ("Sample interval: 5 minutes\n", ""),
         ("Rate: 0.02 kS/s\n", "0.02 kHz"),
+        ("Scan rate: 20 pts/sec\n", "20 Hz"),
         ("サンプリング周波数：20Hz\n", "20 Hz"),
     ):
         write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", TRAVEL, FORCE, above=above)
-        said, campaign = init(tmp_path)
+        printed, campaign = init(tmp_path)
         assert campaign["columns"].get("time") == ({"rate": rate} if rate else None), above
-        assert ("FIXME" in said) == (not rate)
+        assert ("FIXME" in printed) == (not rate)
         seen = run("inspect", tmp_path / "campaign.toml", code=0 if rate else 2)
         assert (ALL if rate else 'rate = "100 Hz"') in seen
 
 
 def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path):
     write(tmp_path / "a.csv", "note,x_mm,f_N", ["x"] * 240, TRAVEL, FORCE)
-    for time, test, said in (
+    for time, test, printed in (
         ('rate = "20 Hz"', "", ALL),
         ('time = { rate = "50 ms" }', "", ALL),
         ('time = { column = 1, unit = "s" }', 'rate = "20 Hz"', ALL),
         ('rate = "5 Hz"', 'columns.rate = "20 Hz"', ALL),
         ('rate = "20"', "", "'20'"),
-        ('rate = "20 mm"', "", "'mm'"),
         ('rate = "0 Hz"', "", "'0 Hz'"),
         ('rate = "20 Hz"\ntime = { name = "t" }', "", "rate"),
         ('time = { name = "t", sign = -1 }', "", "'sign'"),
     ):
-        assert said in inspected(tmp_path, time=time, test=test, code=0 if said == ALL else 2)
+        assert printed in inspected(tmp_path, time=time, test=test, code=0 if printed == ALL else 2)
 
 
 # --- the sign of a column
@@ -391,8 +370,8 @@ def test_only_the_tests_that_run_backward_are_turned_and_it_is_said(tmp_path):
     overflow = np.where(TIME[41] == TIME, -1e6, FORCE)  # turns no sign
     for name, load in (("a_5bar", FORCE), ("b_5bar", overflow), ("c_9bar", -FORCE)):
         write(tmp_path / f"{name}.csv", HEAD.strip(), TIME, TRAVEL, load)
-    said, campaign, seen = drafted(tmp_path)
-    assert "c_9bar: its loops run backward" in said
+    printed, campaign, seen = drafted(tmp_path)
+    assert "c_9bar: its loops run backward" in printed
     signs = [t.get("columns", {}).get("force", {}).get("sign") for t in campaign["test"]]
     assert signs == [None, None, -1]
     assert "force sign" not in seen
@@ -418,9 +397,9 @@ def test_init_drafts_the_current_of_a_test(tmp_path):
         ("run_500psi_2A", "", "500 psi", ""),
     ):
         write(tmp_path / f"{name}.csv", HEAD.strip(), *ROWS.T, above=above)
-        said, campaign = init(tmp_path)
+        printed, campaign = init(tmp_path)
         assert campaign["test"][0]["actuation"] == level
-        assert (doubt in said) if doubt else ("unsure" not in said)
+        assert (doubt in printed) if doubt else ("unsure" not in printed)
         (tmp_path / f"{name}.csv").unlink()
 
 
@@ -439,17 +418,12 @@ def stamps(form, begin=BEGIN):
 STAMPS = {
     "ISO that loses its .000": [s.removesuffix(".000") for s in stamps("%Y-%m-%d %H:%M:%S.%L")],
     "ISO with a zone": stamps("%Y-%m-%dT%H:%M:%S.%L+01:00"),
-    "ISO without separators": stamps("%Y%m%dT%H%M%S.%L"),
     "US with AM, at noon": stamps("%m/%d/%Y %I:%M:%S.%L %p", datetime(2024, 3, 5, 11, 59, 55)),
-    "US without zeros": [s.lstrip("0").replace("/0", "/") for s in stamps("%m/%d/%Y %H:%M:%S.%L")],
     "US past midnight": stamps("%m/%d/%Y %H:%M:%S.%L", NIGHT),
-    "German past midnight": stamps("%d.%m.%Y %H:%M:%S.%L", NIGHT),
-    "two digits of a year": stamps("%d-%m-%y %H:%M:%S.%L"),
     "MATLAB": stamps("%d-%b-%Y %H:%M:%S.%L"),
     "as ctime": stamps("%a %b %d %H:%M:%S.%L %Y"),
     "clock past midnight": stamps("%H:%M:%S.%L", NIGHT),
     "clock of twelve hours, no AM": stamps("%I:%M:%S.%L", datetime(2024, 3, 5, 12, 59, 55)),
-    "milliseconds behind a colon": stamps("%H:%M:%S:%L"),
     "minutes and seconds": stamps("%M:%S.%L"),
     "clock before the date": stamps("%H:%M:%S.%L %d.%m.%Y"),
     "in brackets": stamps("[%H:%M:%S.%L]"),
@@ -468,9 +442,9 @@ def test_time_stamps_are_seconds_since_the_first_row(tmp_path, form):
     record = mb.read_record(tmp_path / "a_5bar.csv", ROLES, fit="2 s to 8 s")
     np.testing.assert_allclose(record.time, TIME, atol=1e-9)
     assert record.trace().time[[0, -1]] == pytest.approx([2.0, 8.0])
-    said, campaign = init(tmp_path)
+    printed, campaign = init(tmp_path)
     assert campaign["columns"]["time"] == {"name": "Timestamp", "unit": "s"}
-    assert "FIXME" not in said
+    assert "FIXME" not in printed
 
 
 def test_a_date_a_clock_and_a_counter_beside_each_other(tmp_path):
@@ -510,25 +484,23 @@ def test_stamps_that_are_too_coarse_ask_for_the_rate(tmp_path):
 
 def test_moments_of_other_formats_are_a_time(tmp_path):
     moments = [BEGIN + timedelta(seconds=float(t)) for t in TIME]
-    for name, cells in (
-        ("moments", moments),
-        ("clock", [m.time() for m in moments]),
-        ("elapsed", [m - BEGIN for m in moments]),
-    ):
+    kinds = {"moments": moments, "clock": [m.time() for m in moments]}
+    kinds["elapsed"] = [m - BEGIN for m in moments]
+    for name, cells in kinds.items():
         book = Workbook()
         book.active.append(["Clock", "Disp (mm)", "Load (N)"])
         for row in zip(cells, TRAVEL.tolist(), FORCE.tolist(), strict=True):
-            book.active.append(list(row))
+            book.active.append(row)
         book.save(tmp_path / f"{name}_5bar.xlsx")
     since = np.datetime64(BEGIN, "us") + (1e6 * TIME).astype("m8[us]")
     tdms(tmp_path, ("Clock", since), ("Disp (mm)", TRAVEL), ("Load (N)", FORCE))
-    columns = {"Clock": stamps("%Y-%m-%dT%H:%M:%S.%LZ"), "Disp (mm)": TRAVEL, "Load (N)": FORCE}
-    content = {name: np.asarray(values).tolist() for name, values in columns.items()}
-    (tmp_path / "j_5bar.json").write_text(json.dumps(content))
-    _, campaign = init(tmp_path)
+    columns = {"Disp (mm)": TRAVEL.tolist(), "Load (N)": FORCE.tolist()}
+    columns |= {"Clock": stamps("%Y-%m-%dT%H:%M:%S.%LZ")}
+    (tmp_path / "j_5bar.json").write_text(json.dumps(columns))
+    campaign = init(tmp_path)[1]
     assert len(campaign["test"]) == 5
     assert campaign["columns"]["time"] == {"name": "Clock", "unit": "s"}
-    roles = {"time": "Clock", "displacement": 2, "force": 3}
+    roles = {"time": "Clock", "displacement": "Disp (mm)", "force": "Load (N)"}
     for test in campaign["test"]:
         record = mb.read_record(tmp_path / test["file"], roles)
         np.testing.assert_allclose(record.time, TIME, atol=1e-6)
@@ -539,14 +511,13 @@ def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path):
         ("day", 45356.4166666667, 1 / 86400),  # Excel
         ("day", 739316.416666667, 1 / 86400),  # MATLAB
         ("s", 3792477600.0, 1.0),  # LabVIEW
-        ("ms", 1709632800000.0, 1e3),
         ("us", 1709632800000000.0, 1e6),
     ):
         cells = [f"{first + t * by:.10f}" for t in TIME]
         write(tmp_path / "a_5bar.csv", "X_Value,Displacement (mm),Force (N)", cells, TRAVEL, FORCE)
-        said, campaign = init(tmp_path)
+        printed, campaign = init(tmp_path)
         assert campaign["columns"]["time"]["unit"] == unit
-        assert f"counted in {unit}" in said
+        assert f"counted in {unit}" in printed
         roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
         record = mb.read_record(tmp_path / "a_5bar.csv", roles)
         np.testing.assert_allclose(record.time, TIME, atol=2e-5)
@@ -558,36 +529,13 @@ def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path):
 
 def test_wide_brackets_and_unit_signs_are_read(tmp_path):
     path = tmp_path / "a_5bar.csv"
-    for encoding in ("cp932", "utf-8"):
-        heads = (
-            "時間（s）,変位（mm）,荷重（N）",
-            "時間［s］,変位［㎜］,荷重［N］",
-            "t(s)[0],x(mm)[0],F(N)[1]",
-        )
-        for head in heads:
-            path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
-            said, _, seen = drafted(tmp_path)
-            assert "FIXME" not in said
-            assert "displacement -12 to 12 mm" in seen
-
-
-@pytest.mark.slow
-def test_laws_tables_and_questions_are_in_the_unit_of_the_actuation(tmp_path):
-    content = '[campaign]\nmodel = "lugre"\npriors = "priors.toml"\n'
-    content += '[columns]\ntime = { name = "t_s" }\n'
-    content += 'displacement = { name = "x_mm" }\nforce = { name = "f_N" }\n'
-    for level in (500, 1000):
-        noise = np.random.default_rng(level).normal(0.0, 6.0, TIME.size)
-        write(tmp_path / f"r{level}.csv", "t_s,x_mm,f_N", TIME, TRAVEL, FORCE * level / 500 + noise)
-        content += f'[[test]]\nid = "r{level}"\nfile = "r{level}.csv"\nactuation = "{level} mA"\n'
-    campaign, out = tmp_path / "c.toml", tmp_path / "out"
-    campaign.write_text(content)
-    run("init", campaign)
-    run("calibrate", campaign, "-o", out, "--effort", "quick", "--jobs", 1, "--seed", 1)
-    laws = (out / "laws.csv").read_text()
-    assert re.search(r"K_c_fwd,k?N/mA,", laws)
-    assert re.search(r"alpha_sigma0,k?N/mm/mA,", laws)
-    asked = ("--sine", "12 mm, 0.25 Hz, 2 cycles", "--force", "-o", tmp_path / "b.csv")
-    run("predict", out, *asked, "--actuation", "0.8 A")
-    assert "in A" in run("predict", out, *asked, "--actuation", "500 psi", code=2)
-    assert "mA, 0.25 Hz" in run("next", out, "-o", tmp_path / "n.csv")
+    for encoding, head in (
+        ("cp932", "時間［s］,変位［㎜］,荷重［N］"),
+        ("utf-8", "時間［s］,変位［㎜］,荷重［N］"),
+        ("iso2022_jp", "時間（s）,変位（mm）,荷重（N）"),
+        ("utf-8", "t(s)[0],x(mm)[0],F(N)[1]"),
+    ):
+        path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
+        printed, _, seen = drafted(tmp_path)
+        assert "FIXME" not in printed
+        assert "displacement -12 to 12 mm" in seen

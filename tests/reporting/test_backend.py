@@ -14,7 +14,7 @@ DRAW = """\
 import os
 
 import numpy as np
-from mfd_bayes.reporting.figures.agg import new_figure, to_png
+from mfd_bayes.reporting.figures import new_figure, to_png
 
 figure = new_figure(3, 3)
 figure.subplots().plot(np.arange(9), label="2 \u00b5")

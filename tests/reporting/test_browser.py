@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mfd_bayes.reporting.publish import find_browser, print_page, publish
+from mfd_bayes.reporting.page import find_browser, print_page, publish
 from mfd_bayes.reporting.symbols import number
 
 playwright = pytest.importorskip(
@@ -118,17 +118,6 @@ def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report)
         for value in (0.9999, 1234.4, 123456.0, 1.25e-7, 0.00012345, -2.5, 0.0, 9.999e5, 99.95):
             for digits in (3, 4):
                 assert page.evaluate(f"written({value!r}, {digits})") == number(value, digits)
-
-
-def test_without_scripts_all_is_there_in_the_units_of_the_campaign(chromium, report):
-    context = chromium.new_context(java_script_enabled=False)
-    page = context.new_page()
-    page.goto(report.as_uri())
-    assert page.locator("#explorer").is_hidden()
-    assert page.locator("fieldset.units").is_hidden()  # it would do nothing
-    assert page.locator("figure img").first.is_visible()
-    assert "800 psi" in page.inner_text(".properties thead")
-    context.close()
 
 
 def test_names_from_files_run_nothing(chromium, campaign, datasheet, tmp_path, no_figures):

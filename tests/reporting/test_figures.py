@@ -1,64 +1,27 @@
 """The figures of a report, of a record that is inspected, and of a prediction."""
 
-import re
 from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
-import pytest
 
 from mfd_bayes.messages import Message
 from mfd_bayes.records.data_quality import Fault, find_faults
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.figures import draw_inspection, draw_shared, draw_test
-from mfd_bayes.reporting.figures.agg import to_png
-from mfd_bayes.reporting.figures.loops import draw_history, draw_loops, stretches
-from mfd_bayes.reporting.figures.report import (
+from mfd_bayes.reporting.figures import (
     draw_corner,
+    draw_history,
+    draw_inspection,
+    draw_loops,
     draw_ranks,
-    draw_residuals,
+    draw_shared,
     draw_truth,
-    spread,
+    stretches,
+    to_png,
 )
 from mfd_bayes.reporting.symbols import Symbols
-from mfd_bayes.runs.unit_system import SI, US
 
 NAMES = Symbols()
-
-
-def labels(figure):
-    found = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel())]
-    return [text for text in found if text]
-
-
-def figures_of(view):
-    found = dict(draw_shared(view))
-    for test in view.tests:
-        found |= draw_test(test, view)
-    return found
-
-
-def test_every_figure_is_drawn_once_with_units_on_its_axes(campaign):
-    drawn = figures_of(campaign)
-    kinds = ("loops", "history", "residuals", "corner", "ranks", "marginals")
-    per_test = {f"tests/p800_f0.25/{kind}" for kind in kinds}
-    predicted = {"tests/held/loops", "tests/held/history"}
-    assert set(drawn) == {"overview", "laws", "truth"} | per_test | predicted
-    for key in ("overview", "laws", *predicted):
-        assert labels(drawn[key])
-        assert all(re.search(", (in|in/s|s|kip|ksi)$", text) for text in labels(drawn[key])), key
-    titles = [axes.get_title(loc="left") for axes in drawn["tests/p800_f0.25/marginals"].axes]
-    assert titles == ["", "", "not informed by the data"]
-    metric = figures_of(replace(campaign, metric=True))
-    unit = re.compile(", (in|in/s|kip|kip/in|ksi)$")
-    del drawn["tests/p800_f0.25/residuals"]  # its bins part the samples at their edges otherwise
-    for key, figure in drawn.items():
-        assert not [text for text in labels(metric[key]) if unit.search(text)]
-        for before, after in zip(figure.axes, metric[key].axes, strict=True):
-            for axis, other in ((before.xaxis, after.xaxis), (before.yaxis, after.yaxis)):
-                if found := unit.search(axis.get_label_text()):
-                    expected = SI.factor(found[1]) * np.array(axis.get_view_interval())
-                    assert other.get_view_interval() == pytest.approx(expected, rel=1e-4), key
 
 
 def test_pngs_are_the_same_each_time_whatever_the_users_settings(campaign, published):
@@ -70,17 +33,6 @@ def test_pngs_are_the_same_each_time_whatever_the_users_settings(campaign, publi
 
 
 # --- posteriors
-
-
-def test_residuals_are_shown_by_stage(campaign):
-    test = campaign.tests[0]
-    stage = np.tile([2, 3, 1, 1, 1], test.trace.samples // 5).astype(np.int8)
-    staged = replace(test, stage=stage, travel=np.abs(test.trace.displacement))
-    figure = draw_residuals("residuals", staged, US)
-    ticks = [text.get_text() for text in figure.axes[0].get_xticklabels()]
-    assert [tick.split("\n")[0] for tick in ticks] == ["stick", "build-up", "slip"]
-    assert ticks[2].endswith("60%")
-    assert "travel" in figure.axes[1].get_xlabel()
 
 
 def test_ranks_show_a_chain_that_differs(campaign):
@@ -146,15 +98,6 @@ def test_long_records_show_the_strongest_motion(test_view):
 
 
 # --- laws
-
-
-def test_tests_at_one_level_stay_near_it():
-    levels = np.array([0.5, 0.6, 1.5])
-    for number in (1, 50):
-        shifted = spread(np.repeat(levels, number)).reshape(3, number)
-        assert np.max(np.abs(shifted - levels[:, None])) < 0.05  # half of the way to the next one
-        assert len(np.unique(shifted)) == 3 * number
-        np.testing.assert_allclose(shifted.mean(axis=1), levels)
 
 
 # --- records as they were read

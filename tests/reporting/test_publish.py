@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.reporting.publish import Forms, publish
+from mfd_bayes.reporting.page import Forms, publish
 
 
 def files(folder):
@@ -33,7 +33,7 @@ def test_a_report_holds_every_figure_and_every_table(campaign, published, writte
 
 
 def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkeypatch):
-    monkeypatch.setattr("mfd_bayes.reporting.publish.ALL_DRAWN", 1)
+    monkeypatch.setattr("mfd_bayes.reporting.page.ALL_DRAWN", 1)
     left, drawn = (test.id for test in campaign.tests)
     stale = tmp_path / "tests" / left / "loops.png"
     stale.parent.mkdir(parents=True)
@@ -49,7 +49,7 @@ def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkey
 def test_what_cannot_be_made_is_refused_before_anything_is_written(monkeypatch):
     names = ("p500_f0.05", "p800_f0.05")
     Forms(tests=names[:1]).check(names)
-    monkeypatch.setattr("mfd_bayes.reporting.publish.find_spec", lambda _: None)
+    monkeypatch.setattr("mfd_bayes.reporting.page.find_spec", lambda _: None)
     monkeypatch.setattr("shutil.which", lambda _: None)
     for forms, offender in (
         (Forms(tests=("p500_f005",)), r"no test 'p500_f005'; did you mean 'p500_f0\.05'\?"),

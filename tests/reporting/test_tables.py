@@ -9,16 +9,14 @@ import shutil
 import subprocess
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from mfd_bayes.evaluation.views import Check
 from mfd_bayes.reporting.tables import predicted_csv
-from mfd_bayes.runs.manifest import Verdict
+from mfd_bayes.runs.folder import Verdict
 
 KIP = 4.4482216  # kN
-STIFFNESS = KIP / 25.4  # kN/mm of a kip/in
 SPECIAL = r"a_b%c&d#e$f\g{h}i~j^k|l<m>"
 DOCUMENT = r"""\documentclass{article}
 \usepackage{booktabs,longtable,array}
@@ -27,19 +25,6 @@ DOCUMENT = r"""\documentclass{article}
 \input{laws.tex}
 \end{document}
 """
-ESTIMATE = {"name": "k3", "unit": "kip/in", "value": 14.25, "lower": 0.8, "median": 1.0}
-ESTIMATE |= {"upper": 1.2, "tolerance": 0.3, "missed": True}
-
-COLUMNS = {
-    "parameters": "test parameter unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat contraction",
-    "checks": "test check feature observed expected unit difference tolerance p_value status",
-    "laws": "group constant unit mean sd q2.5 q50 q97.5 ess_bulk ess_tail r_hat",
-    "law_scores": "quantity law chosen elpd elpd_se elpd_difference",
-    "scores": "test role coverage_50 coverage_90 coverage_95 width_95_kip",
-    "tested_range": "condition unit smallest largest",
-    "derived": "test role quantity unit mean sd q2.5 q50 q97.5 measured note",
-    "crossvalidation": "part test coverage_50 coverage_90 coverage_95 width_95_kip",
-}
 
 
 def read(text):
@@ -49,20 +34,6 @@ def read(text):
 def of_two(view, **changes):
     """The view with its first test changed, and the second as it is."""
     return replace(view, tests=(replace(view.tests[0], **changes), *view.tests[1:]))
-
-
-def test_values_are_those_of_the_report_under_their_columns(published):
-    texts = {name: (published / f"{name}.csv").read_text() for name in COLUMNS}
-    for name, columns in COLUMNS.items():
-        first = texts[name].splitlines()[0].split(",")
-        assert first[: len(columns.split())] == columns.split()
-    assert float(read(texts["parameters"])[1]["q97.5"]) == 1.2
-    assert [line["role"] for line in read(texts["scores"])] == ["calibrate", "validate"]
-    derived = read(texts["derived"])
-    assert [line["measured"] for line in derived][:3] == ["3.3", "1.4", ""]
-    assert derived[3]["q50"] == ""  # no full cycle
-    assert [line["test"] for line in read(texts["crossvalidation"])] == ["p800_f0.25", "mean"]
-    assert [line["chosen"] for line in read(texts["law_scores"])] == ["no", "yes"]
 
 
 def test_a_prediction_says_what_it_is(campaign):
@@ -86,35 +57,6 @@ def test_no_text_is_a_formula_in_csv_or_excel(campaign, written, tmp_path):
     assert (found["check"], found["feature"], found["observed"]) == ("a, b", 'say "x"', "-1")
     book = openpyxl.load_workbook(tmp_path / "tables.xlsx")
     assert not [cell for row in book["laws"].rows for cell in row if cell.data_type == "f"]
-
-
-def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign, written, tmp_path):
-    name, trace = campaign.tests[0].id, campaign.tests[0].trace
-    view = of_two(campaign, loop_estimates=(ESTIMATE | {"test": name},))
-    texts = written(replace(view, metric=True), excel=True)
-    row = next(r for r in read(texts["parameters.csv"]) if r["parameter"] == "k3")
-    assert row["unit"] == "kN/mm"
-    assert float(row["q97.5"]) == pytest.approx(1.2 * STIFFNESS, rel=1e-5)
-    assert float(row["r_hat"]) == 1.002
-    estimate = float(read(texts["loop_estimates.csv"])[0]["loop_estimate"])
-    assert estimate == pytest.approx(14.25 * STIFFNESS, rel=1e-5)
-    assert float(read(texts["scores.csv"])[0]["crps_kN"]) == pytest.approx(0.03 * KIP, rel=1e-5)
-    record = pd.read_csv(io.StringIO(texts[f"tests/{name}/record.csv"]))
-    for column, values, factor in (
-        ("force_kN", trace.force, KIP),
-        ("displacement_mm", trace.displacement, 25.4),
-        ("velocity_mm_per_s", trace.velocity, 25.4),
-    ):
-        np.testing.assert_allclose(record[column], factor * values, rtol=1e-4, atol=1e-4)
-    laws = read(texts["figures/laws.csv"])
-    assert all(float(r["lower"]) <= float(r["median"]) <= float(r["upper"]) for r in laws)
-    last = [row for row in laws if row["what"].startswith("mean")][-1]
-    assert float(last["actuation_MPa"]) == pytest.approx(1.5 * 6.894757, rel=1e-4)
-    tables = "".join(text for file, text in texts.items() if not file.endswith(".html"))
-    assert "kip" not in tables
-    assert all("kN/mm" in texts[f"parameters.{form}"] for form in ("csv", "json", "tex"))
-    laws = pd.read_excel(tmp_path / "tables.xlsx", sheet_name="laws")
-    assert laws["q50"].tolist() == pytest.approx([1.2 * 25.4**2])
 
 
 def test_json_says_what_it_holds_and_holds_what_csv_does(campaign, written):
@@ -163,21 +105,6 @@ def test_a_data_sheet_is_the_same_in_every_form(campaign, datasheet, written):
     for shown in ("6.01", "5.78--6.23", "4.45", "3.56--5.56"):
         assert shown in texts["datasheet.tex"]
     assert r"no test was made there.\par" in texts["datasheet.tex"]
-
-
-def test_the_table_of_a_record_has_every_sample(campaign, written):
-    test, held = campaign.tests
-    stage, travel = np.full(test.trace.samples, 2, np.int8), np.zeros(test.trace.samples)
-    texts = written(of_two(campaign, stage=stage, travel=travel))
-    frame = pd.read_csv(io.StringIO(texts[f"tests/{test.id}/record.csv"]))
-    np.testing.assert_allclose(frame["force_kip"], test.trace.force, rtol=1e-5, atol=1e-9)
-    residual = test.trace.force - test.observation.median
-    np.testing.assert_allclose(frame["residual_kip"], residual, rtol=1e-4, atol=1e-6)
-    assert (frame["lower_95_kip"] <= frame["lower_50_kip"]).all()
-    assert frame["fitted"].sum() == test.trace.samples - test.first
-    assert frame["stage"].eq(2).all()
-    predicted = pd.read_csv(io.StringIO(texts[f"tests/{held.id}/record.csv"]))
-    assert predicted["fitted"].eq(0).all()
 
 
 # --- LaTeX

@@ -32,13 +32,19 @@ brace = "500 kip/in"
 @pytest.fixture
 def made(tmp_path, monkeypatch):
     """Function that reads a text as the file b.toml."""
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(tmp_path)  # where the folder has no name
 
     def read(text):
         Path("b.toml").write_text(text)
         return read_building("b.toml")
 
     return read
+
+
+def refused(words, call, *given):
+    with pytest.raises(BuildingError, match=words) as error:
+        call(*given)
+    assert "\n" not in str(error.value)
 
 
 def test_units_are_turned_into_kip_in_and_s(made):
@@ -51,46 +57,63 @@ def test_units_are_turned_into_kip_in_and_s(made):
     assert [d.brace for d in building.devices] == [500, 500]
 
 
-def test_periods_and_shapes_are_those_of_eigh(made):
+def test_modes_are_those_of_eigh_and_each_has_the_damping_ratio(made):
     building = made(GOOD)
     squares, _ = linalg.eigh(building.stiffness, building.mass)
     assert np.allclose(building.modes.periods, 2 * np.pi / np.sqrt(squares), rtol=1e-12)
     shapes = building.modes.shapes
     assert np.allclose(shapes.T @ building.mass @ shapes, np.eye(2), atol=1e-12)
-
-
-def test_both_modes_have_the_ratio(made):
     for kind in ("rayleigh", "modal"):
-        building = made(GOOD.replace('ratio = "2 %"', f'kind = "{kind}", ratio = 0.03'))
-        modes = building.modes
-        got = np.diag(modes.shapes.T @ building.damping @ modes.shapes) / (2 * modes.frequencies)
+        damping = made(GOOD.replace('ratio = "2 %"', f'kind = "{kind}", ratio = 0.03')).damping
+        got = np.diag(shapes.T @ damping @ shapes) / (2 * building.modes.frequencies)
         assert np.allclose(got, 0.03)
 
 
-def test_matrices_come_from_files(tmp_path):
-    np.savetxt(tmp_path / "M.csv", np.eye(2), delimiter=",")
-    np.save(tmp_path / "K.npy", np.array([[20.0, -10.0], [-10.0, 10.0]]))
-    path = tmp_path / "b.toml"
-    path.write_text('[matrices]\nmass = "M.csv"\nstiffness = "K.npy"\nunits = { mass = "Mg" }\n')
-    building = read_building(path)
+MATRICES = '[matrices]\nmass = "M.csv"\nstiffness = "{}"\n'
+
+
+def test_matrices_come_from_files(made):
+    np.savetxt("M.csv", np.eye(2), delimiter=",")
+    np.save("K.npy", np.array([[20.0, -10.0], [-10.0, 10.0]]))
+    building = made(MATRICES.format("K.npy") + 'units = { mass = "Mg" }\n')
     assert building.mass[0, 0] == pytest.approx(1000 / 175126.8, rel=1e-4)
     assert building.stiffness[0, 1] == -10.0
-    np.save(tmp_path / "K.npy", np.array([[20.0, -10.0], [-30.0, 10.0]]))
-    with pytest.raises(BuildingError, match=r"K\.npy must be symmetric"):
-        read_building(path)
-    for key, values in (("influence", "[1.0]"), ("heights", '["3 m"]')):
-        path.write_text(f'[matrices]\nmass = "M.csv"\nstiffness = "M.csv"\n{key} = {values}\n')
-        with pytest.raises(BuildingError, match=rf"matrices\.{key} in .* must have 2 values"):
-            read_building(path)
+    for more in ("influence = [1.0]", 'heights = ["3 m"]'):
+        words = rf"matrices\.{more.split()[0]} in .* must have 2 values"
+        refused(words, made, MATRICES.format("M.csv") + more)
+
+
+def test_a_matrix_that_is_none_or_declared_huge_or_complex_is_refused(made):
+    def none(words, write, name="K.npy"):
+        np.savetxt("M.csv", np.eye(2), delimiter=",")
+        with Path(name).open("wb") as file:
+            write(file)
+        refused(rf"stiffness.*{words}", made, MATRICES.format(name))
+
+    none("must be symmetric", lambda file: np.save(file, np.array([[20.0, -10.0], [-30.0, 10.0]])))
+    none(r"K\.npy as numbers", lambda file: None)
+    none(r"K\.npy as numbers", lambda file: np.save(file, np.array([["a", "b"], ["c", "d"]])))
+    none(r"K\.npy as numbers", lambda file: np.savez(file, np.eye(2)))
+    none(r"K\.csv as numbers", lambda file: file.write(b"1+1j,0\n0,1+1j\n"), "K.csv")
+    none("complex128, and no real numbers", lambda file: np.save(file, np.eye(2) * (1 + 0j)))
+
+    def declared(shape):
+        about = {"descr": "<f8", "fortran_order": False, "shape": shape}
+        return lambda file: (
+            np.lib.format.write_array_header_1_0(file, about),
+            file.write(bytes(64)),
+        )
+
+    for shape in ((100_000, 100_000), (10**9, 10**9), (10**12,)):
+        none(r"K\.npy as numbers", declared(shape))
+    np.save("K.npy", np.eye(2, dtype=np.int8))  # the control
+    assert made(MATRICES.format("K.npy")).freedoms == 2
 
 
 WRONG = [
     ('weight = "100 kip"', 'weight = "0 kip"', r"storey 1\.weight in b.toml.*greater than 0"),
-    ('"326.32 kip/in"', '"-3 kip/in"', r"storey 1\.stiffness in b.toml.*greater than 0"),
-    ('mass = "22.7 Mg"', 'mass = "22.7 in"', r"storey 2\.mass in b.toml: expected a mass"),
     ('weight = "100 kip"', "", r"storey 1 in b.toml: give either mass or weight"),
     ("storey = 2", "storey = 7", r"damper 1\.storey in b.toml: expected floors of 0.* to 2"),
-    ("storey = 2", "between = [1, 1]", r"damper 1\.between in b.toml.*two different"),
     ("storey = 2", "", r"damper 1 in b.toml: give either storey, or between"),
     ("count = 2", "count = 3", r"one for each of the 3 dampers"),
     ('"900 psi"', '"900 in"', r"damper 1\.actuation.*actuation needs a pressure"),
@@ -103,102 +126,41 @@ WRONG = [
 
 def test_nonsense_is_one_sentence_with_the_key(made):
     for old, new, words in WRONG:
-        with pytest.raises(BuildingError, match=words) as error:
-            made(GOOD.replace(old, new))
-        assert "\n" not in str(error.value)
+        refused(words, made, GOOD.replace(old, new))
     for limit in ("drift", "residual"):
         text = GOOD.replace('height = "12 ft"\n', "") + f'[limits]\n{limit} = "1 %"\n'
-        with pytest.raises(BuildingError, match=rf"limits\.{limit} in b.toml needs the height"):
-            made(text)
-
-
-def test_a_matrix_that_is_none_or_declared_huge_or_complex_is_refused(tmp_path):
-    path, bad = tmp_path / "b.toml", tmp_path / "M.npy"
-
-    def refused(words, name="M.npy"):
-        path.write_text(f'[matrices]\nmass = "{name}"\nstiffness = "{name}"\n')
-        with pytest.raises(BuildingError, match=rf"matrices\.mass.*{words}") as error:
-            read_building(path)
-        assert "\n" not in str(error.value)
-
-    bad.write_bytes(b"")
-    refused(r"M\.npy as numbers")
-    np.save(bad, np.array([["a", "b"], ["c", "d"]]))
-    refused(r"M\.npy as numbers")
-    np.savez(tmp_path / "M.npz", np.eye(2))
-    (tmp_path / "M.npz").rename(bad)
-    refused(r"M\.npy as numbers")
-    (tmp_path / "M.csv").write_text("1+1j,0\n0,1+1j\n")
-    refused(r"M\.csv as numbers", "M.csv")
-    for shape in ((100_000, 100_000), (10**9, 10**9), (10**12,)):
-        with bad.open("wb") as file:
-            about = {"descr": "<f8", "fortran_order": False, "shape": shape}
-            np.lib.format.write_array_header_1_0(file, about)
-            file.write(bytes(64))
-        refused(r"M\.npy as numbers")
-    np.save(bad, np.eye(2) * (1 + 0j))
-    refused("complex128, and no real numbers")
-    np.save(bad, np.eye(2, dtype=np.int8))  # the control
-    assert read_building(path).freedoms == 2
-
-
-def test_what_is_no_level_or_path_of_a_building_is_refused(made):
+        refused(rf"limits\.{limit} in b.toml", made, text)
     for level in (np.nan, "36 lbf", None, -1.0, np.inf, True):
-        with pytest.raises(BuildingError, match="actuation must be a finite number of at least 0"):
-            made(GOOD).at_level(level)
+        refused("actuation must be", made(GOOD).at_level, level)
     assert {device.actuation for device in made(GOOD).at_level(0).devices} == {0.0}
     for path in (None, 5, b"b.toml", ["b.toml"], "a\0b"):
-        with pytest.raises(BuildingError, match="building must be a path"):
-            read_building(path)
+        refused("building must be a path", read_building, path)
 
 
-ROWS = "time_s,pressure_ksi\n0,1.0\n10,1.2\n"
-OUTSIDE = ["../{}", "sub/../../{}", "link_{}", "absolute"]
+DAMPER = """[[damper]]
+storey = 1
+actuation = {{ file = "{}", column = "pressure_ksi", unit = "ksi" }}
+"""
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """A folder with a matrix and a history in it, beside it, and by a link to those beside it."""
+def test_files_in_the_folder_are_read_and_others_refused(made, tmp_path, monkeypatch):
     inner = tmp_path / "building"
     (inner / "sub").mkdir(parents=True)
+    monkeypatch.chdir(inner)
     for place in (tmp_path, inner, inner / "sub"):
         np.savetxt(place / "M.csv", np.eye(1), delimiter=",")
-        (place / "valve.csv").write_text(ROWS)
+        (place / "valve.csv").write_text("time_s,pressure_ksi\n0,1.0\n10,1.2\n")
     for name in ("M.csv", "valve.csv"):
         (inner / f"link_{name}").symlink_to(tmp_path / name)
-    return inner
 
+    def read(matrix="M.csv", history="valve.csv"):
+        return made(MATRICES.format(matrix) + DAMPER.format(history))
 
-def building(folder, matrix="M.csv", history="valve.csv"):
-    path = folder / "b.toml"
-    path.write_text(
-        f'[matrices]\nmass = "M.csv"\nstiffness = "{matrix}"\n[[damper]]\nstorey = 1\n'
-        f'actuation = {{ file = "{history}", column = "pressure_ksi", unit = "ksi" }}\n'
-    )
-    return read_building(path)
-
-
-def named(form, name, folder):
-    return str(folder.parent / name) if form == "absolute" else form.format(name)
-
-
-@pytest.mark.parametrize("form", OUTSIDE)
-def test_a_file_outside_the_folder_is_refused(folder, form):
-    words = r"matrices\.stiffness in .*b\.toml: the file '.*M\.csv' lies outside the folder"
-    with pytest.raises(BuildingError, match=words):
-        building(folder, matrix=named(form, "M.csv", folder))
-    words = r"the actuation of storey 1: the file '.*valve\.csv' lies outside the folder"
-    with pytest.raises(BuildingError, match=words):
-        building(folder, history=named(form, "valve.csv", folder))
-
-
-def test_files_in_the_folder_are_read(folder, monkeypatch):
     for form in ("{}", "sub/{}", "./{}", "sub/../{}"):
-        found = building(folder, form.format("M.csv"), form.format("valve.csv"))
-        (device,) = found.devices
+        (device,) = read(form.format("M.csv"), form.format("valve.csv")).devices
         assert [float(column[-1]) for column in device.history] == [10.0, 1.2]
-    with pytest.raises(BuildingError, match=r"stiffness in .*cannot be found"):
-        building(folder, matrix="a\\u0000b")
-    building(folder)
-    monkeypatch.chdir(folder)  # where the folder has no name
-    assert read_building("b.toml").freedoms == 1
+    for form in ("../{}", "sub/../../{}", "link_{}", f"{tmp_path}/{{}}"):
+        matrix, history = form.format("M.csv"), form.format("valve.csv")
+        refused(r"matrices\.stiffness .*'.*M\.csv' lies outside", read, matrix)
+        refused(r"the actuation of storey 1.*'.*valve\.csv' lies outside", read, "M.csv", history)
+    refused(r"stiffness in .*cannot be found", read, "a\\u0000b")

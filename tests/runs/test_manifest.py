@@ -77,7 +77,7 @@ def test_stored_predictions_that_say_something_else_are_refused(out):
     (prediction,) = read_predictions(out, [fold])
     assert (prediction.part, prediction.test, prediction.score.width) == ("a", "a", 1.0)
     with pytest.raises(StoreError, match="not of its part"):
-        list(read_predictions(out, [replace(fold, left_out=("b",))]))
+        list(read_predictions(out, [replace(fold, left_out=("A",))]))
     for predictions, words in (
         ([], "predictions"),
         ([{"part": "a", "test": "a", "score": {}}], "score"),

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from mfd_bayes.reporting.figures import agg as look
+from mfd_bayes.reporting.figures import new_figure, style
 from mfd_bayes.reporting.symbols import BANDS, ORANGE, VERMILLION, plain
+from mfd_bayes.response.analysis import Response, Sweep
+from mfd_bayes.response.building import Building
+from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import GRAVITY
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
-
-    from mfd_bayes.response.analysis import Response, Sweep
-    from mfd_bayes.response.building import Building
-    from mfd_bayes.runs.unit_system import System
 
 Array = NDArray[np.float64]
 
@@ -30,13 +25,13 @@ _BARE, _PLAIN = "#777777", ORANGE
 DAMPERS = 12  # most loops that are drawn
 
 
-@look.style()
+@style()
 def draw_building(building: Building, system: System) -> Figure:
     """The building to scale, with its dampers."""
     heights = np.where(np.isfinite(building.heights), building.heights, 144.0)
     level = np.concatenate([[0.0], np.cumsum(heights)])
     width = max(1.2 * float(heights.mean()), 0.25 * float(level[-1]))
-    figure = look.new_figure(4.2, float(np.clip(1.2 + 4.2 * level[-1] / (2.2 * width), 2.4, 8.0)))
+    figure = new_figure(4.2, float(np.clip(1.2 + 4.2 * level[-1] / (2.2 * width), 2.4, 8.0)))
     axes = figure.add_subplot()
     axes.plot([-0.2 * width, 1.2 * width], [0, 0], color="#333333", lw=2)
     for low, high in pairwise(level):
@@ -67,11 +62,11 @@ def _quantiles(values: Array) -> Array:
     return np.asarray(np.quantile(values, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0))
 
 
-@look.style()
+@style()
 def draw_profile(response: Response, system: System) -> Figure:
     """Storey drift and floor acceleration against height, with bands, for each ground motion."""
     grounds, building = response.grounds, response.building
-    figure = look.new_figure(8.4, 0.6 + 3.0 * len(grounds))
+    figure = new_figure(8.4, 0.6 + 3.0 * len(grounds))
     grid = figure.subplots(len(grounds), 2, squeeze=False)
     ratios = bool(np.all(np.isfinite(building.heights)))
     drift_by = 100.0 / building.heights if ratios else np.full(1, system.factor("in"))
@@ -107,12 +102,12 @@ def draw_profile(response: Response, system: System) -> Figure:
     return figure
 
 
-@look.style()
+@style()
 def draw_histories(response: Response, ground: int, system: System) -> Figure:
     """Drift of every storey against time, with bands, and that without dampers behind."""
     values = response.histories[ground][response.usable(ground)]
     storeys, time = values.shape[2], response.grounds[ground].time
-    figure = look.new_figure(10, 0.8 + 1.5 * storeys)
+    figure = new_figure(10, 0.8 + 1.5 * storeys)
     grid = figure.subplots(storeys, 1, squeeze=False, sharex=True)[:, 0]
     pick = slice(None, None, max(1, time.size // 2500))
     by = system.factor("in")
@@ -130,14 +125,14 @@ def draw_histories(response: Response, ground: int, system: System) -> Figure:
     return figure
 
 
-@look.style()
+@style()
 def draw_damper_loops(response: Response, ground: int, system: System) -> Figure:
     """Force against travel of the dampers, of some draws."""
     travels, forces = response.travels[ground], response.forces[ground]
     shown = min(travels.shape[2], DAMPERS)
     columns = min(4, max(shown, 1))
     rows = -(-shown // columns)
-    figure = look.new_figure(max(2.6 * columns, 5.0), 2.5 * rows + 0.3)
+    figure = new_figure(max(2.6 * columns, 5.0), 2.5 * rows + 0.3)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     length, force = system.factor("in"), system.factor("kip")
     for j, axes in enumerate(grid.flat):
@@ -156,10 +151,10 @@ def draw_damper_loops(response: Response, ground: int, system: System) -> Figure
     return figure
 
 
-@look.style()
+@style()
 def draw_sweep(sweep: Sweep, system: System) -> Figure:
     """Largest drift and acceleration against the actuation, with bands and the best one."""
-    figure = look.new_figure(8.4, 3.2)
+    figure = new_figure(8.4, 3.2)
     by, unit = system.of_actuation(sweep.unit)
     names = {"drift": (system.factor("in"), system.length), "acceleration": (1.0, "g")}
     for axes, (name, (factor, of)) in zip(figure.subplots(1, 2), names.items(), strict=True):
