@@ -68,7 +68,7 @@ def _gamma(x: Array, f: Figures) -> Array:
 
 def _beta(x: Array, f: Figures) -> Array:
     powers = special.xlogy(f["a"] - 1, x) + special.xlog1py(f["b"] - 1, -x)
-    return np.asarray(powers - special.betaln(f["a"], f["b"]))
+    return powers - special.betaln(f["a"], f["b"])
 
 
 def _tail(f: Figures) -> tuple[float, float, float]:
@@ -295,7 +295,7 @@ class Noise:
             phi, shrink = np.exp(-decay.T), np.sqrt(-np.expm1(-2.0 * decay.T))
             for k in range(1, time.size):
                 noise[k] = phi[k] * noise[k - 1] + shrink[k] * noise[k]
-        return np.asarray(noise.T * scale)
+        return noise.T * scale
 
     def memory(
         self, time: Array, values: Values, travel: Array | None = None
@@ -354,7 +354,7 @@ class StudentT(OU):
         self, rng: np.random.Generator, shape: tuple[int, int], values: Values
     ) -> Array:
         dof = values["noise_dof"]
-        return np.asarray(rng.standard_normal(shape) * np.sqrt(dof / rng.chisquare(dof, shape)))
+        return rng.standard_normal(shape) * np.sqrt(dof / rng.chisquare(dof, shape))
 
 
 class Staged(OU):
