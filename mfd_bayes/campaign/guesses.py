@@ -380,7 +380,8 @@ _CALLED = re.compile(
 _PRESSURE_UNIT = re.compile(rf"{NUMBER}\s*(psi|ksi|kpa|mpa|bar)(?![a-z])", re.IGNORECASE)
 
 _COUNT = r"([+-]?(?:\d+\.?\d*|\.\d+|\d+,\d+)(?:[eE][+-]?\d+)?)(?![\d.,]*\d)"
-_HZ = r"(k?hz|k?s/s|k?sa/s|k?sps|1/s|samples?\s*(?:/|per)\s*s(?:ec(?:ond)?)?)(?![a-z])"
+_EACH = r"(?:samples?|scans?|points?|pts|readings?)\s*(?:/|per)\s*s(?:ec(?:ond)?)?"
+_HZ = rf"(k?hz|k?s/s|k?sa/s|k?sps|1/s|{_EACH})(?![a-z])"
 _SECONDS = r"(s|ms|us|µs|μs|sec|msec|seconds?|milliseconds?)(?![a-z])"
 _BETWEEN = r"[\s\"'=:;,._]*"
 _RATE_WORDS = (
@@ -469,7 +470,7 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
                     continue
                 if not unit and re.match(r"\s*[\[(]?[^\W\d_]", line[match.end() :]):
                     continue  # a unit that is not read
-                unit = re.sub(r"^(k?)(?:s/s|sa/s|sps|1/s|samples?.*)$", r"\1Hz", unit)
+                unit = re.sub(rf"^(k?)(?:s/s|sa/s|sps|1/s|{_EACH})$", r"\1Hz", unit)
                 unit = unit.replace("hz", "Hz").replace("μ", "µ")
                 text = f"{number} {unit or usual}"
                 doubt = "" if unit else f"{usual} is assumed for its rate or step"

@@ -318,7 +318,9 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
         values.append(_quantities(trace, band, band, NO_FACTOR))
     fine, coarse = values
     with np.errstate(all="ignore"):
-        ratios = {n: float(np.nanmedian(fine[n] / coarse[n])) for n in RESOLVED if n in fine}
+        quotients = {name: fine[name] / coarse[name] for name in RESOLVED if name in fine}
+    resolved = {name: q for name, q in quotients.items() if not np.all(np.isnan(q))}
+    ratios = {name: float(np.nanmedian(q)) for name, q in resolved.items()}
     return {name: ratio for name, ratio in ratios.items() if np.isfinite(ratio)}
 
 

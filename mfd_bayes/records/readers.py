@@ -128,8 +128,12 @@ def _decode(path: Path) -> str:
             "it as .mat or .tdms, or cut it"
         )
     content = path.read_bytes()
-    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252", "cp932", "latin-1"):
+    encodings: tuple[str, ...] = ("utf-8-sig", "cp1252", "cp932", "latin-1")
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encodings = ("utf-16",)
+    elif b"\x1b$" in content:
+        encodings = ("iso2022_jp",)
+    for encoding in encodings:
         try:
             text = content.decode(encoding)
         except UnicodeError:

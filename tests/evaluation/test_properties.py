@@ -1,7 +1,6 @@
 """Bounding properties from draws whose quantiles are known, and the data sheet of a run."""
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +19,6 @@ from mfd_bayes.evaluation.properties import (
 from mfd_bayes.records.trace import Trace
 from tests.run_folders import FORCE, MOTION
 
-DATA = Path(__file__).parents[1] / "data" / "run"
 UNIT = (np.arange(2000) + 0.5) / 2000.0
 DRAWN = {
     "device": {"slip_fwd": 2.0 + 0.2 * (UNIT - 0.5), "energy_per_cycle": np.full(2000, 4.0)},
@@ -64,18 +62,6 @@ def test_bounds_from_two_levels_come_with_a_warning():
 
 
 # --- the data sheet
-
-
-def test_what_was_asked_for_has_bounds_and_nothing_measured():
-    run = open_run(DATA)
-    sheet = datasheet(run, [parse_condition("700 psi, 0.9 in, 0.4 Hz", run.actuation_unit)])
-    assert set(sheet.formulas) == set(sheet.rows["quantity"])
-    assert len(sheet.verdict) == 3
-    asked = sheet.rows[sheet.rows["condition"] == "700 psi, 0.9 in, 0.4 Hz"]
-    assert len(asked) == 11  # eight, and the energy of three cycles
-    assert asked["measured"].isna().all()
-    assert (asked["lower"] < asked["nominal"]).all()
-    assert (asked["nominal"] < asked["upper"]).all()
 
 
 def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):

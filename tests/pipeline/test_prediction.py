@@ -74,20 +74,6 @@ def test_predict_writes_a_table_and_pictures(ask, table, motion, tmp_path):
     assert table("_derived")["measured"].isna().all()  # the file's force is not taken for it
 
 
-@pytest.mark.usefixtures("small_pictures")
-def test_predict_says_what_derives_from_the_force(ask, table, motion, tmp_path):
-    ask("--motion", motion, "--kind", "new_test", "--probability", 0.5, "--compare")
-    head = (tmp_path / "bands_derived.csv").read_text().splitlines()[0]
-    assert "50 % intervals" in head
-    assert "of kind new_test" in head
-    rows = table("_derived").set_index("quantity")
-    assert {"energy_in_all", "peak_fwd", "peak_bwd"} <= set(rows.index)
-    assert ((rows["lower"] <= rows["median"]) & (rows["median"] <= rows["upper"])).all()
-    assert rows.loc["energy_per_cycle", "measured"] == pytest.approx(4.0, rel=0.02)
-    energy, damping = rows.loc["energy_per_cycle", "median"], rows.loc["c_eq", "median"]
-    assert damping == pytest.approx(energy / np.pi**2, rel=2e-3)  # ω = π 1/s, X = 1 in
-
-
 def test_a_harmonic_motion_needs_no_file_and_starts_without_a_jump(ask, table):
     """At full speed out of rest a viscous part would give a peak at time 0."""
     for cycles in (1, 2.3, 3):
@@ -102,19 +88,6 @@ def test_a_harmonic_motion_needs_no_file_and_starts_without_a_jump(ask, table):
     assert table()["time_s"].iloc[-1] == pytest.approx(8.0)  # half a cycle leads in, and one out
     notes = table("_derived").set_index("quantity")["note"]
     assert notes["energy_per_cycle"] == notes["c_eq"] == "over 3 full cycles at full stroke"
-
-
-def test_a_prediction_is_given_in_the_other_system_of_units(ask, table):
-    tables = []
-    for units in ("us", "si"):
-        ask(*SINE, "--units", units, "--no-figures")
-        tables += table(), table("_derived").set_index("quantity")
-    us, us_derived, si, si_derived = tables
-    np.testing.assert_allclose(si["displacement_mm"], 25.4 * us["displacement_in"], atol=1e-6)
-    np.testing.assert_allclose(si["median_kN"], 4.4482216 * us["median_kip"], rtol=1e-6)
-    assert si_derived.loc["energy_per_cycle", "unit"] == "kN*mm"
-    peaks = [table.loc["peak_fwd", "upper"] for table in (si_derived, us_derived)]
-    assert peaks[0] == pytest.approx(4.4482216 * peaks[1], rel=1e-5)
 
 
 def test_with_another_run_both_give_half_of_the_draws(ask, table, out, tmp_path):
@@ -255,20 +228,6 @@ def test_a_motion_after_a_test_has_a_narrower_band_that_says_so(ask, table, run,
 
 
 # --- properties for design, and the laws behind them
-
-
-def test_design_prints_mean_and_bounding_properties(ask, table):
-    outcome = ask(*SINE, "--design", "--probability", 0.8, "--no-figures")
-    assert "exceeded with a probability of 10 %" in outcome.stdout
-    assert "too narrow" not in outcome.stderr  # three levels
-    rows = table("_design").set_index(["property", "basis"])
-    derived = table("_derived").set_index("quantity")
-    for what in ("energy_per_cycle", "peak_fwd", "peak_bwd"):
-        mean, again = rows.loc[what, "device"], rows.loc[what, "new_test"]
-        assert again["lambda_min"] < mean["lambda_min"] < 1.0  # scatter comes on top
-        assert 1.0 < mean["lambda_max"] < again["lambda_max"]
-        bounds = again[["lower", "upper"]].to_numpy(float)  # of the same draws
-        assert derived.loc[what, ["lower", "upper"]].to_numpy(float) == pytest.approx(bounds)
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+import mfd_bayes as mb
 from mfd_bayes.reporting import figures
 from tests.command_line import said, write_csv
 
@@ -75,6 +76,12 @@ def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
     ground = write_csv(tmp_path / "g.csv", time, 100.0 * np.sin(6.0 * time), names=names)
     building = ("--building", tmp_path / "b.toml", "--ground", ground)
     said("respond", out, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "response")
+    held = mb.open_run(out).held_out["p800_f0.5"]
+    record = write_csv(tmp_path / "held.csv", held.time, held.displacement, held.force)
+    at = ("--actuation", "800 psi", "-o")
+    given = ("--motion", record, "--given", "0 s to 1 s", "--kind", "observation", "--compare")
+    said("predict", out, *given, "--units", "si", *at, tmp_path / "given.csv")
+    said("accept", out, record, *at, tmp_path / "accepted")
     for path in sorted(tmp_path.rglob("*.csv")):
         with path.open(encoding="utf-8") as file:
             rows = [*csv.reader(line for line in file if not line.startswith("#"))]

@@ -337,6 +337,7 @@ def test_init_drafts_the_rate_that_a_file_states(tmp_path):
         ("Max. sample rate: 20 Hz\n", ""),
         ("Sample interval: 5 minutes\n", ""),
         ("Rate: 0.02 kS/s\n", "0.02 kHz"),
+        ("Scan rate: 20 pts/sec\n", "20 Hz"),
         ("サンプリング周波数：20Hz\n", "20 Hz"),
     ):
         write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", TRAVEL, FORCE, above=above)
@@ -528,14 +529,13 @@ def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path):
 
 def test_wide_brackets_and_unit_signs_are_read(tmp_path):
     path = tmp_path / "a_5bar.csv"
-    for encoding in ("cp932", "utf-8"):
-        heads = (
-            "時間（s）,変位（mm）,荷重（N）",
-            "時間［s］,変位［㎜］,荷重［N］",
-            "t(s)[0],x(mm)[0],F(N)[1]",
-        )
-        for head in heads:
-            path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
-            printed, _, seen = drafted(tmp_path)
-            assert "FIXME" not in printed
-            assert "displacement -12 to 12 mm" in seen
+    for encoding, head in (
+        ("cp932", "時間［s］,変位［㎜］,荷重［N］"),
+        ("utf-8", "時間［s］,変位［㎜］,荷重［N］"),
+        ("iso2022_jp", "時間（s）,変位（mm）,荷重（N）"),
+        ("utf-8", "t(s)[0],x(mm)[0],F(N)[1]"),
+    ):
+        path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
+        printed, _, seen = drafted(tmp_path)
+        assert "FIXME" not in printed
+        assert "displacement -12 to 12 mm" in seen

@@ -16,7 +16,6 @@ from mfd_bayes.reporting.figures import (
     draw_ranks,
     draw_shared,
     draw_truth,
-    spread,
     stretches,
     to_png,
 )
@@ -99,15 +98,6 @@ def test_long_records_show_the_strongest_motion(test_view):
 
 
 # --- laws
-
-
-def test_tests_at_one_level_stay_near_it():
-    levels = np.array([0.5, 0.6, 1.5])
-    for number in (1, 50):
-        shifted = spread(np.repeat(levels, number)).reshape(3, number)
-        assert np.max(np.abs(shifted - levels[:, None])) < 0.05  # half of the way to the next one
-        assert len(np.unique(shifted)) == 3 * number
-        np.testing.assert_allclose(shifted.mean(axis=1), levels)
 
 
 # --- records as they were read

@@ -1,75 +1,29 @@
 """Page and tables of a response of a building, and its best actuation in words."""
 
-import csv
-import io
-import json
-
 import numpy as np
-import pytest
 
 from mfd_bayes.pipeline.respond import (
     ResponseView,
-    peaks_frame,
     render_response,
-    response_json,
     sweep_sentence,
 )
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.figures import to_png
-from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.response.analysis import Sweep
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, US
-from mfd_bayes.units import GRAVITY
-
-UNITS = ("1", "in", "in/s^2", "kip", "kip*in")
-NONE = dict.fromkeys(("bare", "plain", "lower", "upper"), np.nan)
-ROWS = [
-    {"quantity": f"of {unit}", "ground": "g.csv", "place": "storey 1", "unit": unit}
-    | {"median": 2.0, "mean": 3.0}
-    | {"bands": {"50": (1.5, 2.5), "90": (1.0, 3.0), "95": (0.5, 4.0)}, **NONE, "bare": 5.0}
-    for unit in UNITS
-]
-LIMITS = [
-    {"quantity": quantity, "ground": "g.csv", "limit": limit, "unit": unit}
-    | {"probability": p, "error": 0.1}
-    for quantity, limit, unit, p in (("travel", 2.0, "in", 0.3), ("drift ratio", 0.01, "1", 0.2))
-]
-
-
-@pytest.mark.parametrize("system", [US, SI])
-def test_json_and_csv_of_peaks_say_the_same_in_the_units_of_their_system(system):
-    content = json.loads(response_json(ROWS, LIMITS, {"title": "t"}, system))
-    table = list(csv.DictReader(io.StringIO(to_csv(peaks_frame(ROWS, system)))))
-    for row, peak in zip(table, content["peaks"], strict=True):
-        assert row["unit"] == peak["unit"]
-        assert float(row["median"]) == pytest.approx(peak["median"], rel=1e-5)
-        assert float(row["without_dampers"]) == pytest.approx(peak["bare"], rel=1e-5)
-        assert peak["plain"] is None
-        for share, (low, high) in peak["bands"].items():
-            assert float(row[f"lower_{share}"]) == pytest.approx(low, rel=1e-5)
-            assert float(row[f"upper_{share}"]) == pytest.approx(high, rel=1e-5)
-    if system is SI:
-        assert [row["unit"] for row in table] == ["%", "mm", "g", "kN", "kN*mm"]
-        expected = [200.0, 50.8, 2.0 / GRAVITY, 8.89644, 225.97]
-        assert [float(row["median"]) for row in table] == pytest.approx(expected, rel=1e-5)
-        limits = [(one["limit"], one["unit"], one["probability"]) for one in content["limits"]]
-        assert limits == [(50.8, "mm", 0.3), (1.0, "%", 0.2)]
-
-
-ROW = ROWS[1] | {"bands": dict.fromkeys(("50", "90", "95"), (0.9, 1.1))}
-
-
-def view():
-    grounds = ["quake.csv", "other.csv"]
-    return ResponseView("", "", "fail", "", [], [], [ROW], [], [], "", grounds, 1, True, {})
 
 
 def test_a_page_of_a_response_has_both_systems_of_units():
+    row = {"quantity": "of in", "ground": "g.csv", "place": "storey 1", "unit": "in"}
+    row |= {"median": 2.0, "mean": 3.0} | dict.fromkeys(("plain", "lower", "upper"), np.nan)
+    row |= {"bare": 5.0, "bands": dict.fromkeys(("50", "90", "95"), (0.9, 1.1))}
+    grounds = ["quake.csv", "other.csv"]
+    view = ResponseView("", "", "fail", "", [], [], [row], [], [], "", grounds, 1, True, {})
     dot = to_png(figures.new_figure(1, 1))
     names = ("profile", "building", "history_1", "history_2", "loops_1", "loops_2")
     images = {f"{name}_{system}": dot for name in names for system in ("us", "si")}
-    text = render_response(view(), images)
+    text = render_response(view, images)
     assert text.count('data-system="us" hidden') == len(names)
     assert '<span data-value="0.9" data-unit="in" data-digits="3">22.9</span> to' in text
     assert "nan" not in text

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -18,7 +17,6 @@ from mfd_bayes.reporting.tables import predicted_csv
 from mfd_bayes.runs.folder import Verdict
 
 KIP = 4.4482216  # kN
-STIFFNESS = KIP / 25.4  # kN/mm of a kip/in
 SPECIAL = r"a_b%c&d#e$f\g{h}i~j^k|l<m>"
 DOCUMENT = r"""\documentclass{article}
 \usepackage{booktabs,longtable,array}
@@ -27,8 +25,6 @@ DOCUMENT = r"""\documentclass{article}
 \input{laws.tex}
 \end{document}
 """
-ESTIMATE = {"name": "k3", "unit": "kip/in", "value": 14.25, "lower": 0.8, "median": 1.0}
-ESTIMATE |= {"upper": 1.2, "tolerance": 0.3, "missed": True}
 
 
 def read(text):
@@ -61,35 +57,6 @@ def test_no_text_is_a_formula_in_csv_or_excel(campaign, written, tmp_path):
     assert (found["check"], found["feature"], found["observed"]) == ("a, b", 'say "x"', "-1")
     book = openpyxl.load_workbook(tmp_path / "tables.xlsx")
     assert not [cell for row in book["laws"].rows for cell in row if cell.data_type == "f"]
-
-
-def test_every_table_of_a_metric_report_is_in_kn_and_mm(campaign, written, tmp_path):
-    name, trace = campaign.tests[0].id, campaign.tests[0].trace
-    view = of_two(campaign, loop_estimates=(ESTIMATE | {"test": name},))
-    texts = written(replace(view, metric=True), excel=True)
-    row = next(r for r in read(texts["parameters.csv"]) if r["parameter"] == "k3")
-    assert row["unit"] == "kN/mm"
-    assert float(row["q97.5"]) == pytest.approx(1.2 * STIFFNESS, rel=1e-5)
-    assert float(row["r_hat"]) == 1.002
-    estimate = float(read(texts["loop_estimates.csv"])[0]["loop_estimate"])
-    assert estimate == pytest.approx(14.25 * STIFFNESS, rel=1e-5)
-    assert float(read(texts["scores.csv"])[0]["crps_kN"]) == pytest.approx(0.03 * KIP, rel=1e-5)
-    record = pd.read_csv(io.StringIO(texts[f"tests/{name}/record.csv"]))
-    for column, values, factor in (
-        ("force_kN", trace.force, KIP),
-        ("displacement_mm", trace.displacement, 25.4),
-        ("velocity_mm_per_s", trace.velocity, 25.4),
-    ):
-        np.testing.assert_allclose(record[column], factor * values, rtol=1e-4, atol=1e-4)
-    laws = read(texts["figures/laws.csv"])
-    assert all(float(r["lower"]) <= float(r["median"]) <= float(r["upper"]) for r in laws)
-    last = [row for row in laws if row["what"].startswith("mean")][-1]
-    assert float(last["actuation_MPa"]) == pytest.approx(1.5 * 6.894757, rel=1e-4)
-    tables = "".join(text for file, text in texts.items() if not file.endswith(".html"))
-    assert "kip" not in tables
-    assert all("kN/mm" in texts[f"parameters.{form}"] for form in ("csv", "json", "tex"))
-    laws = pd.read_excel(tmp_path / "tables.xlsx", sheet_name="laws")
-    assert laws["q50"].tolist() == pytest.approx([1.2 * 25.4**2])
 
 
 def test_json_says_what_it_holds_and_holds_what_csv_does(campaign, written):

@@ -5,26 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import UnitError
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, both_systems, named_system, system_of
-from mfd_bayes.units import convert
-
-
-def test_units_of_either_system():
-    for internal, metric, factor in (
-        ("kip*s/in", "kN*s/mm", 0.17512683524648),
-        ("in**2", "mm**2", 645.16),
-        ("1/in", "1/mm", 1 / 25.4),
-        ("ksi", "MPa", 6.8947572931684),
-        ("1", "1", 1.0),
-    ):
-        assert SI.unit(internal) == metric
-        assert SI.factor(internal) == pytest.approx(factor, rel=1e-12)
-        assert (US.unit(internal), US.factor(internal)) == (internal, 1.0)
-    with pytest.raises(UnitError, match="cannot be given in 'mm/kg'"):
-        convert("kip/in", "mm/kg")
 
 
 def test_most_records_decide_the_system_and_the_pressure():
