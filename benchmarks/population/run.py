@@ -22,7 +22,7 @@ import warnings
 
 import numpy as np
 
-from benchmarks.population import study as study_of
+from benchmarks.population import study
 from benchmarks.population.study import FACTORS, RIGHT
 from mfd_bayes.errors import MfdError
 
@@ -33,20 +33,19 @@ CORRELATED, WHITE = 0.2, 0.004
 def run_campaign(seed, index, noise_time):
     """Ranks of one campaign's truths each way, and how the sampling went."""
     warnings.simplefilter("ignore", FutureWarning)
-    study = study_of.study_of(seed, noise_time)
-    campaign = study_of.synthesize(study, index)
+    campaign = study.synthesize(seed, index, noise_time)
     began = time.perf_counter()
     try:
-        draws, inference = study_of.infer(study, campaign, index)
+        draws, inference = study.infer(campaign)
     except MfdError as error:
         return {"error": str(error), "ranks": {}}
     found = inference.population.convergence
-    single = all(d.convergence.reached(study.single.r_hat, study.single.ess) for d in draws)
+    single = all(d.convergence.reached(study.SINGLE.r_hat, study.SINGLE.ess) for d in draws)
     return {
         "error": "",
-        "ranks": study_of.ranks_of(study, campaign, inference, index),
+        "ranks": study.ranks_of(campaign, inference),
         "ess": found.worst_ess,
-        "short": not (single and found.reached(study.joint.r_hat, study.joint.ess)),
+        "short": not (single and found.reached(study.JOINT.r_hat, study.JOINT.ess)),
         "seconds": time.perf_counter() - began,
     }
 
@@ -82,7 +81,7 @@ def main():
     noise_time = WHITE if options.white else CORRELATED
     count = 1 if options.quick else options.campaigns
     every = [(options.seed, index, noise_time) for index in range(count)]
-    failed = judge(common.run_series(run_campaign, every, options), study_of.DRAWS)
+    failed = judge(common.run_series(run_campaign, every, options), study.DRAWS)
     common.finish([] if options.quick else failed)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import EFFORTS, Effort, intervals_of
+from mfd_bayes.calibration.diagnostics import EFFORTS, intervals_of
 from mfd_bayes.calibration.posterior import Posterior, PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import sample
@@ -39,45 +39,33 @@ TEST_RANKED = ("Fc_fwd", "sigma0", "d2", "offset", "noise_sd")
 """Quantities whose levels, and whose values in the first test, are ranked."""
 
 
-@dataclass(frozen=True, eq=False)
-class Study:
-    """What the campaigns share; `draws` are taken of each posterior."""
-
-    priors: PriorFile
-    motion: Trace
-    single: Effort
-    joint: Effort
-    draws: int
-    seed: int
+SINGLE = replace(EFFORTS["quick"], ess=150, limit=1600, ensembles=2)  # of a test by itself
+JOINT = replace(EFFORTS["quick"], ess=190)
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """Synthetic tests, and what they were drawn with by the names of what is ranked."""
 
+    priors: PriorFile
+    seed: tuple[int, int]  # of a series, and the number in it
     tests: tuple[Posterior, ...]
     design: Design
     truth: Mapping[str, float]
 
 
-def study_of(seed: int, noise_time: float = 0.2) -> Study:
-    """Eight parameters and two cycles in 96 samples: a test takes a second."""
-    time = np.arange(96) / 16.0
-    motion = Trace.from_arrays(time, 0.5 * np.sin(2 * np.pi * 0.3 * time))
+def synthesize(seed: int, index: int, noise_time: float) -> Campaign:
+    """Campaign of hyperparameters, tests, and records drawn from the prior.
+
+    Eight parameters and two cycles in 96 samples: a test takes a second.
+    """
     sampled = ("sigma0", "Fc_fwd", "Fc_bwd", "k3", "d2", "start", "offset", "noise_sd")
     priors = narrow_priors((*sampled, "noise_time"), noise_time=noise_time)
-    single = replace(EFFORTS["quick"], ess=150, limit=1600, ensembles=2)
-    joint = replace(EFFORTS["quick"], ess=190)
-    return Study(priors, motion, single, joint, DRAWS, seed)
-
-
-def synthesize(study: Study, index: int) -> Campaign:
-    """Campaign of hyperparameters, tests, and records drawn from the prior."""
-    rng = np.random.default_rng([study.seed, index, 0])
-    blanks = [_blank(study, level) for level in LEVELS]
+    rng = np.random.default_rng([seed, index, 0])
+    blanks = [_blank(priors, level) for level in LEVELS]
     settings = [setting_of(blank.trace) for blank in blanks]
     known = [name for name in blanks[0].names if name != "noise_time"]  # the joint fit learns it
-    design = design_of(study.priors, known, settings, LAWS)
+    design = design_of(priors, known, settings, LAWS)
     names, d = list(design.names), len(design.names)
     centre = design.coordinates.centre[:d]
     level = centre + design.spread * rng.standard_normal(d)
@@ -93,20 +81,18 @@ def synthesize(study: Study, index: int) -> Campaign:
     for side in ("fwd", "bwd"):
         truth[f"K_c_{side}"] = median[f"Fc_{side}"] / design.reference
     truth["alpha_sigma0"] = median["sigma0"] * truth["share sigma0"] / design.reference
-    for name in LEVELS_RANKED:
-        truth[f"level {name}"] = level[names.index(name)]
-    for name in TEST_RANKED:
-        truth[f"first test's {name}"] = values[name][0]
-    truth["new test's Fc_fwd"] = values["Fc_fwd"][-1]
-    truth["new test's sigma0"] = values["sigma0"][-1]
+    truth |= {f"level {name}": level[names.index(name)] for name in LEVELS_RANKED}
+    truth |= {f"first test's {name}": values[name][0] for name in TEST_RANKED}
+    truth |= {f"new test's {name}": values[name][-1] for name in ("Fc_fwd", "sigma0")}
     tests = []
     for j, blank in enumerate(blanks):
         force = _measured(blank, {name: v[j : j + 1] for name, v in values.items()}, rng)
-        tests.append(Posterior(replace(blank.trace, force=force[0]), study.priors))
-    new = _blank(study, UNSEEN)
+        tests.append(Posterior(replace(blank.trace, force=force[0]), priors))
+    new = _blank(priors, UNSEEN)
     force = _measured(new, {name: v[-1:] for name, v in values.items()}, rng)
     truth |= {name: value[0] for name, value in _seen_in(new, force).items()}
-    return Campaign(tuple(tests), design, {name: float(v) for name, v in truth.items()})
+    true = {name: float(value) for name, value in truth.items()}
+    return Campaign(priors, (seed, index), tuple(tests), design, true)
 
 
 def _values(design: Design, q: Array) -> dict[str, Array]:
@@ -147,10 +133,11 @@ def _seen_in(test: Posterior, force: Array) -> dict[str, Array]:
     }
 
 
-def _blank(study: Study, level: float) -> Posterior:
-    motion = study.motion
-    trace = Trace.from_arrays(motion.time, motion.displacement, level)
-    return Posterior(replace(trace, force=np.zeros(trace.samples)), study.priors)
+def _blank(priors: PriorFile, level: float) -> Posterior:
+    """A test at a level of the actuation, without force."""
+    time = np.arange(96) / 16.0
+    trace = Trace.from_arrays(time, 0.5 * np.sin(2 * np.pi * 0.3 * time), level)
+    return Posterior(replace(trace, force=np.zeros(trace.samples)), priors)
 
 
 def _laws(rng, relative, names, truth):
@@ -185,15 +172,15 @@ def _deviations(rng, at, design, truth):
     return deviations
 
 
-def infer(study, campaign, index):
+def infer(campaign):
     """Draws of every test by itself, and the population of all as a user infers it."""
     draws, tests = [], {}
     for j, test in enumerate(campaign.tests):
-        draws.append(sample(test, study.single, (study.seed, index, 1, j)))
+        draws.append(sample(test, SINGLE, (*campaign.seed, 1, j)))
         intervals = intervals_of(draws[-1].values)
         tests[f"t{j}"] = TestResult(f"t{j}", test, Path(), intervals=intervals)
-    settings = InferenceSettings(LAWS, "ksi", study.joint, (study.seed, index, 2))
-    return draws, infer_population(tests, study.priors, settings)
+    settings = InferenceSettings(LAWS, "ksi", JOINT, (*campaign.seed, 2))
+    return draws, infer_population(tests, campaign.priors, settings)
 
 
 def drawn_values(inference: Inference) -> dict[str, Array]:
@@ -214,20 +201,20 @@ def drawn_values(inference: Inference) -> dict[str, Array]:
     return drawn | {f"first test's {name}": tested[name] for name in TEST_RANKED}
 
 
-def ranks_of(study, campaign, inference, index):
+def ranks_of(campaign, inference):
     """How many of L draws, taken evenly over chains and walkers, lie below each truth, by way.
 
     The ways differ in the scatter, and in what a new test shows with it.
     """
     population, test, ranks = inference.population, campaign.tests[0], {}
-    design, draws, new = population.design, population.draws, _blank(study, UNSEEN)
+    design, draws, new = population.design, population.draws, _blank(campaign.priors, UNSEEN)
 
     def rank(drawn):
         """Ranks of values by name."""
         below = {}
         for name, values in drawn.items():
             flat = values.reshape(-1)
-            pick = np.linspace(0, flat.size - 1, study.draws).astype(np.intp)
+            pick = np.linspace(0, flat.size - 1, DRAWS).astype(np.intp)
             below[name] = int(np.sum(flat[pick] < campaign.truth[name]))
         return below
 
@@ -236,7 +223,7 @@ def ranks_of(study, campaign, inference, index):
         h = draws.h.copy()
         h[..., : design.free.size] += np.log(factor)
         changed = replace(population, draws=replace(draws, h=h))
-        forecast = Forecast("observation", draws=study.draws, seed=index)
+        forecast = Forecast("observation", draws=DRAWS, seed=campaign.seed[1])
         band = Predictor(changed, test.model, test.noise).predict(new.trace, forecast)
         seen = {f"new test's {name}": band.values[name] for name in ("Fc_fwd", "sigma0")}
         seen |= _seen_in(new, np.asarray(band.draws))

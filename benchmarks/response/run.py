@@ -13,10 +13,8 @@ than 0.5 % off solve_ivp's.
 from benchmarks import common  # isort: skip  (one thread, before numpy)
 
 import os
-import resource
 import subprocess
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,21 +82,16 @@ def speed(ground, draws, jobs):
     above = np.cumsum(opensees.WEIGHTS[::-1])[::-1]
     theta = np.array([[three_stage_row(rng, 0.05 * w) for w in above] for _ in range(draws)])
     dampers = Dampers(ThreeStage(), theta, rng.random((draws, 6)), theta[..., 4])
-    begun, clock = spent(), time.perf_counter()
+    begun = os.times()
     found = response_of(six_storeys(), [ground], dampers, jobs=jobs)
-    used, clock = spent() - begun, time.perf_counter() - clock
+    ended = os.times()
+    used, clock = sum(ended[:4]) - sum(begun[:4]), ended.elapsed - begun.elapsed
     print(f"\n{draws} draws x 6 storeys x 6 dampers x {ground.acceleration.size} samples", end="")
     print(
         f", {jobs} jobs\nprocessor {used:.0f} s, clock {clock:.0f} s, load {os.getloadavg()[1]:.1f}"
     )
     print(f"not settled within 1 %: {int(found.unsettled.sum())}; ran away: {found.unstable.sum()}")
     print(f"largest energy not accounted for: {found.imbalance.max():.1e} of the input")
-
-
-def spent():
-    """Processor time of this process and of those that it started and that ended, s."""
-    both = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-    return sum(resource.getrusage(who).ru_utime for who in both)
 
 
 def main():

@@ -2,7 +2,7 @@
 
     python -m benchmarks.scaling.run > benchmarks/scaling/scaling.txt
 
-takes an hour and a half on two cores (--quick: 4 tests): synthetic campaigns at effort "quick" with
+takes an hour and a half on two cores (--quick: 2 tests): synthetic campaigns at effort "quick" with
 two processes, two cycles at 0.5 and 1 Hz, ten levels of pressure, at 50 Hz. `ratio` is the time
 until the last test is stored, divided by half of the sum of the tests' own times (two processes: 1
 is ideal). Then follow the seconds and the peak memory of each stage in the main process, the sweeps
@@ -107,7 +107,7 @@ def main():
     options = common.begin(parser)
     print(" tests  s each    ratio" + "".join(f"{stage:>12s} MiB" for stage in STAGES), end="")
     print("  sweeps  worker  MiB/test    page failed")
-    for tests in [4] if options.quick else options.tests:
+    for tests in [2] if options.quick else options.tests:
         # in a process of its own, whose memory is counted
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as apart:
             print(apart.submit(campaign, tests).result(), flush=True)

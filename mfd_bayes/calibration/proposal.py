@@ -306,7 +306,7 @@ class Mixture:
         squares = np.einsum("nki,nki->kn", standard, standard)
         dof, dim = self.dof[:, None], self.means.shape[1]
         parts = constants[:, None] - 0.5 * (dof + dim) * np.log1p(squares / dof)
-        return np.asarray(special.logsumexp(parts, axis=0) + slope)
+        return special.logsumexp(parts, axis=0) + slope
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws, (n, dim)."""
@@ -327,7 +327,7 @@ class Proposal:
     def log_density(self, q: Array) -> Array:
         """Normalised log density, (n, dim) -> (n,)."""
         densities = np.stack([part.log_density(q) for part in self.parts])
-        return np.asarray(special.logsumexp(densities + np.log(self.shares)[:, None], axis=0))
+        return special.logsumexp(densities + np.log(self.shares)[:, None], axis=0)
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws, (n, dim)."""

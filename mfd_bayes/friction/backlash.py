@@ -171,7 +171,7 @@ class Damper:
         """1/length over which slip sets in, n G′/F_c at G = F_c, on each side, (2, n), 1/in."""
         slip = self.kinetic * np.array([[1.0], [-1.0]])
         slope = self.evaluate(self.deflection(slip, close=1e-4))[1]
-        return np.asarray(self.columns["n"] * slope / self.kinetic)
+        return self.columns["n"] * slope / self.kinetic
 
     @cached_property
     def rate(self) -> Array:

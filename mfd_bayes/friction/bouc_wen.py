@@ -74,7 +74,7 @@ class Curve:
             log = power * np.log(np.maximum(np.abs(w), 1e-300))
             grown = np.exp(np.minimum(log, 200.0))
             steep = np.where(w < 0, 1.0 + soft * grown, np.abs(grown - 1.0))
-            return np.asarray(np.maximum(steep, 1e-300))
+            return np.maximum(steep, 1e-300)
 
         pair = c["Fy_fwd"], c["Fy_bwd"]
         reach = REACH * (np.maximum(*pair) / np.minimum(*pair))[:, None]
@@ -137,7 +137,7 @@ class Curve:
 
 
 def _key(values: Array, row: Rows) -> Array:
-    return np.asarray(values / (1.0 + np.abs(values)) + 4.0 * row)
+    return values / (1.0 + np.abs(values)) + 4.0 * row
 
 
 def strength_of(

@@ -197,7 +197,7 @@ class Goals:
     def narrower(self, share: Array) -> Array:
         """Reduction of the mean width, (…), by shares of the variances that are left, (…, m)."""
         widths = self.widths
-        return np.asarray(1.0 - np.sqrt(share) @ widths / max(float(widths.sum()), 1e-300))
+        return 1.0 - np.sqrt(share) @ widths / max(float(widths.sum()), 1e-300)
 
 
 @dataclass(frozen=True)
@@ -459,7 +459,7 @@ class Study:
             low, high = min(levels), max(levels)
             low = 0.0 if not high > low else low
             at = population.median(goal.of, np.array([low, high])).reshape(-1, 2)[devices.index]
-            return np.asarray(np.diff(at, axis=1) / (high - low))
+            return np.diff(at, axis=1) / (high - low)
         draws = []
         for number, place in enumerate(places[:1] if goal.quantity == GAP else places):
             loop, seed = Loop.of(place, self.gap), (self.seed, GOALS, number, 0)

@@ -350,7 +350,7 @@ class Predictor:
         theta, start = self.model.theta(values), values.get("start")
         check_magnitude("a predicted parameter", theta, RANGE)
         along = {k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in scales.items()}
-        return np.asarray(self.model.force_unbounded(theta, trace, start, scales=along or None))
+        return self.model.force_unbounded(theta, trace, start, scales=along or None)
 
     def force(self, trace: Trace, drawn: Drawn) -> Array:
         """The damper's force with the discrepancy of the model, (n, T), kip."""
@@ -364,7 +364,7 @@ class Predictor:
         force = self.force(trace, drawn)
         if drawn.noise is None:
             return force
-        return np.asarray(force + self.values(drawn)["offset"][:, None] + drawn.noise)
+        return force + self.values(drawn)["offset"][:, None] + drawn.noise
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _shares(self, trace: Trace, drawn: Drawn, part: slice) -> dict[str, float]:

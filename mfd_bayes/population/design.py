@@ -128,7 +128,7 @@ def ratio(relative: Array, share: Array, exponent: Array) -> Array:
     with np.errstate(over="ignore"):  # an actuation far beyond the tests
         power = np.exp(np.log(np.where(positive, relative, 1.0)) * exponent)
     power = np.where(positive, np.minimum(power, LARGEST), 0.0)
-    return np.asarray(share * power + (1.0 - share))
+    return share * power + (1.0 - share)
 
 
 def shape_prior(shape: str) -> Prior:
@@ -379,7 +379,7 @@ class Coordinates:
         n = max(np.size(value) for value in values.values())
         filled = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
         q = [self.priors[name].coordinate(np.atleast_1d(filled[name])) for name in self.names]
-        return np.asarray((self._compared(np.stack(q, axis=1)) - self.centre) / self.spread)
+        return (self._compared(np.stack(q, axis=1)) - self.centre) / self.spread
 
     def log_prior(self, x: Array, columns: NDArray[np.bool_]) -> Array:
         """Log density of some coordinates of x (n, D) under their priors, in prior units, (n,)."""

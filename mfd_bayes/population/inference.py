@@ -125,7 +125,7 @@ def knot_covariance() -> Array:
     knots = np.linspace(0.0, 1.0, KNOTS)
     r = np.sqrt(3.0) * np.abs(np.subtract.outer(knots, knots)) / LENGTH
     one = (1.0 + r) * np.exp(-r) + 1e-6 * np.eye(KNOTS)
-    return np.asarray(block_diag(one, one))
+    return block_diag(one, one)
 
 
 def lag_one_of(standard: Sequence[Array]) -> float:
@@ -188,7 +188,7 @@ class TestLikelihood:
         force = self.posterior.force(values, scales=self.scales(x) or None)
         measured = np.asarray(self.posterior.trace.force)
         left = measured - force - values["offset"][:, None]
-        return np.asarray(left[:, self.posterior.first :])
+        return left[:, self.posterior.first :]
 
     def linearised(self, x: Array) -> Array:
         """Residuals at x (1, D), and their slopes, (1 + D, T)."""
@@ -827,7 +827,7 @@ class ExactSampler:
 
     def _autoregressive(self, e: Array, beta: Array | float) -> Array:
         """Standard normal numbers near others."""
-        return np.asarray(np.sqrt(1.0 - beta**2) * e + beta * self.rng.standard_normal(e.shape))
+        return np.sqrt(1.0 - beta**2) * e + beta * self.rng.standard_normal(e.shape)
 
     def _keep(self, state: State, new: State) -> None:
         """Keep a proposal for the next fit."""

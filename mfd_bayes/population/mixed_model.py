@@ -103,11 +103,11 @@ class MixedModel:
 
     def tau(self, h: Array) -> Array:
         """Scatter of the free quantities in prior units, (n, F)."""
-        return np.asarray(np.exp(h[:, : self.f]) / self.design.spread[self.free])
+        return np.exp(h[:, : self.f]) / self.design.spread[self.free]
 
     def omega(self, h: Array) -> Array:
         """Sd of the effects, natural units, (n, E)."""
-        return np.asarray(np.exp(h[:, self.f : self.f + self.e]))
+        return np.exp(h[:, self.f : self.f + self.e])
 
     def shapes(self, h: Array, choice: Index) -> tuple[Array, Array]:
         """Share and exponent of each law, (n, L) each."""
@@ -208,7 +208,7 @@ class MixedModel:
         """Precision of the deviations of tests js given the rest, (n, m, F, F)."""
         prior = self.weight[js] / tau[:, None] ** 2
         p = self.p[js][:, self.free][:, :, self.free]
-        return np.asarray(p + prior[..., None] * np.eye(self.f))
+        return p + prior[..., None] * np.eye(self.f)
 
     def deviations(self, h: Array, choice: Index, z: Array) -> tuple[Array, Array]:
         """Mean of the deviations given the rest, (n, J, F), and factors of their precision."""

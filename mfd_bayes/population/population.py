@@ -77,7 +77,7 @@ _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
 def strokes_of(trace: Trace) -> Index:
     """Number of the stroke to which each sample belongs, (T,), from 0."""
     turns = trace.turning_points
-    return np.asarray(np.searchsorted(turns, np.arange(trace.samples), side="right"))
+    return np.searchsorted(turns, np.arange(trace.samples), side="right")
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Residual:
 
     def shape(self, trace: Trace) -> Array:
         """Shape g of the noise's standard deviation, (T,)."""
-        return np.asarray(np.exp(self.basis(trace) @ self.log_shape))
+        return np.exp(self.basis(trace) @ self.log_shape)
 
     def draw_knots(self, rng: np.random.Generator, n: int) -> Array:
         """Draws of δ at the knots, (n, K), kip."""
@@ -135,7 +135,7 @@ class Residual:
     def discrepancy(self, trace: Trace, slip_force: Array, knots: Array) -> Array:
         """Discrepancy f δ(u), (n, T), kip, for slip forces (n,) and values at the knots (n, K)."""
         relative = slip_force / self.slip_force
-        return np.asarray(relative[:, None] * (knots @ self.basis(trace).T))
+        return relative[:, None] * (knots @ self.basis(trace).T)
 
     def draw_noise(
         self,
@@ -626,7 +626,7 @@ class Population:
                 found[k] = np.sqrt(
                     (STROKE * stroke) ** 2 + ((RATE * rate) ** 2 + level[k] ** 2) * follows
                 )
-        return np.asarray(found / design.spread)
+        return found / design.spread
 
     def repeats(self, setting: Setting) -> bool:
         """Whether a motion repeats those of the tests: of their kind and of their stroke."""

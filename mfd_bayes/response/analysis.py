@@ -108,12 +108,12 @@ class Response:
     @property
     def unsettled(self) -> NDArray[np.bool_]:
         """Draws with a larger error than the tolerance, or steps that should be shorter, (n, g)."""
-        return np.asarray(((self.change > self.tolerance) | (self.open > OPEN)) & ~self.unstable)
+        return ((self.change > self.tolerance) | (self.open > OPEN)) & ~self.unstable
 
     def usable(self, ground: int) -> NDArray[np.bool_]:
         """Draws that did not run away, (n,), by the number of the ground motion."""
         try:
-            return np.asarray(~self.unstable[:, ground])
+            return ~self.unstable[:, ground]
         except IndexError as error:
             known = f"0 to {len(self.grounds) - 1}"
             raise NotThereError(f"no ground motion {ground!r}: there are {known}") from error

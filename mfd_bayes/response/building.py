@@ -301,7 +301,7 @@ class Modes:
     @property
     def periods(self) -> Array:
         """Natural periods, (N,), s."""
-        return np.asarray(2.0 * np.pi / self.frequencies)
+        return 2.0 * np.pi / self.frequencies
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,7 +437,7 @@ def damping_matrix(damping: Damping, building: Building, path: str) -> Array:
     ratio, omega = damping.ratio, modes.frequencies
     if damping.kind == "modal":
         towards = building.mass @ modes.shapes
-        return np.asarray(towards @ np.diag(2.0 * ratio * omega) @ towards.T + dashpots)
+        return towards @ np.diag(2.0 * ratio * omega) @ towards.T + dashpots
     places = damping.modes if omega.size > 1 or "modes" in given else (1, 1)
     if max(places) > omega.size:
         raise BuildingError(
@@ -446,7 +446,7 @@ def damping_matrix(damping: Damping, building: Building, path: str) -> Array:
     first, second = (float(omega[place - 1]) for place in places)
     by_mass = 2.0 * ratio * first * second / (first + second)
     by_stiffness = 2.0 * ratio / (first + second)
-    return np.asarray(by_mass * building.mass + by_stiffness * building.stiffness + dashpots)
+    return by_mass * building.mass + by_stiffness * building.stiffness + dashpots
 
 
 def _devices(damper: Damper, number: int, floors: int, path: Path) -> Iterator[Device]:

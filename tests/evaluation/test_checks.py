@@ -1,20 +1,27 @@
 """Checks of tests, and tests that stand apart from the others."""
 
+import multiprocessing
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import quantiles_of
+from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.checks import (
     convergence_checks,
     length_check,
     slip_checks,
     standing_out,
 )
-from mfd_bayes.evaluation.summary import noise_rows
+from mfd_bayes.evaluation.summary import noise_rows, views_of_tests
+from mfd_bayes.jobs import local
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import open_run
 
 
 def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
@@ -80,3 +87,33 @@ def test_tests_stand_apart_by_chance_as_rarely_as_stated():
     campaigns = rng.normal(size=(2000, 8, 4))
     share = np.mean([any(True for _ in standing_out(one)) for one in campaigns])
     assert share < 0.02
+
+
+# --- views of many tests
+
+DATA = Path(__file__).parents[1] / "data" / "run"
+
+
+def test_several_processes_make_the_views_that_one_makes(monkeypatch):
+    monkeypatch.setattr(local, "FEWEST", 2)
+    run, views = open_run(DATA), []
+    for jobs in (1, 2):
+        made, lost = views_of_tests(run, jobs)
+        assert lost == {}
+        assert [view.id for view in made] == list(run.manifest.tests)
+        views.append(made)
+    assert not multiprocessing.active_children()
+    for one, other in zip(*views, strict=True):
+        np.testing.assert_array_equal(one.observation.median, other.observation.median)
+        for a, b in zip(one.marginals, other.marginals, strict=True):
+            np.testing.assert_array_equal(a.prior, b.prior)
+            np.testing.assert_array_equal(a.posterior, b.posterior)
+        assert repr((one.rows, one.checks)) == repr((other.rows, other.checks))
+
+
+def test_a_stored_file_that_is_gone_is_no_fault_of_its_test(tmp_path):
+    run = open_run(DATA)
+    name, test = next(iter(run.tests.items()))
+    tests = {**run.tests, name: replace(test, path=tmp_path / "gone.nc", sha256="")}
+    with pytest.raises(StoreError, match=r"gone\.nc"):
+        views_of_tests(replace(run, tests=tests))

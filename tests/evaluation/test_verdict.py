@@ -80,22 +80,6 @@ def test_a_band_is_judged_by_too_few_inside():
         assert (judged.use == Use.USABLE) == (status in (Verdict.PASS, Verdict.NOTE))
 
 
-def test_the_worst_miss_stands_first_whatever_its_p_value():
-    checks = [
-        missed("a", "peak force forward", 3.0, 2.4, tolerance=0.15),
-        energy("a", 5.0, 5.9, 0.004),
-        missed("b", "peak force forward", 3.0, 2.5, tolerance=0.15),
-    ]
-    first, second = judge(["b", "a"], checks, [])
-    assert first.subject == "a"
-    assert "energy per cycle 5 kip·in where 5.9 kip·in" in str(first.reasons[0])
-    assert first.misfit > second.misfit > 1.0
-    good = [energy("a", 5.0, 5.1), energy("b", 5.0, 5.01)]
-    judged = judge(["b", "a"], good, [])
-    assert use_of(judged, good) == Use.USABLE
-    assert sentence(good, judged).startswith("Both tests are reproduced within tolerance.")
-
-
 def check(name, feature, status, observed=1.2, expected=1.01, unit=""):
     return Check("a", name, feature, observed, expected, status, unit)
 

@@ -85,6 +85,31 @@ def test_without_actuation_slip_has_no_friction(model):
     assert np.max(np.abs(model.force(theta, wide)[:, slipping])) < 1e-3
 
 
+def test_force_is_continuous_in_time(model):
+    # a jump does not shrink with the step; the force of a smooth motion does, in proportion
+    theta = dampers(model, 8)
+    largest = []
+    for rate in (250.0, 2000.0):
+        time = np.arange(0.0, 4.0, 1.0 / rate)
+        force = model.force(theta, trace_of(0.3 * np.sin(np.pi * time), time=time))
+        largest.append(np.max(np.abs(np.diff(force))))
+    assert largest[1] < largest[0] / 2.5
+
+
+def test_a_steady_cycle_gives_no_energy(model):
+    for amplitude in [1.0, 0.1, 0.01]:
+        time = np.arange(0.0, 20.0, 0.005)
+        trace = trace_of(amplitude * np.sin(np.pi * time), time=time)
+        force, last = model.force(dampers(model, 20), trace), slice(-401, None)
+        energy = np.trapezoid(force[:, last], trace.displacement[last], axis=1)
+        assert np.all(energy > -1e-3 * amplitude * np.abs(force).max(axis=1))
+
+
+def test_no_motion_keeps_one_force(model):
+    force = model.force(dampers(model, 3), Trace.from_arrays([0.0, 1.0, 2.0], [0.3] * 3))
+    np.testing.assert_allclose(force, force[:, :1] * np.ones(3), rtol=1e-12, atol=1e-15)
+
+
 # --- a record, a step in time and a building compute the same force
 
 STEPS = np.arange(0.0, 4.0, 0.02)

@@ -1,6 +1,5 @@
 """Real processes, killed while they work: what they leave, and what a resumed run makes of it."""
 
-import json
 import os
 import shutil
 import signal
@@ -117,21 +116,12 @@ def out(tmp_path):
     return tmp_path / "disk" / "out"
 
 
-@pytest.fixture
-def copied(whole, out):
-    return Path(shutil.copytree(whole, out))
-
-
 def assert_finished(start, out, whole, *options):
     """Assert that a resumed run ends well, with the same files, to the bit."""
     with start(out, "--resume", *options) as run:
         assert run.end() == (0, "")
     assert files(out) == files(whole)
     assert differing(out, whole) == []
-
-
-def manifest_of(out):
-    return json.loads((out / "manifest.json").read_text())
 
 
 # --- killed
@@ -206,14 +196,3 @@ def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(start,
 
 
 # --- what is left behind
-
-
-def test_a_kill_between_a_file_and_its_hash_is_resumed(start, whole, copied):
-    manifest = manifest_of(copied) | {"status": "running", "files": {}}
-    for entry in manifest["tests"].values():
-        entry["status"] = "waiting"
-    (copied / "manifest.json").write_text(json.dumps(manifest))
-    assert_finished(start, copied, whole)
-    before, after = (manifest_of(out)["files"] for out in (whole, copied))
-    kept = [name for name in before if name.endswith("posterior.nc")]
-    assert {name: after[name] for name in kept} == {name: before[name] for name in kept}

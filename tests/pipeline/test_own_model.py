@@ -1,6 +1,5 @@
 """A campaign with a model of the user's own, from its file to what is predicted with it."""
 
-import re
 import shutil
 
 import numpy as np
@@ -135,15 +134,6 @@ def test_its_file_is_said_to_be_run_and_the_truth_is_inside(finished):
     band = run.predict(mb.Trace.from_arrays(time, x, 0.75, velocity=speed), draws=200)
     inside = (band.lower <= force(AT, speed)) & (force(AT, speed) <= band.upper)
     assert inside.mean() > 0.9
-
-
-def test_a_slow_model_is_named_before_anything_is_sampled(folder):
-    campaign, path = folder / "all.toml", folder / "my_damper.py"
-    assert "is slow" not in said("calibrate", campaign, "--dry-run")
-    slow = "scales):\n        __import__('time').sleep(0.01 * len(theta))\n"
-    path.write_text(VISCOUS.replace("scales):\n", slow, 1))
-    words = said("calibrate", campaign, "--dry-run")
-    assert re.search(r"Viscous.*my_damper\.py is slow: .* takes 1\d ms.* minutes", words)
 
 
 def test_its_units_and_words_are_in_the_tables_and_the_report(finished):
