@@ -419,38 +419,27 @@ class Compared:
             return text
         return f"{text}; this kind holds no offset and noise: measured data need --kind observation"
 
-    def _held(self, rows: Sequence[Row]) -> list[Row]:
-        """Properties whose measured value can be held to their interval."""
-        skipped = () if self.kind == "observation" else _OF_MEASUREMENT
-        return [r for r in rows if np.isfinite(r["measured"]) and r["name"] not in skipped]
-
-    def _outside(self, rows: Sequence[Row]) -> list[str]:
-        return [
-            r["name"] for r in self._held(rows) if not r["lower"] <= r["measured"] <= r["upper"]
-        ]
-
-    def disagrees(self, rows: Sequence[Row]) -> bool:
-        """Whether most measured values are outside, or far more samples than the band allows."""
-        worst = np.nanmin([self.coverage, self.full])
-        missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
-        most_outside = 2 * len(self._outside(rows)) > len(self._held(rows))
-        return bool((missed and self.kind == "observation") or most_outside)
-
-    def judged(self, rows: Sequence[Row]) -> str:
+    def judged(self, rows: Sequence[Row]) -> tuple[str, bool]:
         """What measured values outside their intervals, and a low coverage, say; "" for nothing.
 
-        `rows` are those of `predicted_rows`.
+        And whether prediction and record disagree: most measured values are outside, or far more
+        samples than the band allows. `rows` are those of `predicted_rows`.
         """
-        outside, promised, parts = self._outside(rows), f"{percent(self.probability)} %", []
+        measurement = self.kind == "observation"
+        skipped = () if measurement else _OF_MEASUREMENT
+        held = [r for r in rows if np.isfinite(r["measured"]) and r["name"] not in skipped]
+        outside = [r["name"] for r in held if not r["lower"] <= r["measured"] <= r["upper"]]
+        promised, parts = f"{percent(self.probability)} %", []
         if outside:
-            noise = ", offset and noise included" if self.kind == "observation" else ""
+            noise = ", offset and noise included" if measurement else ""
             parts = [
-                f"{len(outside)} of {len(self._held(rows))} measured values lie outside their "
-                f"{promised} intervals{noise} ({', '.join(outside)})"
+                f"{len(outside)} of {len(held)} measured values lie outside their {promised} "
+                f"intervals{noise} ({', '.join(outside)})"
             ]
-        if not self.disagrees(rows):
-            return "".join(parts)
-        if self.kind == "observation":
+        missed = 1.0 - np.nanmin([self.coverage, self.full]) > OFTEN * (1.0 - self.probability)
+        if not (missed and measurement) and 2 * len(outside) <= len(held):
+            return "".join(parts), False
+        if measurement:
             full = "" if np.isnan(self.full) else f", {100 * self.full:.0f} % at full stroke"
             parts.append(
                 f"the band holds {100 * self.coverage:.0f} % of the samples{full}, not {promised}"
@@ -458,7 +447,7 @@ class Compared:
         return (
             f"the prediction does not agree with the measurement: {', and '.join(parts)}; check "
             "the record and its actuation, or the device is not as it was in the calibrated tests"
-        )
+        ), True
 
 
 def compare(band: Band, trace: Trace) -> Compared:

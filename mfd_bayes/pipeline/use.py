@@ -155,7 +155,7 @@ def predict(out: Path, question: Question) -> Answer:
     compared, judged, disagrees = None, "", False
     if drawn.force is not None:
         compared = compare(band, drawn)
-        judged, disagrees = compared.judged(rows), compared.disagrees(rows)
+        judged, disagrees = compared.judged(rows)
     answer = Answer(
         band,
         convert_rows(rows, run.system),

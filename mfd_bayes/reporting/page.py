@@ -369,7 +369,7 @@ def acceptance_page(
     for comparison in device.comparisons[:LOOPS]:
         shown = comparison.trace, [comparison.expected.fan]
         png = to_png(draw_loops(comparison.record.path.name, *shown, system))
-        pictures.append(f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}")
+        pictures.append(picture("", png)["uri"])
     return (
         environment()
         .get_template("acceptance.html.j2")
