@@ -125,7 +125,12 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
     time = guesses.get("time")
     lacks = bool(rate and time.lacking) if time else {"displacement", "force"} <= guesses.keys()
     if axes.timed and lacks and (rate or not (table.notes or table.blocks)):
-        stated = Guess("", "s", (doubt,) if doubt else (), rate=rate)
+        doubts = [doubt] if doubt else []
+        counter = time.name if time else ""
+        count = numbers_of(table, counter, is_time=True) if counter else None
+        if count is not None and np.ptp(np.diff(count)) > 0.0:
+            doubts.append(f"{counter!r} does not count on evenly: samples may be lost")
+        stated = Guess("", "s", tuple(doubts), rate=rate)
         guesses["time"] = stated if rate else Guess("", None, lacking=NO_TIME)
     return guesses
 
