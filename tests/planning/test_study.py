@@ -169,9 +169,6 @@ def test_forbidden_candidates_are_never_proposed():
     assert proposed == {AT_ONE}
     free = ask(situation, Goal(), *every, draws=FEW)
     assert {row.candidate for row in free} == {AT_ONE, fast, long, strong}  # the control
-
-
-def test_limits_that_leave_nothing_are_said():
     for limits, name in ((Limits(stroke=0.1), "stroke"), (Limits(force=0.001), "force")):
         with pytest.raises(CampaignError, match=name):
             ask(make_situation(), Goal(), limits=limits)
