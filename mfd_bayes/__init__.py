@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.sampling import Draws, sample
     from mfd_bayes.errors import MfdError
-    from mfd_bayes.evaluation.acceptance import Acceptance, accept
+    from mfd_bayes.evaluation.acceptance import accept
+    from mfd_bayes.evaluation.views import Acceptance
     from mfd_bayes.friction.backlash import BacklashLuGre
     from mfd_bayes.friction.bouc_wen import BoucWen
     from mfd_bayes.friction.model import Model, Parameter
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
-    "Acceptance": "mfd_bayes.evaluation.acceptance",
+    "Acceptance": "mfd_bayes.evaluation.views",
     "Advice": "mfd_bayes.planning.study",
     "Band": "mfd_bayes.population.bands",
     "BacklashLuGre": "mfd_bayes.friction.backlash",

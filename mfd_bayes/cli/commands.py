@@ -118,6 +118,7 @@ def check(
 
 
 def report(
+    ctx: Context,
     out: options.Run,
     quiet: options.Quiet = False,
     pdf: Annotated[bool, Option("--pdf", help="Write a PDF too; needs a Chromium.")] = False,
@@ -161,8 +162,7 @@ def report(
         from mfd_bayes.pipeline import calibrate as pipeline
         from mfd_bayes.reporting.page import Forms
 
-        chosen, conditions = tuple(tests or ()), tuple(at or ())
-        forms = Forms(pdf, word, excel, next_test, chosen, all_tests, conditions)
+        forms = options.settings(Forms, ctx)
         with show_progress(quiet=quiet) as observe:
             view = pipeline.report(out, observe, forms=forms, units=units or "")
         console.print_end(view, out, quiet=quiet)

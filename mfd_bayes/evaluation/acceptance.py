@@ -39,7 +39,14 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
     without_noise,
 )
-from mfd_bayes.evaluation.views import Fan, Interval
+from mfd_bayes.evaluation.views import (
+    DEFAULT_LIMITS,
+    Acceptance,
+    ComparedRecord,
+    Expected,
+    Fan,
+    Interval,
+)
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.loops import measured_cycles
@@ -50,7 +57,7 @@ from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.units import DAMPER, Axes
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -60,8 +67,6 @@ DRAWS = 1000
 FEW = 200  # draws of a prediction of each calibrated test
 RESOLVED = ("build_up_slope", "gap")  # read off a line through few samples: depends on their rate
 FINEST = 16  # most samples at which these are predicted, for each one of the trace
-DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
-"""Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
 
 QUANTITIES: Mapping[str, tuple[str, str, str]] = {
     "slip_fwd": ("slip", "slip force", "forward"),
@@ -81,65 +86,6 @@ LIMITS = tuple(dict.fromkeys(name for name, *_ in QUANTITIES.values() if name !=
 
 
 ALONE = 1.96  # size at which one quantity by itself differs, 5 %
-
-
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """What the population expects of a record of a device under a motion.
-
-    Where tests of one device are all that is known, `device` and `among` are the same.
-    """
-
-    nominal: Mapping[str, Array]  # draws (n,) of the nominal value of each quantity
-    device: Mapping[str, Array]  # of a record of a device at the nominal value
-    among: Mapping[str, Array]  # of a record of any device
-    fan: Fan  # band of a record of any device
-    remarks: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """One record, with its trace at the rate of the calibrated tests, and what was expected."""
-
-    record: Record
-    trace: Trace
-    measured: Mapping[str, float]  # value of each quantity that the record shows
-    expected: Expected
-
-
-@dataclass(frozen=True, eq=False)
-class Acceptance:
-    """A device, compared with the others.
-
-    Attributes
-    ----------
-    device : str
-    verdict : {"accepted", "rejected", "cannot tell"}
-    sentence : str
-        The verdict with its reason, and the power.
-    p_value, p_batch : float
-        That tests of one device scatter so much, over all quantities; and over the whole batch.
-    named : str
-        The quantity that differs most; "" where none does.
-    rows : DataFrame
-        A row for each quantity.
-    comparisons : tuple of Comparison
-        One for each record.
-    """
-
-    device: str
-    verdict: str
-    sentence: str
-    p_value: float
-    p_batch: float
-    named: str
-    rows: pd.DataFrame
-    comparisons: tuple[Comparison, ...]
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Reasons to trust the answer less."""
-        return tuple(dict.fromkeys(r for c in self.comparisons for r in c.expected.remarks))
 
 
 def accept(
@@ -195,7 +141,7 @@ def accept(
             raise CampaignError(
                 f"{quantity} of this run follows the {name}: say the {name} of the records"
             )
-    groups: dict[str, list[Comparison]] = {}
+    groups: dict[str, list[ComparedRecord]] = {}
     ratios = birge_ratios(run)
     how: dict[str, Any] = {"ratios": ratios, "draws": draws, "seed": seed}
     how["place"] = {"session": session, "conditions": conditions}
@@ -349,7 +295,7 @@ def birge_ratios(run: Run) -> dict[str, float]:
     return ratios
 
 
-def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparison:
+def compare_record(record: Record, trace: Trace, expected: Expected) -> ComparedRecord:
     """A record with what was expected of it; its values are those of its own samples."""
     cycles = measured_cycles(record.trace())
     assert cycles is not None  # a trace with a force has them
@@ -367,7 +313,7 @@ def compare_record(record: Record, trace: Trace, expected: Expected) -> Comparis
             f"{record.path}: the {_words(wrong[0])} is {shown[wrong[0]]:.3g}, and must be above "
             "zero; is a sign swapped? See mfd-bayes inspect"
         )
-    return Comparison(record, trace, shown, expected)
+    return ComparedRecord(record, trace, shown, expected)
 
 
 def _quantities(trace: Trace, band: Band, smooth: Band, peaks: Peaks) -> dict[str, Array]:
@@ -397,7 +343,7 @@ class Level:
         return float(self.p_values.min())
 
     @classmethod
-    def of(cls, group: Sequence[Comparison], *, independent: bool) -> Level:
+    def of(cls, group: Sequence[ComparedRecord], *, independent: bool) -> Level:
         """From the records of one device; the scatter of their tests is `independent` or shared."""
         names = tuple(name for name in QUANTITIES if all(name in c.measured for c in group))
         if not names:
@@ -449,7 +395,7 @@ def false_discovery(p_values: Sequence[float]) -> Array:
 
 def judge(
     device: str,
-    group: tuple[Comparison, ...],
+    group: tuple[ComparedRecord, ...],
     level: Level,
     p_batch: float,
     limits: Mapping[str, float],

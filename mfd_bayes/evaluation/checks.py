@@ -30,6 +30,7 @@ from mfd_bayes.evaluation.views import (
     COVERAGE,
     DIRECTIONS,
     FREE_EXPONENT,
+    INFORMED,
     LENGTH,
     LOOP_ESTIMATE,
     MODES,
@@ -47,9 +48,6 @@ from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
 
-INFORMED = 0.5  # least contraction of a parameter that the data inform
-NOT_INFORMED = "the data do not determine this parameter: its posterior is about its prior"
-"""Note of a parameter with less contraction."""
 
 SCALE_ONLY = ("gamma1", "gamma2")
 SCALE_NOTE = "not identifiable: only ℓ = γ2/γ1 reaches the force"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import date, timedelta
 from typing import Any
 
@@ -12,10 +11,18 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.posterior import units
-from mfd_bayes.evaluation.acceptance import DEFAULT_LIMITS
-from mfd_bayes.evaluation.checks import INFORMED, NOT_INFORMED
 from mfd_bayes.evaluation.properties import sessions_of
-from mfd_bayes.evaluation.views import LawView, Row, Rows, fan_of, spread_of
+from mfd_bayes.evaluation.views import (
+    DEFAULT_LIMITS,
+    INFORMED,
+    NOT_INFORMED,
+    DriftRow,
+    LawView,
+    Row,
+    Rows,
+    fan_of,
+    spread_of,
+)
 from mfd_bayes.population.design import (
     COMPARE,
     CONDITIONS,
@@ -276,54 +283,7 @@ def law_label(law: str, weights: Mapping[str, float]) -> str:
 UNITS = {"date": (1.0, "year"), "cycles": (1000.0, "1000 cycles"), "temperature": (10.0, "10 °C")}
 """For how much of a condition a change is said, and its words."""
 
-_AFTER = {
-    "date": "ten years later",
-    "cycles": "after ten times the cycles",
-    "temperature": "ten times as far",
-}
 AHEAD = 10.0  # years, or spans of cycles or temperatures, after the last test that are looked at
-
-
-@dataclass(frozen=True)
-class DriftRow:
-    """Change of a quantity along a condition of the tests."""
-
-    # `per` is what the change is for: "year"
-    quantity: str
-    condition: str
-    per: str
-    # per cent: median and 95 % interval
-    change: float
-    lower: float
-    upper: float
-    probability: float  # that there is a change in the direction of the median
-    limit: float  # per cent, from the value at the earliest date, the least count or temperature
-    left: float  # probability that the quantity has left its limit at the last test
-    leaves: float  # probability that it does within `AHEAD` after it
-    # when it does: median and 90 % interval; "" where it is later than that
-    when: str
-    when_lower: str
-    when_upper: str
-
-    @property
-    def found(self) -> bool:
-        """Whether the 95 % interval has no zero in it."""
-        return self.lower > 0.0 or self.upper < 0.0
-
-    @property
-    def sentence(self) -> str:
-        """The change, and when it is too much, in words."""
-        first = (
-            f"{self.change:+.2g} % per {self.per} (95 % interval {self.lower:+.2g} to "
-            f"{self.upper:+.2g} %)"
-        )
-        if not self.found:
-            first += ", which may be none"
-        when = f" (median: {self.when})" if self.when else ""
-        return (
-            f"{first}. At the last test it has left ±{self.limit:.0f} % with a probability of "
-            f"{self.left:.2f}; {_AFTER[self.condition]} it will have with {self.leaves:.2f}{when}."
-        )
 
 
 def drift_rows(run: Run) -> tuple[DriftRow, ...]:

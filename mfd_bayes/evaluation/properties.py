@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import derive_from_parameters
 from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
 from mfd_bayes.errors import CampaignError, MfdError
-from mfd_bayes.evaluation.views import Rows, spread_of
+from mfd_bayes.evaluation.views import Datasheet, Rows, spread_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.population.bands import KIND_NAMES, Band
@@ -483,26 +483,6 @@ class Condition(NamedTuple):
     actuation: float
     stroke: float
     frequency: float
-
-
-@dataclass(frozen=True, eq=False)
-class Datasheet:
-    """What an engineer needs to use a device, in internal units.
-
-    `rows` has one for each condition, quantity, direction and cycle (0: all cycles at full stroke).
-    `stroke` is the amplitude of the motion. `measured` is the mean over the cycles, and
-    `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was tested.
-    `nominal` is the mean of the mean property (the device at this actuation), `lower` and `upper`
-    hold a cycle of a new test with 95 %, offset, noise and chatter included. `n_outside` counts the
-    measured cycles outside of them. `lambda_min_other` and `lambda_max_other` are those of another
-    device: NaN where all tests are of one.
-    """
-
-    rows: pd.DataFrame
-    tested: Mapping[str, Message]  # ranges and numbers of what was tested, by name
-    verdict: tuple[Message, ...]  # three; a fourth of other devices, where there are several
-    not_known: tuple[Message, ...]  # what a standard asks for and these tests cannot tell
-    formulas: Mapping[str, str]  # how each quantity is computed
 
 
 def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:

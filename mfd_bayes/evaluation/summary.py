@@ -23,7 +23,6 @@ from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.checks import (
-    INFORMED,
     SCALE_NOTE,
     contradicted_order,
     convergence_checks,
@@ -48,8 +47,10 @@ from mfd_bayes.evaluation.views import (
     CALIBRATION,
     COVERAGE,
     FREE_EXPONENT,
+    INFORMED,
     LOOP_ESTIMATE,
     MODES,
+    NOT_INFORMED,
     PREDICTIVE,
     REPORT,
     SAMPLING,
@@ -251,7 +252,7 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     derived = properties | of_parameters(posterior.model, replicas.values, level, settings)
     derived = kept(derived, manifest.axes)
     by_name = {row["name"]: row for row in rows}
-    informed = {name for name, row in by_name.items() if row["contraction"] >= checks.INFORMED}
+    informed = {name for name, row in by_name.items() if row["contraction"] >= INFORMED}
     medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
     at = posterior.theta(medians), trace, medians.get("start")
     stage = posterior.model.stages(*at)
@@ -346,7 +347,7 @@ def _parameters(
                 # None, for JSON has no infinity: walkers that never moved, or too few draws
                 "r_hat": np.inf if r_hat is None else r_hat,
                 "contraction": shrunk,
-                "note": checks.NOT_INFORMED if shrunk < checks.INFORMED else note,
+                "note": NOT_INFORMED if shrunk < INFORMED else note,
                 **dict.fromkeys(("joint_lower", "joint_median", "joint_upper"), np.nan),
                 "disagrees": False,
             }
@@ -370,7 +371,7 @@ def with_joint(run: Run, view: TestView) -> TestView:
             rows.append(row)
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
-        of_device = name in (*model.parameters, "ell") and row["contraction"] >= checks.INFORMED
+        of_device = name in (*model.parameters, "ell") and row["contraction"] >= INFORMED
         apart = of_device and (low > row["upper"] or high < row["lower"])
         apart = apart and abs(middle - row["median"]) > FAR_APART * abs(row["median"])
         together = {"joint_lower": low, "joint_median": middle, "joint_upper": high}

@@ -25,6 +25,7 @@ from mfd_bayes.planning.study import CURVE, TOGETHER, Advice, Together
 from mfd_bayes.planning.study import Row as AdviceRow
 from mfd_bayes.population.bands import ADVICE, Band
 from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import Comparison, Finding, Score, Use, Verdict
 from mfd_bayes.runs.tested_range import Span
@@ -32,7 +33,7 @@ from mfd_bayes.runs.unit_system import SYSTEMS, System
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
-    from mfd_bayes.evaluation.laws import DriftRow
+    import pandas as pd
 
 
 Array = NDArray[np.float64]
@@ -53,6 +54,13 @@ IDENTIFIABILITY = (CONTRACTION, DIRECTIONS)
 """Names of the checks of what the data inform; beyond its limit such a check is a note."""
 SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
 """Names of the checks that say whether the sampling can be trusted."""
+
+INFORMED = 0.5  # least contraction of a parameter that the data inform
+NOT_INFORMED = "the data do not determine this parameter: its posterior is about its prior"
+"""Note of a parameter with less contraction."""
+
+DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
+"""Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
 
 _LIMITS = {
     **dict.fromkeys(("bulk ESS", "tail ESS", LENGTH, CONTRACTION, DIRECTIONS), ">= {:g}"),
@@ -237,6 +245,134 @@ class LeftOutView:
     sentence: str
 
 
+_AFTER = {
+    "date": "ten years later",
+    "cycles": "after ten times the cycles",
+    "temperature": "ten times as far",
+}
+
+
+@dataclass(frozen=True)
+class DriftRow:
+    """Change of a quantity along a condition of the tests."""
+
+    # `per` is what the change is for: "year"
+    quantity: str
+    condition: str
+    per: str
+    # per cent: median and 95 % interval
+    change: float
+    lower: float
+    upper: float
+    probability: float  # that there is a change in the direction of the median
+    limit: float  # per cent, from the value at the earliest date, the least count or temperature
+    left: float  # probability that the quantity has left its limit at the last test
+    leaves: float  # probability that it does within `laws.AHEAD` after it
+    # when it does: median and 90 % interval; "" where it is later than that
+    when: str
+    when_lower: str
+    when_upper: str
+
+    @property
+    def found(self) -> bool:
+        """Whether the 95 % interval has no zero in it."""
+        return self.lower > 0.0 or self.upper < 0.0
+
+    @property
+    def sentence(self) -> str:
+        """The change, and when it is too much, in words."""
+        first = (
+            f"{self.change:+.2g} % per {self.per} (95 % interval {self.lower:+.2g} to "
+            f"{self.upper:+.2g} %)"
+        )
+        if not self.found:
+            first += ", which may be none"
+        when = f" (median: {self.when})" if self.when else ""
+        return (
+            f"{first}. At the last test it has left ±{self.limit:.0f} % with a probability of "
+            f"{self.left:.2f}; {_AFTER[self.condition]} it will have with {self.leaves:.2f}{when}."
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Datasheet:
+    """What an engineer needs to use a device, in internal units.
+
+    `rows` has one for each condition, quantity, direction and cycle (0: all cycles at full stroke).
+    `stroke` is the amplitude of the motion. `measured` is the mean over the cycles, and
+    `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was tested.
+    `nominal` is the mean of the mean property (the device at this actuation), `lower` and `upper`
+    hold a cycle of a new test with 95 %, offset, noise and chatter included. `n_outside` counts the
+    measured cycles outside of them. `lambda_min_other` and `lambda_max_other` are those of another
+    device: NaN where all tests are of one.
+    """
+
+    rows: pd.DataFrame
+    tested: Mapping[str, Message]  # ranges and numbers of what was tested, by name
+    verdict: tuple[Message, ...]  # three; a fourth of other devices, where there are several
+    not_known: tuple[Message, ...]  # what a standard asks for and these tests cannot tell
+    formulas: Mapping[str, str]  # how each quantity is computed
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What the population expects of a record of a device under a motion.
+
+    Where tests of one device are all that is known, `device` and `among` are the same.
+    """
+
+    nominal: Mapping[str, Array]  # draws (n,) of the nominal value of each quantity
+    device: Mapping[str, Array]  # of a record of a device at the nominal value
+    among: Mapping[str, Array]  # of a record of any device
+    fan: Fan  # band of a record of any device
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedRecord:
+    """One record, with its trace at the rate of the calibrated tests, and what was expected."""
+
+    record: Record
+    trace: Trace
+    measured: Mapping[str, float]  # value of each quantity that the record shows
+    expected: Expected
+
+
+@dataclass(frozen=True, eq=False)
+class Acceptance:
+    """A device, compared with the others.
+
+    Attributes
+    ----------
+    device : str
+    verdict : {"accepted", "rejected", "cannot tell"}
+    sentence : str
+        The verdict with its reason, and the power.
+    p_value, p_batch : float
+        That tests of one device scatter so much, over all quantities; and over the whole batch.
+    named : str
+        The quantity that differs most; "" where none does.
+    rows : DataFrame
+        A row for each quantity.
+    comparisons : tuple of ComparedRecord
+        One for each record.
+    """
+
+    device: str
+    verdict: str
+    sentence: str
+    p_value: float
+    p_batch: float
+    named: str
+    rows: pd.DataFrame
+    comparisons: tuple[ComparedRecord, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Reasons to trust the answer less."""
+        return tuple(dict.fromkeys(r for c in self.comparisons for r in c.expected.remarks))
+
+
 @dataclass(frozen=True, eq=False)
 class CampaignView:
     """The whole report.
@@ -419,38 +555,27 @@ class Compared:
             return text
         return f"{text}; this kind holds no offset and noise: measured data need --kind observation"
 
-    def _held(self, rows: Sequence[Row]) -> list[Row]:
-        """Properties whose measured value can be held to their interval."""
-        skipped = () if self.kind == "observation" else _OF_MEASUREMENT
-        return [r for r in rows if np.isfinite(r["measured"]) and r["name"] not in skipped]
-
-    def _outside(self, rows: Sequence[Row]) -> list[str]:
-        return [
-            r["name"] for r in self._held(rows) if not r["lower"] <= r["measured"] <= r["upper"]
-        ]
-
-    def disagrees(self, rows: Sequence[Row]) -> bool:
-        """Whether most measured values are outside, or far more samples than the band allows."""
-        worst = np.nanmin([self.coverage, self.full])
-        missed = 1.0 - worst > OFTEN * (1.0 - self.probability)
-        most_outside = 2 * len(self._outside(rows)) > len(self._held(rows))
-        return bool((missed and self.kind == "observation") or most_outside)
-
-    def judged(self, rows: Sequence[Row]) -> str:
+    def judged(self, rows: Sequence[Row]) -> tuple[str, bool]:
         """What measured values outside their intervals, and a low coverage, say; "" for nothing.
 
-        `rows` are those of `predicted_rows`.
+        And whether prediction and record disagree: most measured values are outside, or far more
+        samples than the band allows. `rows` are those of `predicted_rows`.
         """
-        outside, promised, parts = self._outside(rows), f"{percent(self.probability)} %", []
+        measurement = self.kind == "observation"
+        skipped = () if measurement else _OF_MEASUREMENT
+        held = [r for r in rows if np.isfinite(r["measured"]) and r["name"] not in skipped]
+        outside = [r["name"] for r in held if not r["lower"] <= r["measured"] <= r["upper"]]
+        promised, parts = f"{percent(self.probability)} %", []
         if outside:
-            noise = ", offset and noise included" if self.kind == "observation" else ""
+            noise = ", offset and noise included" if measurement else ""
             parts = [
-                f"{len(outside)} of {len(self._held(rows))} measured values lie outside their "
-                f"{promised} intervals{noise} ({', '.join(outside)})"
+                f"{len(outside)} of {len(held)} measured values lie outside their {promised} "
+                f"intervals{noise} ({', '.join(outside)})"
             ]
-        if not self.disagrees(rows):
-            return "".join(parts)
-        if self.kind == "observation":
+        missed = 1.0 - np.nanmin([self.coverage, self.full]) > OFTEN * (1.0 - self.probability)
+        if not (missed and measurement) and 2 * len(outside) <= len(held):
+            return "".join(parts), False
+        if measurement:
             full = "" if np.isnan(self.full) else f", {100 * self.full:.0f} % at full stroke"
             parts.append(
                 f"the band holds {100 * self.coverage:.0f} % of the samples{full}, not {promised}"
@@ -458,7 +583,7 @@ class Compared:
         return (
             f"the prediction does not agree with the measurement: {', and '.join(parts)}; check "
             "the record and its actuation, or the device is not as it was in the calibrated tests"
-        )
+        ), True
 
 
 def compare(band: Band, trace: Trace) -> Compared:

@@ -211,14 +211,6 @@ def calibrate_plan(plan: Plan, out: Path, observe: Observe) -> CampaignView:
         return write_report(run, observe, jobs=plan.options.jobs)
 
 
-def calibrate_campaign(
-    campaign: Path, out: Path, options: Options, observe: Observe
-) -> CampaignView:
-    """Calibrate a campaign file into a folder, and write its report."""
-    get_ready()
-    return calibrate_plan(plan_campaign(campaign, options), out, observe)
-
-
 def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
     """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it."""
     check_workers(options)

@@ -39,13 +39,11 @@ from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import (
     Fault,
     Inspection,
-    contradictions,
-    find_faults,
     inspect_record,
 )
 from mfd_bayes.records.loops import Scales, measured_cycles, scales_of
 from mfd_bayes.records.record import Record, read_record
-from mfd_bayes.records.trace import Trace, without_spikes
+from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import check_symbols
 from mfd_bayes.response.building import example_building
 from mfd_bayes.response.ground import example_ground
@@ -80,28 +78,22 @@ def gap_of(model: Model, priors: PriorFile) -> float | None:
     return None if model.source and not model.has_gap else priors.gap
 
 
-def faults_of(
-    record: Record, trace: Trace, campaign: Campaign, gap: float | None
-) -> tuple[Fault, ...]:
-    """Faults that a record shows by itself; the trace has every sample."""
-    faults = faults_for(campaign.force_model, find_faults(trace, gap))
-    return (*contradictions(record, without_spikes(trace)), *faults)
+def look_at(
+    campaign: Campaign, test: Test, record: Record, gap: float | None
+) -> tuple[Inspection, list[Tested]]:
+    """What a record shows by itself, and as it is compared with the others if it has a force.
 
-
-def faults_for(model: Model, faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Those of a record's faults that are faults by a model.
-
-    A force that leads or lags the turns of the motion is none by a user's own: that may be what it
-    describes.
+    A force that leads or lags the turns of the motion is no fault by a user's own model: that may
+    be what it describes.
     """
-    return tuple(fault for fault in faults if not (model.source and fault.name == "lag"))
-
-
-def tested_of(test: Test, record: Record, trace: Trace) -> Tested | None:
-    """A test as it is compared with the others; None without a force."""
+    inspection = inspect_record(test.id, record, gap)
+    if campaign.force_model.source:
+        faults = tuple(fault for fault in inspection.faults if fault.name != "lag")
+        inspection = replace(inspection, faults=faults)
+    trace = inspection.trace
     if trace.force is None:
-        return None
-    return Tested.of(test.id, record, trace, test.actuation or "")
+        return inspection, []
+    return inspection, [Tested.of(test.id, record, trace, test.actuation or "")]
 
 
 def findings_together(
@@ -301,12 +293,12 @@ def plan_campaign(path: Path, options: Options) -> Plan:
     tasks, held_out, entries, faults, tested = [], {}, {}, [], []
     for test in campaign.tests:
         record = _read(campaign, test)
-        trace, whole = record.trace(campaign.rate, gap=gap), record.trace()
+        trace = record.trace(campaign.rate, gap=gap)
         entries[test.id] = _entry(campaign, test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
-        faults += [(test.id, fault) for fault in faults_of(record, whole, campaign, gap)]
-        compared = tested_of(test, record, whole)
-        tested += [compared] if compared else []
+        inspection, compared = look_at(campaign, test, record, gap)
+        faults += [(test.id, fault) for fault in inspection.faults]
+        tested += compared
         if test.role == "validate":
             held_out[test.id] = trace
         else:
@@ -458,12 +450,10 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     campaign = load_campaign(path)
     records = [test.read() for test in campaign.tests]
     priors = load_priors(campaign.priors, campaign.folder, campaign.force_model)
-    inspections, tested = [], []
+    gap, inspections, tested = gap_of(campaign.force_model, priors), [], []
     for test, record in zip(campaign.tests, records, strict=True):
-        inspection = inspect_record(test.id, record, gap_of(campaign.force_model, priors))
-        inspection = replace(inspection, faults=faults_for(campaign.force_model, inspection.faults))
-        compared = tested_of(test, record, inspection.trace)
-        tested += [compared] if compared else []
+        inspection, compared = look_at(campaign, test, record, gap)
+        tested += compared
         if test.after:
             follows = Message("test {after}, without a reset", {"after": test.after})
             inspection = replace(inspection, facts={**inspection.facts, "follows": follows})

@@ -17,9 +17,16 @@ from pydantic import ValidationError
 from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError, why_no_file
 from mfd_bayes.evaluation.acceptance import DRAWS as ACCEPTANCE_DRAWS
-from mfd_bayes.evaluation.acceptance import LIMITS, Acceptance, accept
+from mfd_bayes.evaluation.acceptance import LIMITS, accept
 from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
-from mfd_bayes.evaluation.views import AdviceInWords, Compared, Rows, compare, fan_of_band
+from mfd_bayes.evaluation.views import (
+    Acceptance,
+    AdviceInWords,
+    Compared,
+    Rows,
+    compare,
+    fan_of_band,
+)
 from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enough
@@ -155,7 +162,7 @@ def predict(out: Path, question: Question) -> Answer:
     compared, judged, disagrees = None, "", False
     if drawn.force is not None:
         compared = compare(band, drawn)
-        judged, disagrees = compared.judged(rows), compared.disagrees(rows)
+        judged, disagrees = compared.judged(rows)
     answer = Answer(
         band,
         convert_rows(rows, run.system),

@@ -97,6 +97,7 @@ def tells(word: str) -> bool:
     """Whether a word of a heading names a motion, a force or such, or is or has a unit."""
     parts = re.findall(r"[a-z]+", CAMEL.sub(" ", word).lower())
     is_name = any(part in scores for scores in ROLE_WORDS.values() for part in parts)
+    is_name = is_name or any(part.startswith("acc") for part in parts)
     return is_name or measure(header_unit(word) or bare_unit(word)) is not None
 
 
@@ -470,7 +471,9 @@ _MISSING = frozenset(("nan", "na", "n/a", "n.a.", "null", "none", "inf", "infini
 # Ratios, rates and masses do not show that a row holds units: "1", "cycles" or "t" may be text.
 _TELLING = {dimension.measure for dimension in DIMENSIONS.values()} - {"ratio", "rate", "mass"}
 _TELLING |= {"acceleration", "length / time ** 2"}
-_ACCELERATION = re.compile(r"%?\s*g|gals?|(?:[cm]?m|in|ft)/s(?:ec)?\^?2", re.IGNORECASE)  # no gram
+_ACCELERATION = re.compile(
+    r"(?:%|m|milli-?)?\s*g(?:'?s)?|gals?|(?:[cm]?m|in|ft)/s(?:ec)?\^?2", re.IGNORECASE
+)  # no gram
 
 
 @dataclass(frozen=True)

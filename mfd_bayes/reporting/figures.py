@@ -16,15 +16,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import cycle, pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.checks import INFORMED
 from mfd_bayes.evaluation.views import (
+    INFORMED,
+    Acceptance,
     Array,
     CampaignView,
     Fan,
@@ -60,9 +61,6 @@ from mfd_bayes.reporting.symbols import (
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import percent
-
-if TYPE_CHECKING:
-    from mfd_bayes.evaluation.acceptance import Acceptance
 
 
 @contextmanager

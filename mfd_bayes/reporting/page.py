@@ -24,7 +24,7 @@ from functools import cache, partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -35,8 +35,10 @@ from mfd_bayes.calibration.posterior import NOISES
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.views import (
     FREE_EXPONENT,
+    Acceptance,
     AdviceInWords,
     CampaignView,
+    Datasheet,
     TestView,
     width_sentence,
 )
@@ -66,11 +68,6 @@ from mfd_bayes.reporting.tables import (
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import DAMPER, in_digits
-
-if TYPE_CHECKING:
-    from mfd_bayes.evaluation.acceptance import Acceptance
-    from mfd_bayes.evaluation.properties import Datasheet
-
 
 Pair = tuple[System, System]
 """Customary and metric system of units."""
@@ -369,7 +366,7 @@ def acceptance_page(
     for comparison in device.comparisons[:LOOPS]:
         shown = comparison.trace, [comparison.expected.fan]
         png = to_png(draw_loops(comparison.record.path.name, *shown, system))
-        pictures.append(f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}")
+        pictures.append(picture("", png)["uri"])
     return (
         environment()
         .get_template("acceptance.html.j2")

@@ -17,7 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.views import AdviceInWords, CampaignView, Fan, Row, Rows, TestView
+from mfd_bayes.evaluation.views import (
+    Acceptance,
+    AdviceInWords,
+    CampaignView,
+    Fan,
+    Row,
+    Rows,
+    TestView,
+)
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
@@ -27,8 +35,6 @@ from mfd_bayes.units import Axes, percent
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mfd_bayes.evaluation.acceptance import Acceptance
 
 
 _OF_UNIT = frozenset(

@@ -24,7 +24,7 @@ from mfd_bayes.errors import (
     why_no_file,
 )
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.table import Table, header_unit
+from mfd_bayes.records.table import Table, header_unit, stated_unit
 from mfd_bayes.units import GRAVITY, convert, factor, split_quantity
 
 Array = NDArray[np.float64]
@@ -297,7 +297,7 @@ def _columns(
 
 def _column_unit(table: Table, name: str) -> str:
     """Unit of a column, by the row of units or by its name; "" where neither has one."""
-    row, own = table.units.get(name, ""), header_unit(name) or ""
+    row, own = table.units.get(name, ""), header_unit(name) or stated_unit(name) or ""
     a, b = (_factor(unit) or _seconds(1.0, unit) for unit in (row, own))
     if a and b and not math.isclose(a, b, rel_tol=1e-5):
         raise BuildingError(
@@ -335,6 +335,7 @@ def _even_step(path: Path, written: Array, unit: float, given: float | None) -> 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
 _WHOLE = rf"({_NUMBER})(?![\d.]|,\d|[+-]\d|[eEdD][+-]?\d)"  # never the beginning of a longer one
 _COMPONENTS = re.compile(r"\bN-?S\b.*\bE-?W\b|\bE-?W\b.*\bN-?S\b", re.IGNORECASE)
+_OTHER = re.compile(r"\b(?:VELOCITY|DISPLACEMENT)\b", re.IGNORECASE)
 _VALUE = re.compile(rf"{_NUMBER}|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 _GLUED = re.compile(rf"{_NUMBER}(?:[+-](?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?)+")  # "0.123-0.456"
 _STEP = re.compile(
@@ -420,6 +421,12 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
         if own and a != b and not (a and b and math.isclose(a, b, rel_tol=1e-6)):
             raise BuildingError(f"{path}: the header says {said!r} and {place!r}: correct the file")
         own, said = (own, said) if own else (other, place)
+    text = "\n".join(header)
+    if not (unit or own) and (what := _OTHER.search(text)) and "acc" not in text.lower():
+        raise BuildingError(
+            f"{path}: the header says {what[0]!r}, and nothing of an acceleration: give the unit "
+            "as FILE:cm/s^2 (unit='cm/s^2' in Python) if it is one"
+        )
     known = [(place, seconds) for place, seconds in steps if seconds is not None]
     if known and max(s for _, s in known) > (1.0 + SAME_STEP) * min(s for _, s in known):
         several = " and ".join(repr(place) for place, _ in known)

@@ -169,20 +169,6 @@ def test_a_dependence_on_the_stroke_holds_within_the_tested_strokes():
 # --- kinds, whole curves, sources
 
 
-def test_the_kinds_are_nested_and_an_observation_has_its_noise():
-    made = predictor(effect={"level_friction": 0.05}, level_sd=0.02)
-    width = {
-        kind: np.mean((b := made.predict(motion(1.3), Forecast(kind, draws=800))).upper - b.lower)
-        for kind in ("device", "new_test", "observation")
-    }
-    assert width["device"] < 0.8 * width["new_test"] < 0.8 * width["observation"]
-    still = predictor(scatter=1e-9, level_sd=0.0, medians=THREE_STAGE | {"noise_sd": 0.2})
-    noisy = still.predict(motion(), Forecast("observation", draws=DRAWS))
-    # from any start in the gap; later samples are the same for all
-    sds = noisy.draws[:, 120:].std(axis=0)
-    np.testing.assert_allclose(sds, 0.2, rtol=5.0 / np.sqrt(2.0 * DRAWS))
-
-
 def test_a_band_of_whole_curves_holds_its_share_of_new_ones():
     rng, probability = np.random.default_rng(5), 0.95
     drawn, fresh = (np.cumsum(rng.standard_normal((4000, 40)), axis=1) for _ in "ab")

@@ -16,6 +16,7 @@ from mfd_bayes.records.loops import (
     find_loops,
     loop_estimate,
     measured_cycles,
+    scales_of,
 )
 
 FORWARD, BACKWARD, SLOPE, GAP = 2.0, 2.5, 25.0, 0.3
@@ -44,15 +45,6 @@ def drawn_loop(cycles=5, ramp=0):
         level = FORWARD if way > 0 else BACKWARD
         force[n] = way * np.clip(SLOPE * (travel - GAP + level / SLOPE), 0.0, level)
     return Trace.from_arrays(time, x, 0.03, force)
-
-
-def test_a_loop_has_its_amplitude_its_period_and_the_energy_of_its_ellipse():
-    loops = find_loops(ellipse())
-    assert loops.bounds.size == loops.period.size + 1 == 6
-    np.testing.assert_allclose(loops.period, 2.0)
-    np.testing.assert_allclose(loops.amplitude, 1.0)
-    np.testing.assert_allclose(loops.energy, np.pi, rtol=1e-3)
-    np.testing.assert_allclose(loops.offset, 0.2, atol=1e-3)
 
 
 def test_drifts_compare_the_first_strong_loops_with_the_last():
@@ -92,6 +84,11 @@ def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
     assert read.gap == pytest.approx(GAP, rel=0.02)
     loops = find_loops(trace)
     assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
+    for by in (1.0, 1e-3):  # a device of any size
+        arrays = by * trace.displacement, 0.03, by * (trace.force + offset)
+        scales = scales_of(Trace.from_arrays(trace.time, *arrays))
+        found = scales.force / by, scales.build_up, scales.length / by, scales.stroke / by
+        assert found == pytest.approx((2.25, SLOPE, GAP, 2.0), rel=0.05)
 
 
 @settings(deadline=None)

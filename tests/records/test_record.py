@@ -196,15 +196,6 @@ def test_a_unit_is_that_of_the_name_or_of_the_row_of_units(tmp_path):
         assert mb.read_record(path, roles, {"force": "lbf"}).columns["force"][1] == "lbf"
 
 
-def test_a_measured_actuation_is_clipped_at_zero(tmp_path):
-    pressure = np.where(TIME < 5, -0.01, 500.0)
-    path = write(tmp_path, time_s=TIME, displacement_in=MOTION, pressure_psi=pressure)
-    record = mb.read_record(path, {"actuation": "pressure_psi"})
-    assert record.actuation_unit == "ksi"
-    assert (record.actuation.min(), record.actuation.max()) == (0, pytest.approx(0.5))
-    assert np.all(record.trace(rate=20).actuation >= 0)
-
-
 COLUMNS, FIVE = {"time_s": TIME, "displacement_in": MOTION}, {"actuation": "5 psi"}
 STILL_TIME = np.where(np.arange(TIME.size) == 100, TIME[99], TIME)
 PIECES = np.arange(300) // 10 * 5.0 + np.arange(300) % 10 * 0.01

@@ -231,25 +231,71 @@ def test_channels_of_other_lengths_are_read_as_far_as_both_go_and_of_other_clock
 # --- units that are not known, and counters
 
 
+def counter(name):
+    rows = zip(range(1, 241), TRAVEL, FORCE, strict=True)
+    return f"{name},Stroke (mm),Load (N)\n" + text(rows)
+
+
+def slow(step, cycle):
+    time = np.arange(0.0, 5 * cycle, step)
+    phase = 2 * np.pi * time / cycle
+    return text(np.column_stack([time, 25.0 * np.sin(phase), 30.0 * np.tanh(3 * np.cos(phase))]))
+
+
+UNKNOWN = ("tonf", "kg", "mV", "%", "x10 kN", "10^3 N", "x1000 N")
+WITHOUT_TIME = "Displacement (mm),Force (N)\n" + text(ROWS[:, 1:])
+DRAFTS = (  # a role, a file, the unit or the rate that is drafted, and what is said
+    *(("force", f"Time(s),Disp(mm),Load({u})\n" + text(ROWS), "", f"{u!r}") for u in UNKNOWN),
+    ("force", "time_s,disp_mm,load_tonf\n" + text(ROWS), "", "'tonf'"),
+    ("force", "Time,Disp,Load\ns,mm,tonf\n" + text(ROWS), "", "'tonf'"),
+    ("time", "Time (div),Disp (mm),Load (N)\n" + text(ROWS), "", "'div'"),
+    ("displacement", "Time (s),Disp <V>,Load (N)\n" + text(ROWS), "", "'V'"),
+    ("force", "Time (s),Disp (mm),Load (kN) x10\n" + text(ROWS), "", "'kN x10'"),
+    # a counter is no time, and a test may be slow
+    ("time", counter("Scan"), "", "at which rate?"),
+    ("time", counter("Time"), "", "at which rate?"),
+    ("time", "Scan rate: 20 Hz\n" + counter("Scan"), "20 Hz", ""),
+    (
+        *("time", "Scan rate: 20 Hz\n" + counter("Scan").replace("\n240.", "\n250.")),
+        *("20 Hz", "samples may be lost"),
+    ),
+    ("time", counter("Sample time (ms)"), "ms", ""),  # which states what it counts
+    ("time", "Time [sec],Stroke (mm),Load (kN)\n" + slow(1.0, 120.0), "sec", ""),
+    ("time", "Elapsed Time (s),Stroke (mm),Load (kN)\n" + slow(60.0, 7200.0), "s", ""),
+    ("time", "Time,Stroke (mm),Load (kN)\n" + slow(5.0, 600.0), "", "s or ms"),
+    # a rate in place of a column of times
+    ("time", "Sampling Rate (Hz),20\n" + WITHOUT_TIME, "20 Hz", ""),
+    ("time", "Sampling interval: 0,05 s\n" + WITHOUT_TIME, "0.05 s", ""),
+    ("time", "Scan rate: 0.02 kHz per channel\n" + WITHOUT_TIME, "0.02 kHz", ""),
+    ("time", "Test frequency: 20 Hz\n" + WITHOUT_TIME, "", ""),
+    ("time", "Sample rate: 1,000 Hz\n" + WITHOUT_TIME, "", ""),
+    ("time", "fs = 20\nSample rate: 30 Hz\n" + WITHOUT_TIME, "", ""),
+    ("time", "Max. sample rate: 20 Hz\n" + WITHOUT_TIME, "", ""),
+    ("time", "Sample interval: 5 minutes\n" + WITHOUT_TIME, "", ""),
+    ("time", "Rate: 0.02 kS/s\n" + WITHOUT_TIME, "0.02 kHz", ""),
+    ("time", "Scan rate: 20 pts/sec\n" + WITHOUT_TIME, "20 Hz", ""),
+    ("time", "サンプリング周波数：20Hz\n" + WITHOUT_TIME, "20 Hz", ""),
+)
+
+
+@pytest.mark.parametrize(("role", "content", "told", "words"), DRAFTS, ids=range(len(DRAFTS)))
+def test_a_unit_or_a_rate_is_that_which_the_file_states_and_otherwise_left_open(
+    tmp_path, role, content, told, words
+):
+    (tmp_path / "run_5bar.csv").write_text(content)
+    printed, campaign = init(tmp_path)
+    source = campaign["columns"].get(role, {})
+    assert source.get("unit", source.get("rate", "")) == told
+    assert words in printed
+    assert ("FIXME" in printed) == (not told)
+    seen = run("inspect", tmp_path / "campaign.toml", code=0 if told else 2)
+    assert not told or "in ms rather" not in seen
+    assert not told.endswith("Hz") or ALL in seen
+
+
 def test_a_sentence_of_as_many_words_as_columns_is_no_row_of_names(tmp_path):
     (tmp_path / "run_5bar.txt").write_text("# made by Tim\n" + text(ROWS, " "))
     assert init(tmp_path)[1]["columns"]["time"]["column"] == 1
-
-
-def test_a_unit_that_is_not_known_is_named_and_left_open(tmp_path):
-    for role, head, unit in (
-        *(("force", f"Time(s),Disp(mm),Load({unit})", unit) for unit in ("tonf", "kg", "mV", "%")),
-        *(("force", f"Time(s),Disp(mm),Load({u})", u) for u in ("x10 kN", "10^3 N", "x1000 N")),
-        ("force", "time_s,disp_mm,load_tonf", "tonf"),
-        ("force", "Time,Disp,Load\ns,mm,tonf", "tonf"),
-        ("time", "Time (div),Disp (mm),Load (N)", "div"),
-        ("displacement", "Time (s),Disp <V>,Load (N)", "V"),
-        ("force", "Time (s),Disp (mm),Load (kN) x10", "kN x10"),
-    ):
-        (tmp_path / "run_5bar.csv").write_text(head + "\n" + text(ROWS))
-        printed, campaign = init(tmp_path)
-        assert "unit" not in campaign["columns"][role], head
-        assert f"the unit of {role} is unknown; {unit!r}" in printed
 
 
 def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path):
@@ -264,22 +310,6 @@ def test_inspect_warns_of_a_column_read_in_another_unit(tmp_path):
         assert ("which is it" in inspected(tmp_path, unit=unit)) == warned, head
 
 
-@pytest.mark.parametrize("name", ["Scan", "Time"])
-def test_a_counter_is_no_time(tmp_path, name):
-    path = tmp_path / "run_5bar.csv"
-    write(path, f"{name},Stroke (mm),Load (N)", range(1, 241), TRAVEL, FORCE)
-    printed, campaign = init(tmp_path)
-    assert "unit" not in campaign["columns"]["time"]
-    assert "at which rate?" in printed
-    path.write_text("Scan rate: 20 Hz\n" + path.read_text())
-    printed, campaign, seen = drafted(tmp_path)
-    assert campaign["columns"]["time"] == {"rate": "20 Hz"}
-    assert "FIXME" not in printed
-    assert ALL in seen
-    write(path, "Sample time (ms),Stroke (mm),Load (N)", range(240), TRAVEL, FORCE)
-    assert init(tmp_path)[1]["columns"]["time"]["unit"] == "ms"  # which states what it counts
-
-
 def test_a_length_in_the_files_name_tells_the_unit_and_is_not_compared_without(tmp_path):
     (tmp_path / "slow_25mm.txt").write_text(text(ROWS * [1.0, 24.4 / 12.0, 1.0], " "))
     printed, campaign = init(tmp_path)
@@ -288,64 +318,16 @@ def test_a_length_in_the_files_name_tells_the_unit_and_is_not_compared_without(t
     assert 'write unit = "mm"' in printed
 
 
-# --- slow tests
-
-
-def slow(step, cycle):
-    time = np.arange(0.0, 5 * cycle, step)
-    phase = 2 * np.pi * time / cycle
-    return text(np.column_stack([time, 25.0 * np.sin(phase), 30.0 * np.tanh(3 * np.cos(phase))]))
-
-
-def test_a_slow_test_is_in_ms_only_where_its_heading_does_not_state_seconds(tmp_path):
-    for step, cycle, head in (
-        (1.0, 120.0, "Time [sec]"),
-        (60.0, 7200.0, "Time [sec]"),
-        (60.0, 7200.0, "Elapsed Time (s)"),
-    ):
-        (tmp_path / "a_5bar.csv").write_text(f"{head},Stroke (mm),Load (kN)\n" + slow(step, cycle))
-        printed, _, seen = drafted(tmp_path)
-        assert " ms" not in printed
-        assert "in ms rather" not in seen
-    (tmp_path / "a_5bar.csv").write_text("Time,Stroke (mm),Load (kN)\n" + slow(5.0, 600.0))
-    printed, campaign = init(tmp_path)
-    assert "unit" not in campaign["columns"]["time"]
-    assert "s or ms" in printed
-    (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(50.0, 4000.0))
-    assert "in ms rather than in s?" in inspected(tmp_path, unit="kN")
-    (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(5.0, 600.0))
-    assert "in ms" not in inspected(tmp_path, unit="kN")
+def test_inspect_asks_whether_a_time_in_seconds_is_in_ms(tmp_path):
+    for step, cycle, asked in ((50.0, 4000.0, True), (5.0, 600.0, False)):
+        (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(step, cycle))
+        assert ("in ms rather than in s?" in inspected(tmp_path, unit="kN")) is asked
 
 
 def test_a_clock_a_thousand_times_slower_than_the_others_is_named(tmp_path):
     (tmp_path / "a_5bar.csv").write_text(HEAD + text(ROWS))
     (tmp_path / "b_10bar.csv").write_text(HEAD + text(ROWS * [1000.0, 1.0, 1.1]))
     assert "is time in ms rather than in s?" in drafted(tmp_path)[2]
-
-
-# --- a rate in place of a column of times
-
-
-def test_init_drafts_the_rate_that_a_file_states(tmp_path):
-    for above, rate in (
-        ("Sampling Rate (Hz),20\n", "20 Hz"),
-        ("Sampling interval: 0,05 s\n", "0.05 s"),
-        ("Scan rate: 0.02 kHz per channel\n", "0.02 kHz"),
-        ("Test frequency: 20 Hz\n", ""),
-        ("Sample rate: 1,000 Hz\n", ""),
-        ("fs = 20\nSample rate: 30 Hz\n", ""),
-        ("Max. sample rate: 20 Hz\n", ""),
-        ("Sample interval: 5 minutes\n", ""),
-        ("Rate: 0.02 kS/s\n", "0.02 kHz"),
-        ("Scan rate: 20 pts/sec\n", "20 Hz"),
-        ("サンプリング周波数：20Hz\n", "20 Hz"),
-    ):
-        write(tmp_path / "a_5bar.csv", "Displacement (mm),Force (N)", TRAVEL, FORCE, above=above)
-        printed, campaign = init(tmp_path)
-        assert campaign["columns"].get("time") == ({"rate": rate} if rate else None), above
-        assert ("FIXME" in printed) == (not rate)
-        seen = run("inspect", tmp_path / "campaign.toml", code=0 if rate else 2)
-        assert (ALL if rate else 'rate = "100 Hz"') in seen
 
 
 def test_a_rate_is_given_for_all_tests_or_for_one(tmp_path):

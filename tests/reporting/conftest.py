@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Directions, Identifiability, Pair
-from mfd_bayes.evaluation.properties import Datasheet
 from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     CampaignView,
     Check,
+    Datasheet,
     Fan,
     Interval,
     Judgement,

@@ -135,6 +135,7 @@ def test_a_unit_that_cannot_be_read_is_never_taken_for_g(tmp_path):
         path = written(tmp_path, f"ACCELERATION IN UNITS OF {unit}\n{NPTS}")
         refused(r"header says 'UNITS OF.* is no acceleration", read, path)
         check(read_ground(path, unit="g"))
+    refused("'VELOCITY', and nothing", read, written(tmp_path, f"VELOCITY TIME SERIES\n{NPTS}"))
     path = written(tmp_path, f"UNITS OF G\nUnits: cm/s^2\n{NPTS}")
     refused(r"header says 'UNITS OF G' and 'Units: cm/s", read, path)
 
@@ -253,6 +254,9 @@ def test_a_table_has_units_in_its_names_or_in_a_row(tmp_path):
         ("time_s,Acceleration (CM/SEC/SEC)", IN_GAL),
         ("time_s,acceleration_gal", IN_GAL),
         ("time_s,acc_ms2", 0.01 * IN_GAL),
+        ("time,acceleration\ns,mg", 1000.0),
+        ("# time acceleration\n# s cm/s2", IN_GAL),
+        ("Time [s],Acceleration [g] EW", 1.0),
         ("t,a\ns,m/s2", 0.01 * IN_GAL),
         ("Zeit [s],Beschleunigung [m/s²]", 0.01 * IN_GAL),
     ):

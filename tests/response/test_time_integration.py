@@ -12,7 +12,7 @@ from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.response.analysis import integrate, settle
-from mfd_bayes.response.building import Content, Dampers, building_of, no_dampers, plain_friction
+from mfd_bayes.response.building import Content, Dampers, building_of, no_dampers
 from mfd_bayes.response.ground import Ground
 
 RATIO = 0.05
@@ -72,13 +72,6 @@ def test_energy_is_accounted_for():
         assert found.imbalance.max() < 1e-5
         assert found.energy.min() > 0
         assert np.all(found.open == 0)
-
-
-def test_plain_friction_slips_at_its_force():
-    slip = np.array([6.0, 4.0])
-    found = settle(shear_building(2), shaking(), plain_friction(slip))
-    assert found.force[0, 0] == pytest.approx(slip, rel=2e-3)
-    assert not found.unstable.any()
 
 
 ROWS = {
