@@ -198,6 +198,13 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
     return log_weights - np.logaddexp.reduce(log_weights), float(k)
 
 
+def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Numbers of n draws by their log weights, by systematic resampling."""
+    edges = np.cumsum(np.exp(log_weights - log_weights.max()))
+    places = (rng.random() + np.arange(n)) / n * edges[-1]
+    return np.asarray(np.minimum(np.searchsorted(edges, places), len(edges) - 1))
+
+
 def tempering(log_weights: Array, share: float) -> float:
     """Power of weights, at most 1, at which the effective size is a share of their number."""
     from scipy import optimize  # which takes long to import

@@ -13,7 +13,7 @@ from unicodedata import normalize
 import numpy as np
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, number_in
+from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, level_text
 from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.record import Source, step_of
 from mfd_bayes.records.table import (
@@ -125,7 +125,12 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
     time = guesses.get("time")
     lacks = bool(rate and time.lacking) if time else {"displacement", "force"} <= guesses.keys()
     if axes.timed and lacks and (rate or not (table.notes or table.blocks)):
-        stated = Guess("", "s", (doubt,) if doubt else (), rate=rate)
+        doubts = [doubt] if doubt else []
+        counter = time.name if time else ""
+        count = numbers_of(table, counter, is_time=True) if counter else None
+        if count is not None and np.ptp(np.diff(count)) > 0.0:
+            doubts.append(f"{counter!r} does not count on evenly: samples may be lost")
+        stated = Guess("", "s", tuple(doubts), rate=rate)
         guesses["time"] = stated if rate else Guess("", None, lacking=NO_TIME)
     return guesses
 
@@ -349,23 +354,6 @@ IDLE = "no actuation: only laws with an intercept learn from it, affine and resi
 
 _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
 _DRIVES = r"ma|amps?|a|mv|volts?|v|turns?|clicks?|nm"
-_SPELLED = {
-    written: unit
-    for unit, words in {
-        "kPa": "kpa",
-        "MPa": "mpa",
-        "kN": "kn",
-        "N": "n",
-        "lbf": "lb lbs",
-        "kip": "kips",
-        "N*m": "nm",
-        "mV": "mv",
-        "mA": "ma",
-        "A": "a amp amps",
-        "V": "v volt volts",
-    }.items()
-    for written in words.split()
-}
 _WITH_UNIT = re.compile(rf"{NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
 _DRIVEN = re.compile(rf"(?<![A-Za-z]){NUMBER}[ _-]?({_DRIVES})(?![a-z])", re.IGNORECASE)
 # what follows a number may not make another of it, or be its unit
@@ -423,7 +411,7 @@ class Level:
 
 
 def _level(number: str, unit: str, place: str, doubt: str = "") -> Level:
-    text = f"{number_in(number):g} {_SPELLED.get(unit.lower(), unit.lower())}"
+    text = level_text(number, unit)
     return Level(text, *parse_actuation(text), place, doubt)
 
 
@@ -436,7 +424,7 @@ def levels_in(name: str) -> tuple[Level, ...]:
     if not found:
         for match in _DRIVEN.finditer(name):  # a single letter may be a label as well
             is_label = len(match[2]) == 1 and match[1].isdigit()
-            doubt = f"{match[0]} is taken for {_SPELLED[match[2].lower()]}" if is_label else ""
+            doubt = f"{match[0]} is taken for {match[2].upper()}" if is_label else ""
             found.append((match[1], match[2], doubt))
     levels = (_level(number, unit, NAMED, doubt) for number, unit, doubt in found)
     return tuple(dict.fromkeys(levels))

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, special
 
-from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.diagnostics import psis, systematic
 from mfd_bayes.calibration.posterior import units
 from mfd_bayes.errors import FitError, RecordError, real_numbers
 from mfd_bayes.friction.model import Model
@@ -299,13 +299,6 @@ def effective_draws(log_weights: Array) -> float:
     """Effective number of draws of log weights (n,)."""
     w = np.exp(log_weights - log_weights.max())
     return float(w.sum() ** 2 / np.sum(w**2))
-
-
-def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> Index:
-    """Numbers of n draws by their log weights, by systematic resampling."""
-    edges = np.cumsum(np.exp(log_weights - log_weights.max()))
-    places = (rng.random() + np.arange(n)) / n * edges[-1]
-    return np.asarray(np.minimum(np.searchsorted(edges, places), len(edges) - 1))
 
 
 def check_kind(forecast: Forecast) -> None:

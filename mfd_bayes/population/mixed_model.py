@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.diagnostics import psis, systematic
 from mfd_bayes.population.design import (
     COMPARE,
     EXPONENT,
@@ -276,7 +276,8 @@ class MixedModel:
             y /= np.sqrt(rng.chisquare(FREEDOM, (POINTS, 1)) / FREEDOM)
             g = mean + SCALE * y @ root.T
             log = 0.5 * (FREEDOM + self.dim) * np.log1p(np.sum(y**2, axis=1) / FREEDOM)
-            weight = special.softmax(self.log_numbers(g, choice) + log)
+            log += self.log_numbers(g, choice)
+            weight = special.softmax(log)
             size = 1.0 / np.sum(weight**2)
             if size >= ENOUGH:
                 break
@@ -286,9 +287,7 @@ class MixedModel:
             mean = (size * centre + before * mean) / (size + before)
             covariance = np.asarray((size * spread + before * covariance) / (size + before))
         self.adapted[laws] = mean, covariance
-        # systematic resampling
-        place = np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(n)) / n)
-        return self.of_numbers(g[np.minimum(place, POINTS - 1)])
+        return self.of_numbers(g[systematic(log, n, rng)])
 
     def find_outliers(self, choice: Index) -> None:
         """Set the weights of quantities of tests: contaminated normal scatter by EM.

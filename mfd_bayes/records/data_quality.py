@@ -578,7 +578,23 @@ _LENGTH = re.compile(rf"{_ALONE}(in|inch|mm)(?![a-z])", re.IGNORECASE)
 _ACTUATION = re.compile(
     rf"{_ALONE}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
 )
-_SPELLED = {"kpa": "kPa", "mpa": "MPa", "kn": "kN"}
+_SPELLED = {
+    written: unit
+    for unit, words in {
+        "kPa": "kpa",
+        "MPa": "mpa",
+        "kN": "kn",
+        "N": "n",
+        "lbf": "lb lbs",
+        "kip": "kips",
+        "N*m": "nm",
+        "mV": "mv",
+        "mA": "ma",
+        "A": "a amp amps",
+        "V": "v volt volts",
+    }.items()
+    for written in words.split()
+}
 
 
 def contradictions(
@@ -658,8 +674,7 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
     if record.actuation is not None:
         declared, level = {}, float(np.mean(record.actuation))
         for match in _ACTUATION.finditer(name):
-            unit = _SPELLED.get(match[2].lower(), match[2].lower())
-            value, internal = parse_actuation(f"{number_in(match[1]):g} {unit}")
+            value, internal = parse_actuation(level_text(match[1], match[2]))
             if internal == record.actuation_unit:
                 declared[match[0]] = value
         where = "the campaign"
@@ -704,6 +719,11 @@ def length_in_name(record: Record) -> tuple[str, str] | None:
 def number_in(text: str) -> float:
     """Number that `NUMBER` has found."""
     return float(text.lower().replace("p", ".").replace(",", "."))
+
+
+def level_text(number: str, unit: str) -> str:
+    """Quantity of a number that `NUMBER` has found and a unit in any case: "5 MPa"."""
+    return f"{number_in(number):g} {_SPELLED.get(unit.lower(), unit.lower())}"
 
 
 def _near(size: float, declared: float) -> bool:

@@ -422,9 +422,9 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
             raise BuildingError(f"{path}: the header says {said!r} and {place!r}: correct the file")
         own, said = (own, said) if own else (other, place)
     text = "\n".join(header)
-    if not (unit or own) and (quantity := _OTHER.search(text)) and "acc" not in text.lower():
+    if not (unit or own) and (what := _OTHER.search(text)) and "acc" not in text.lower():
         raise BuildingError(
-            f"{path}: the header says {quantity[0]!r}, and nothing of an acceleration: give the unit "
+            f"{path}: the header says {what[0]!r}, and nothing of an acceleration: give the unit "
             "as FILE:cm/s^2 (unit='cm/s^2' in Python) if it is one"
         )
     known = [(place, seconds) for place, seconds in steps if seconds is not None]

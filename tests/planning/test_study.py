@@ -169,9 +169,6 @@ def test_forbidden_candidates_are_never_proposed():
     assert proposed == {AT_ONE}
     free = ask(situation, Goal(), *every, draws=FEW)
     assert {row.candidate for row in free} == {AT_ONE, fast, long, strong}  # the control
-
-
-def test_limits_that_leave_nothing_are_said():
     for limits, name in ((Limits(stroke=0.1), "stroke"), (Limits(force=0.001), "force")):
         with pytest.raises(CampaignError, match=name):
             ask(make_situation(), Goal(), limits=limits)
@@ -193,16 +190,6 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions():
         middle = (3 * loop.first + loop.trace.samples) // 4 + 3  # in slip, backward
         widths = [np.ptp(np.quantile(d[:, middle], [0.05, 0.95])) for d in (ours, band.draws)]
         assert widths[0] == pytest.approx(widths[1], rel=0.1)
-
-
-def test_cycles_average_noise():
-    """With noise alone the energy of n cycles scatters by √n less."""
-    predictor, _ = make_situation(level=1e-9, scatter=1e-9, noise=0.3)
-    loop = Loop.of(AT_ONE, GAP)
-    rng = np.random.default_rng(0)
-    devices = Devices.draw(predictor, [setting_of(loop.trace)], 1600, rng)
-    one, nine = (loop.energy(devices.measured(loop, "", "", n, (1,))).std() for n in (1.0, 9.0))
-    assert one / nine == pytest.approx(3.0, rel=0.1)
 
 
 # --- the loop of a candidate

@@ -180,7 +180,7 @@ def test_any_actuation_can_be_given_and_followed(actuation):
 # --- what is refused
 
 
-def test_what_cannot_be_given_is_one_sentence():
+def test_what_cannot_be_given_or_follow_is_one_sentence():
     made = predictor("lugre")
     record, _, _ = truth_of(made)
     for trace, kind, window, words in (
@@ -192,11 +192,6 @@ def test_what_cannot_be_given_is_one_sentence():
     ):
         with pytest.raises(FitError, match=words):
             predict_given(made, trace, Forecast(kind), window)
-
-
-def test_samples_that_cannot_follow_are_one_sentence():
-    made = predictor("lugre")
-    record, _, _ = truth_of(made)
     forecaster = Forecaster(made, setting_of(record), Forecast(draws=20), refresh=False)
     with pytest.raises(FitError, match="a band needs some samples"):
         forecaster.band(record)

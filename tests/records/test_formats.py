@@ -302,6 +302,7 @@ JSONS = {
     "other rows": ('{"a": {"0": 1}, "b": {"1": 1}}', "ab", ["'b'"]),
     "other lengths": ('{"a": [1, 2], "b": [1]}', "ab", ["a 2, b 1"]),
 }
+SHORT = [list(row) for row in ROWS[:30, [0, 2]].tolist()]
 ENTRIES = [(n, ".csv", *case) for n, case in TEXTS.items()]
 ENTRIES += [(n, ".json", *case) for n, case in JSONS.items()]
 
@@ -314,8 +315,18 @@ def test_what_cannot_be_read_is_named_with_its_place(
     assert [words for words in named if words not in message] == [], message
 
 
-def test_files_that_are_none_are_refused_and_nothing_is_unpickled(tmp_path):
+def test_files_that_are_none_or_cut_off_are_refused_and_nothing_is_unpickled(tmp_path):
     assert "'.pkl'" in refusal(put(tmp_path, pickle.dumps({"a": [1]}), "a.pkl"))
+    book = sheets(tmp_path, Data=[["t", "x"], *SHORT]).read_bytes()
+    file = matlab({"x": TIME, "y": TIME})(tmp_path).read_bytes()
+    for name, whole, words in (("a.xlsx", book, "Excel"), ("a.mat", file, "")):
+        for content in (b"PK none" * 90, whole[: len(whole) // 10], whole[: len(whole) // 2]):
+            assert words in refusal(put(tmp_path, content, name))
+        (tmp_path / name).unlink()
+    locked = bytes.fromhex("D0CF11E0A1B11AE1") + bytes(600)
+    assert "password" in refusal(put(tmp_path, locked, "b.xlsx"))
+    assert "sample 2" in refusal(matlab({"a": np.array([1.0, np.nan, 2.0])})(tmp_path))
+    (tmp_path / "a.mat").unlink()
     for suffix in SUFFIXES:
         path = tmp_path / f"a{suffix}"
         refusal(path)
@@ -345,8 +356,6 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
 
 # --- Excel
 
-SHORT = [list(row) for row in ROWS[:30, [0, 2]].tolist()]
-
 
 def test_of_sheets_the_one_with_a_table_is_read_and_a_copy_is_named(tmp_path):
     table = [["Time", None, "Force\n(kN)", "note"], ["Sec", None, "[kN]", "-"]]
@@ -375,26 +384,6 @@ def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path):
         message = refusal(path, ["t", "x"])
         assert message.startswith(f"row 3 of sheet 'Data' of {path}, column 'x'")
         assert shown in message
-
-
-def test_what_is_no_workbook_or_is_locked_is_refused(tmp_path):
-    whole = sheets(tmp_path, Data=[["t", "x"], *SHORT]).read_bytes()
-    for content in (b"PK", b"t,x\n1,2\n", whole[: len(whole) // 2], whole[:-9]):
-        assert "Excel" in refusal(put(tmp_path, content, "a.xlsx"))
-    locked = bytes.fromhex("D0CF11E0A1B11AE1") + bytes(600)
-    assert "password" in refusal(put(tmp_path, locked, "a.xlsx"))
-
-
-# --- MATLAB
-
-
-def test_what_is_no_matlab_file_or_cut_off_is_refused(tmp_path):
-    path = matlab({"x": TIME, "y": TIME})(tmp_path)
-    whole = path.read_bytes()
-    for content in (b"not a mat file" * 50, *(whole[: len(whole) // n] for n in (10, 2))):
-        refusal(put(tmp_path, content, "a.mat"))
-    assert "sample 2" in refusal(matlab({"a": np.array([1.0, np.nan, 2.0])})(tmp_path))
-    refusal(matlab({"name": "x"})(tmp_path))
 
 
 # --- TDMS

@@ -255,6 +255,10 @@ DRAFTS = (  # a role, a file, the unit or the rate that is drafted, and what is 
     ("time", counter("Scan"), "", "at which rate?"),
     ("time", counter("Time"), "", "at which rate?"),
     ("time", "Scan rate: 20 Hz\n" + counter("Scan"), "20 Hz", ""),
+    (
+        *("time", "Scan rate: 20 Hz\n" + counter("Scan").replace("\n240.", "\n250.")),
+        *("20 Hz", "samples may be lost"),
+    ),
     ("time", counter("Sample time (ms)"), "ms", ""),  # which states what it counts
     ("time", "Time [sec],Stroke (mm),Load (kN)\n" + slow(1.0, 120.0), "sec", ""),
     ("time", "Elapsed Time (s),Stroke (mm),Load (kN)\n" + slow(60.0, 7200.0), "s", ""),

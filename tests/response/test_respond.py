@@ -9,7 +9,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import chain
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ import mfd_bayes as mb
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.properties import design_rows
 from mfd_bayes.response.analysis import response_of, sweep_of, variance_shares
-from mfd_bayes.response.building import Limits, plain_friction, read_building
+from mfd_bayes.response.building import plain_friction, read_building
 from mfd_bayes.response.ground import Ground, read_ground
 from mfd_bayes.units import GRAVITY
 from tests.command_line import here, said, write_csv
@@ -349,33 +348,26 @@ def test_a_draw_that_ran_away_at_a_level_does_not_count_in_a_sweep(device):
         sweep_of(levels, [lost, lost], "drift", "mean")
 
 
-def test_levels_that_are_best_alike_are_an_interval_and_one_is_placed_by_its_neighbours():
+def test_levels_that_are_best_alike_are_an_interval_and_one_is_placed_by_its_neighbours(response):
     levels, rng = np.array([3.0, 4.0, 5.0, 6.0]), np.random.default_rng(1)
 
-    def swept(goal, *drifts):
-        """The sweep of responses of draws with these largest drifts, as shares of the height."""
-        made = [
-            SimpleNamespace(
-                building=SimpleNamespace(limits=Limits(drift=0.01)),
-                unstable=np.zeros((50, 1), dtype=bool),
-                drift_ratio=own[:, None, None],
-                measure=lambda name, own=own: own[:, None],
-            )
-            for own in drifts
-        ]
+    def swept(goal, *ratios):
+        """The sweep of responses whose draws have these largest drifts, as shares of the height."""
+        drifts = [144.0 * np.tile(own[:, None, None], (1, 2, 2)) for own in ratios]
+        made = [replace(response, drift=drift) for drift in drifts]
         return sweep_of((levels, "ksi"), made, "drift", goal)
 
-    few, none = np.where(np.arange(50) < 20, 0.02, 0.005), np.full(50, 0.005)
-    for drifts, best in (
+    few, none = np.where(np.arange(40) < 16, 0.02, 0.001), np.full(40, 0.001)
+    for ratios, best in (
         ([rng.permutation(few) for _ in levels], (3.0, 6.0)),
         ([none] * 4, (3.0, 6.0)),
         ([few, none, none, few], (4.0, 5.0)),
     ):
-        sweep = swept("passing", *drifts)
+        sweep = swept("passing", *ratios)
         assert np.isnan(sweep.best)
         assert sweep.interval == best
         assert (sweep.lowest[0], sweep.lowest[-1]) == best
-    shape = rng.normal(1.0, 0.01, 50)
+    shape = rng.normal(1.0, 0.01, 40)
     sweep = swept("mean", *(shape * (0.01 + 0.001 * (level - 4.3) ** 2) for level in levels))
     assert sweep.best == pytest.approx(4.3, abs=1e-6)
     assert sweep.interval == pytest.approx((4.3, 4.3), abs=1e-6)
