@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.posterior import NOISES, Posterior, find_noise, load_priors
+from mfd_bayes.calibration.posterior import NOISES, find_noise, load_priors
 from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.three_stage import LuGre
@@ -72,18 +72,6 @@ def test_student_t_is_autoregressive_with_t_innovations(time):
         centre = np.append(0.0, phi * residual[i, :-1])
         expected = stats.t(dof, loc=centre, scale=scale).logpdf(residual[i]).sum()
         assert density[i] == pytest.approx(expected, rel=1e-9)
-
-
-def test_the_longest_memory_that_a_prior_allows_warns_of_nothing_and_is_no_nan():
-    time = np.arange(200) / 25.0
-    trace = Trace.from_arrays(time, np.sin(np.pi * time), 0.5, np.tanh(4.0 * np.cos(np.pi * time)))
-    for noise in ("ou", "student_t", "staged"):
-        posterior = Posterior(trace, "mfd", noise)
-        q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), 5))
-        q[:, posterior.names.index("noise_time")] += 30.0
-        density = posterior.log_likelihood(q)
-        assert not np.any(np.isnan(density))
-        assert np.all(density < -1e3)
 
 
 @TIMES

@@ -11,7 +11,6 @@ from mfd_bayes.calibration.proposal import (
     Mixture,
     Proposal,
     climb,
-    fit_mixture,
     learn,
     least_squares,
 )
@@ -213,19 +212,6 @@ def test_the_density_of_a_mixture_is_that_of_scipy():
     np.testing.assert_allclose(np.exp(NARROW.log_density(points)), known, rtol=1e-8)
     both = Proposal((0.25, 0.75), (NARROW, NARROW))
     np.testing.assert_allclose(both.log_density(points), NARROW.log_density(points))
-
-
-def test_a_fitted_mixture_follows_narrow_parts_that_are_far_apart():
-    rng = np.random.default_rng(2)
-    draws = rng.normal(size=(6000, 3)) * [1.0, 1.0, 0.01] + np.outer(
-        rng.random(6000) < 0.3, [0, 0, 9]
-    )
-    found, fresh = fit_mixture(draws, rng), rng.normal(size=(2000, 3)) * [1.0, 1.0, 0.01]
-    known = stats.multivariate_normal(np.zeros(3), np.diag([1.0, 1.0, 1e-4]))
-    log_ratio = known.logpdf(fresh) + np.log(0.7) - found.log_density(fresh)
-    assert log_ratio.mean() < 0.8
-    wider = found.draw(rng, 4000).std(axis=0) / draws.std(axis=0)
-    assert np.all((wider > 1.0) & (wider < 1.7))
 
 
 # --- what is given

@@ -192,16 +192,6 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions():
         assert widths[0] == pytest.approx(widths[1], rel=0.1)
 
 
-def test_cycles_average_noise():
-    """With noise alone the energy of n cycles scatters by √n less."""
-    predictor, _ = make_situation(level=1e-9, scatter=1e-9, noise=0.3)
-    loop = Loop.of(AT_ONE, GAP)
-    rng = np.random.default_rng(0)
-    devices = Devices.draw(predictor, [setting_of(loop.trace)], 1600, rng)
-    one, nine = (loop.energy(devices.measured(loop, "", "", n, (1,))).std() for n in (1.0, 9.0))
-    assert one / nine == pytest.approx(3.0, rel=0.1)
-
-
 # --- the loop of a candidate
 
 

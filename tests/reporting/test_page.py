@@ -71,15 +71,6 @@ def text(pages):
     return pages["report.html"]
 
 
-def test_there_is_a_page_for_each_test_with_its_pictures(published, pages):
-    assert {str(p.relative_to(published)) for p in published.rglob("*.html")} == set(PAGES)
-    assert {*PAGES[1:]} <= {a.get("href") for a in Page(pages["report.html"]).all("a")}
-    shown = Page(pages[OWN])
-    names = ("loops", "history", "residuals", "marginals", "corner", "ranks")
-    assert [image["src"] for image in shown.all("img")] == [f"{name}.png" for name in names]
-    assert "../../report.html" in {a["href"] for a in shown.all("a")}
-
-
 @pytest.mark.parametrize("name", PAGES)
 def test_pages_are_whole_safe_and_accessible(pages, name):
     text = pages[name]
@@ -177,18 +168,6 @@ def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, writ
     ):
         assert words in shown, words
     assert "Held out: predicted from the other tests" in seen(files["tests/held/page.html"])
-
-
-def test_sections_say_so_where_there_is_nothing(campaign, written):
-    alone = replace(campaign, tests=campaign.tests[1:], laws=(), law_rows=(), checks=(), truth=())
-    shown = written(alone)["report.html"]
-    assert "No test was calibrated" in shown
-    assert "No laws were fitted" in shown
-    assert 'id="truth"' not in shown
-    shown = written(replace(alone, tests=(), left_out=None, law_choices={}))["report.html"]
-    Page(shown)
-    assert "No test was held out" in shown
-    assert "Which law predicts best?" not in shown
 
 
 def test_laws_are_compared_in_words(campaign, text, written):
