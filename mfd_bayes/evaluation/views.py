@@ -429,6 +429,8 @@ class CampaignView:
         return self.systems[self.metric]
 
 
+# --- bands and their scores
+
 PROBABILITIES = (0.5, 0.95)  # probabilities of the equal-tailed bands in figures
 OFTEN = 3.0
 """A band is said to miss a record that leaves it so many times as often as its probability says."""
@@ -624,6 +626,8 @@ def in_motion(trace: Trace) -> NDArray[np.bool_]:
     still = span <= STILL * float(np.ptp(x))
     return np.asarray(~binary_dilation(still, np.ones(window, dtype=np.bool_)))
 
+
+# --- the advice on the next test in words, and as a table in the units of a system
 
 LITTLE = 0.01
 """A test that is expected to narrow the band by less than this share is not worth the frame."""

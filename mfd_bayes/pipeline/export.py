@@ -271,6 +271,8 @@ def _elastic_plastic(tag: int, trace: Trace, force: Array, begin: Array) -> tupl
     return f"uniaxialMaterial ElasticPP {tag} {k:.6g} {slip / k:.6g}", fitted(q)
 
 
+# --- a model or a run, served to other programs
+
 LOWEST = -1e300
 """Log density outside of all range: JSON has no infinity."""
 

@@ -414,6 +414,9 @@ def _task(
     return task
 
 
+# --- what is looked at before a calibration
+
+
 def inspect(
     path: Path, folder: Path, *, force: bool = False, units: str = ""
 ) -> tuple[list[tuple[Inspection, Path]], System]:

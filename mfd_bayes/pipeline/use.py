@@ -322,6 +322,8 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
     write_bytes(question.beside("history.png"), to_png(figure))
 
 
+# --- devices are compared with the others
+
 _LIMIT = re.compile(r"\s*(\w+)\s*=\s*(\d+(?:\.\d+)?)\s*(%?)\s*")
 
 
@@ -432,6 +434,8 @@ def _write_acceptance(
         remove_file(picture)
     return tuple(pages)
 
+
+# --- a test is watched while it runs
 
 POLL = 1.0  # seconds between two looks at the file
 SAMPLES = 64  # of the next cycle, of which the band is computed
@@ -573,6 +577,8 @@ def _growing(run: Run, watched: Watched, wait: float) -> Iterator[Trace]:
             return
         time.sleep(POLL)
 
+
+# --- which test to make next
 
 _LARGEST = 2**20  # bytes of a file of candidates
 

@@ -168,6 +168,8 @@ def percents(fan: Fan) -> str:
     return " and ".join(percent(chance) for chance in chances) + f" %{pale}"
 
 
+# --- force against displacement, velocity and time
+
 POINTS = 4000
 """Most points of a line: a screen cannot show more."""
 TURNS = 24
@@ -531,6 +533,8 @@ def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
 
 
 CORNER_DRAWS, CORNER_QUANTITIES = 2000, 8
+# --- what was learned: the draws of each test, the truth, the laws, the next test
+
 RANKS = 10
 """Bins of a rank plot."""
 STAGES = {2: "stick", 4: "gap", 3: "build-up", 1: "slip"}

@@ -513,6 +513,8 @@ def _plot(along: str, height: int, source: Any) -> Any:
     return plot
 
 
+# --- the files of a report
+
 ALL_DRAWN = 12
 """In a run of more tests, the pictures of single tests are drawn only where asked for."""
 
