@@ -128,7 +128,7 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
         doubts = [doubt] if doubt else []
         counter = time.name if time else ""
         count = numbers_of(table, counter, is_time=True) if counter else None
-        if count is not None and np.ptp(np.diff(count)) > 0.0:
+        if count is not None and np.ptp(np.diff(count)) >= 1.0 and not np.any(count % 1.0):
             doubts.append(f"{counter!r} does not count on evenly: samples may be lost")
         stated = Guess("", "s", tuple(doubts), rate=rate)
         guesses["time"] = stated if rate else Guess("", None, lacking=NO_TIME)
