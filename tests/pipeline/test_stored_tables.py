@@ -41,7 +41,7 @@ def rows_of(figure):
     yield ["size", *map(str, figure.get_size_inches())]
     for axes in figure.axes:
         words = (axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel())
-        drawn = [np.asarray(line.get_ydata(), float) for line in axes.lines]
+        drawn = [np.asarray(line.get_xydata(), float) for line in axes.lines]
         drawn += [path.vertices for each in axes.collections for path in each.get_paths()]
         sums = (len(axes.patches), len(drawn), sum(np.nansum(np.abs(each)) for each in drawn))
         limits = (*axes.get_xlim(), *axes.get_ylim())
