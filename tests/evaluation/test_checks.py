@@ -3,6 +3,7 @@
 import multiprocessing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,12 +17,16 @@ from mfd_bayes.evaluation.checks import (
     length_check,
     slip_checks,
     standing_out,
+    uncommon_device_values,
 )
 from mfd_bayes.evaluation.summary import noise_rows, views_of_tests
+from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
+from mfd_bayes.population.design import Setting
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import open_run
+from tests.population.made import THREE_STAGE, make_population
 
 
 def row(name, r_hat=1.0, ess=900.0, contraction=0.9):
@@ -117,3 +122,18 @@ def test_a_stored_file_that_is_gone_is_no_fault_of_its_test(tmp_path):
     tests = {**run.tests, name: replace(test, path=tmp_path / "gone.nc", sha256="")}
     with pytest.raises(StoreError, match=r"gone\.nc"):
         views_of_tests(replace(run, tests=tests))
+
+
+@pytest.mark.parametrize(("moved", "named"), [(0, []), (2, []), (4, ["gap", "Fc_bwd"])])
+def test_a_device_value_that_most_tests_do_not_have_is_named(moved, named):
+    population = make_population([Setting(1.0)] * 6, scatter=0.05, shape=(4, 25))
+    tests = {}
+    for number in range(6):
+        by = {"Fc_bwd": 1.6, "d2": 2.0} if number < moved else {}
+        middles = {name: value * by.get(name, 1.0) for name, value in THREE_STAGE.items()}
+        intervals = {name: (m, 0.95 * m, 1.05 * m) for name, m in middles.items()}
+        tests[f"t{number}"] = SimpleNamespace(intervals=intervals)
+    findings = uncommon_device_values(
+        SimpleNamespace(tests=tests, model=ThreeStage(), population=population)
+    )
+    assert sorted(str(finding.message).split()[0] for finding in findings) == sorted(named)
