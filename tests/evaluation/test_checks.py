@@ -13,6 +13,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.result import quantiles_of
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.checks import (
+    contradicted_order,
     convergence_checks,
     length_check,
     slip_checks,
@@ -137,3 +138,38 @@ def test_a_device_value_that_most_tests_do_not_have_is_named(moved, named):
         SimpleNamespace(tests=tests, model=ThreeStage(), population=population)
     )
     assert sorted(str(finding.message).split()[0] for finding in findings) == sorted(named)
+
+
+# --- tests that do not begin where the one before ended, by posteriors that are made up
+
+
+def run_of(made, start, first=1.0, after="a"):
+    """The run whose test a ends in slip forward, and b begins at a place with some spread."""
+    run = open_run(made)
+    test, time = run.tests["a"], np.arange(201) / 50
+    values = test.stored.values()
+    spread = 0.02 * np.random.default_rng(0).normal(size=len(values["start"]))
+    ended = Trace.from_arrays(time, 5.0 - 5.0 * np.cos(0.25 * np.pi * time))  # to 10 in
+    begun = Trace.from_arrays(time, 10.0 + first * np.sin(np.pi * time))
+    tests = {}
+    for name, trace, w0 in (
+        ("a", ended, values["start"]),
+        ("b", begun, np.clip(start + spread, 0.0, 1.0)),
+    ):
+        drawn = values | {"start": w0}
+        posterior = SimpleNamespace(
+            model=test.posterior.model, names=test.posterior.names, noise=None, trace=trace
+        )
+        stored = SimpleNamespace(values=lambda drawn=drawn: drawn)
+        tests[name] = SimpleNamespace(id=name, posterior=posterior, stored=stored, trace=trace)
+    settings = run.manifest.settings.with_test("b", after=after)
+    return replace(run, tests=tests, manifest=run.manifest.changed(settings=settings))
+
+
+def test_a_start_far_from_the_end_of_the_test_before_is_a_question(made_run):
+    for start, first in ((0.2, 1.0), (0.8, -1.0)):
+        (found,) = contradicted_order(run_of(made_run, start, first))
+        assert (found.subject, found.name) == ("b", "start in the gap")
+    for start, first in ((1.0, 1.0), (0.0, -1.0), (0.88, 1.0)):
+        assert contradicted_order(run_of(made_run, start, first)) == []
+    assert contradicted_order(run_of(made_run, 0.2, after="")) == []
