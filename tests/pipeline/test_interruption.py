@@ -36,12 +36,11 @@ def processes_of(session):
     return found
 
 
-class Calibration:
-    """The command as a process in a session of its own; at the end nothing of it is alive."""
+class Process:
+    """A command as a process in a session of its own; at the end nothing of it is alive."""
 
-    def __init__(self, command, campaign, out, *options):
-        words = ("calibrate", campaign, "-o", out, "--effort", "quick", *options)
-        self.words = [*command, *map(str, words)]
+    def __init__(self, out, *words):
+        self.words = [*map(str, words)]
         self.printed, self.complaint = (out.parents[1] / name for name in ("printed", "complaint"))
 
     def __enter__(self):
@@ -97,7 +96,8 @@ def campaign(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def start(campaign, without_figures):
-    return lambda out, *options: Calibration(without_figures, campaign, out, *options)
+    words = (*without_figures, "calibrate", campaign, "--effort", "quick", "-o")
+    return lambda out, *options: Process(out, *words, out, *options)
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +159,18 @@ def test_a_test_whose_process_is_killed_begins_again(start, whole, out):
     assert differing(out, whole) == []
 
 
+def test_an_interrupted_demo_has_its_campaign_and_can_be_resumed(without_figures, out):
+    with Process(out, *without_figures, "demo", out, "--quick", "--jobs", 1) as run:
+        assert run.until(lambda: run.says("p500_f0.05: sampling"))
+        run.process.send_signal(signal.SIGINT)
+        code, complaint = run.end()
+    assert code == 130
+    assert f"calibrate {out / 'campaign/campaign.toml'} -o {out}" in complaint
+    assert "--resume" in complaint
+    assert len(list((out / "campaign").glob("*.csv"))) == 11  # of --quick
+    assert (out / "campaign.toml").read_bytes() == (out / "campaign/campaign.toml").read_bytes()
+
+
 # --- a disk that takes nothing
 
 
@@ -193,6 +205,3 @@ def test_a_full_disk_is_said_in_a_sentence_and_resumed_when_there_is_room(start,
         assert [name for name in differing(out, whole) if name not in TIMED] == []
     disk("-o", "remount,size=64m")
     assert_finished(start, out, whole)
-
-
-# --- what is left behind
