@@ -336,6 +336,7 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
 _WHOLE = rf"({_NUMBER})(?![\d.]|,\d|[+-]\d|[eEdD][+-]?\d)"  # never the beginning of a longer one
 _COMPONENTS = re.compile(r"\bN-?S\b.*\bE-?W\b|\bE-?W\b.*\bN-?S\b", re.IGNORECASE)
 _OTHER = re.compile(r"\b(?:VELOCITY|DISPLACEMENT)\b", re.IGNORECASE)
+_SENSITIVITY = re.compile(r"\b(?:m?V(?:olts?)?|counts?)\s*/\s*g\b", re.IGNORECASE)
 _VALUE = re.compile(rf"{_NUMBER}|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 _GLUED = re.compile(rf"{_NUMBER}(?:[+-](?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?)+")  # "0.123-0.456"
 _STEP = re.compile(
@@ -422,10 +423,11 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
             raise BuildingError(f"{path}: the header says {said!r} and {place!r}: correct the file")
         own, said = (own, said) if own else (other, place)
     text = "\n".join(header)
-    if not (unit or own) and (what := _OTHER.search(text)) and "acc" not in text.lower():
+    what = _SENSITIVITY.search(text) or ("acc" not in text.lower() and _OTHER.search(text))
+    if what and not (unit or own):
         raise BuildingError(
-            f"{path}: the header says {what[0]!r}, and nothing of an acceleration: give the unit "
-            "as FILE:cm/s^2 (unit='cm/s^2' in Python) if it is one"
+            f"{path}: the header says {what[0]!r}, and not that the numbers are accelerations: "
+            "give the unit as FILE:cm/s^2 (unit='cm/s^2' in Python) if they are"
         )
     known = [(place, seconds) for place, seconds in steps if seconds is not None]
     if known and max(s for _, s in known) > (1.0 + SAME_STEP) * min(s for _, s in known):

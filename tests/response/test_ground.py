@@ -135,7 +135,8 @@ def test_a_unit_that_cannot_be_read_is_never_taken_for_g(tmp_path):
         path = written(tmp_path, f"ACCELERATION IN UNITS OF {unit}\n{NPTS}")
         refused(r"header says 'UNITS OF.* is no acceleration", read, path)
         check(read_ground(path, unit="g"))
-    refused("'VELOCITY', and nothing", read, written(tmp_path, f"VELOCITY TIME SERIES\n{NPTS}"))
+    refused("'VELOCITY', and not", read, written(tmp_path, f"VELOCITY TIME SERIES\n{NPTS}"))
+    refused("'V/g', and not", read, written(tmp_path, f"Accelerometer, 1.25 V/g\n{NPTS}"))
     path = written(tmp_path, f"UNITS OF G\nUnits: cm/s^2\n{NPTS}")
     refused(r"header says 'UNITS OF G' and 'Units: cm/s", read, path)
 
