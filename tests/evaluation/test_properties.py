@@ -14,6 +14,7 @@ from mfd_bayes.evaluation.properties import (
     bounds_of,
     datasheet,
     design_warnings,
+    is_missed,
     parse_condition,
 )
 from mfd_bayes.records.trace import Trace
@@ -37,6 +38,14 @@ def test_bounds_are_quantiles_and_factors_relative_to_the_mean_property():
     assert figures == pytest.approx([1.1, 2.0, 2.9, 0.55, 1.45], abs=1e-3)
     narrow = bounds(0.5)["slip_fwd", "new_test"]
     assert (narrow["lower"], narrow["upper"]) == pytest.approx((1.5, 2.5), abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["slip_fwd", "energy_per_cycle"])
+def test_a_property_is_missed_that_is_both_extreme_and_beyond_its_tolerance(name):
+    wide, narrow = 2.0 + 2.0 * (UNIT - 0.5), 2.0 + 1e-3 * (UNIT - 0.5)
+    assert not any(is_missed(wide, measured, name) for measured in (1.2, 2.0, 2.8, np.nan))
+    assert all(is_missed(wide, measured, name) for measured in (0.9, 3.1))
+    assert not is_missed(narrow, 2.01, name)  # extreme, and within the tolerance
 
 
 def test_what_a_basis_or_a_motion_does_not_have_is_left_out_or_not_known():
