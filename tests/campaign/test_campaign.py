@@ -89,6 +89,8 @@ def test_everything_can_be_said(folder):
     assert other.columns["time"] == Source("time_s", "s")
     assert (other.window, other.role) == ((1, 9), "validate")
     assert load(folder, "[campaign]\nrate = 50\n" + TEST).rate == 50
+    with pytest.raises(CampaignError, match="'Monday'"):  # it is not calibrated
+        load(folder, text + COLUMNS + TEST + second + '\n[goal]\nsession = "Monday"\n')
 
 
 def test_a_measured_actuation_is_a_column_whose_unit_may_stand_in_its_name_or_in_the_file(folder):

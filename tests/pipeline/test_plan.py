@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import mfd_bayes as mb
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.campaign import synthetic
 from mfd_bayes.errors import MfdError
 from mfd_bayes.pipeline.plan import Options, plan_campaign, prior_check
 from mfd_bayes.records.trace import Trace
@@ -76,6 +77,15 @@ def test_a_force_that_no_device_of_the_priors_has_is_named(tmp_path):
     path = write_campaign(tmp_path, "", "", extra=columns)
     replace_in(path, ('"force_kip"', '"force_kip", unit = "MN"'))
     assert "probably in another unit" in str(warnings_of(path)["beyond the priors"].message)
+
+
+def test_a_gap_is_beyond_the_priors_only_in_another_unit(tmp_path):
+    matrix = synthetic.Matrix((500.0, 1000.0), (0.5,), (5,), (800.0, 0.5))
+    synthetic.write_campaign(tmp_path, 1, matrix)
+    path = tmp_path / "campaign.toml"
+    assert "beyond the priors" not in warnings_of(path)
+    replace_in(path, ('unit = "in"', 'unit = "ft"'))
+    assert "the loop's gap of" in str(warnings_of(path)["beyond the priors"].message)
 
 
 def test_what_the_calibration_does_not_do_is_told(tmp_path):
