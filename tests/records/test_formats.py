@@ -199,6 +199,13 @@ LAYOUTS = {
     "MATLAB 7.3: a matrix": layout(matlab_v73, "log(:,1)", "log(:,2)", "log(:,3)", units=UNITS),
     "JSON: a list of rows": layout(json_of(ROWS.tolist()), 1, 2, 3, units=UNITS),
     "JSON: an object of lists": layout(json_of(COLUMNS | {"note": "x"})),
+    "JSON: an object of units": layout(
+        json_of(
+            dict(zip("txf", ROWS.T.tolist(), strict=True))
+            | {"units": dict(zip("txf", UNITS.values(), strict=True))}
+        ),
+        *"txf",
+    ),
     "JSON: objects": layout(json_of(FRAME.to_dict("records"))),
     "JSON: pandas' columns beside an object": layout(
         json_of(json.loads(FRAME.to_json()) | {"rig": {"id": 3}})
