@@ -7,20 +7,19 @@ A quantity q of the loop (slip force, energy, gap, …) of a record is
 The nominal value and the scatter of tests have draws of the population: a new record has the
 posterior predictive distribution, in which the variance of tests, known from few of them, is
 integrated out. The posterior of the device's level under a flat prior is the measured value over
-these draws. Against limits there are
-two one-sided tests (Schuirmann, 1987): a device is accepted where the interval of its level lies
-within the limits. A difference is one that the scatter of tests does not explain; its p-value is
-adjusted over the quantities by the distribution of the largest one (Westfall and Young, 1993), and
-over the devices of a batch by Benjamini and Hochberg (1995). Where the calibrated tests themselves
-scatter more than the population says, all scatter of that quantity is widened by the Birge ratio
-(Birge, 1932).
+these draws. Against limits there are two one-sided tests (Schuirmann, 1987): a device is accepted
+where the interval of its level lies within the limits. A difference is one that the scatter of
+tests does not explain; its p-value is adjusted over the quantities by the distribution of the
+largest one (Westfall and Young, 1993), and over the devices of a batch by Benjamini and Hochberg
+(1995). Where the calibrated tests themselves scatter more than the population says, all scatter of
+that quantity is widened by the Birge ratio (Birge, 1932).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,9 +54,6 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.units import DAMPER, Axes
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
