@@ -63,11 +63,15 @@ def dimension_of(kind: str) -> Dimension:
     return DIMENSIONS.get(kind) or Dimension(kind, kind, repr(kind), f"1 {kind}")
 
 
+def by_spelling(spellings: Mapping[str, str]) -> dict[str, str]:
+    """Unit of each spelling, from the spellings of each unit, with blanks between them."""
+    return {spelled: unit for unit, words in spellings.items() for spelled in words.split()}
+
+
 # Usual spellings of units, and pint's; from three letters on, upper or lower case does not matter.
 # There are no masses here, so a pound is a force, and no conductances, so S is the second.
-_SPELLINGS = {
-    spelled: unit
-    for unit, words in {
+_SPELLINGS = by_spelling(
+    {
         "s": "S sec secs Sek sek seg",
         "ms": "mS msec msecs",
         "min": "Min MIN mins",
@@ -101,9 +105,8 @@ _SPELLINGS = {
         "(L/min)": "lpm",
         "(gallon/min)": "gpm",
         "(ft^3/min)": "cfm",
-    }.items()
-    for spelled in words.split()
-}
+    }
+)
 
 _METRIC_TON, _US_TON = "'tf' (9.807 kN)", "'ton_force' (2000 lbf)"
 _FORCES = {

@@ -37,6 +37,15 @@ RECORD = "time_s,displacement_in,force_kip\n" + "".join(
 )
 PRIORS = find_priors("mfd").read_text(encoding="utf-8")
 
+BUILDING = """
+[building]
+[[storey]]
+weight = "20 kip"
+stiffness = "8 kip/in"
+[[damper]]
+storey = 1
+actuation = "800 psi"
+"""
 LAWS = {"Fc_fwd": "power", "Fc_bwd": "proportional", "sigma0": "affine"}
 
 _TEST = """

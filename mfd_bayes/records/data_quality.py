@@ -38,6 +38,7 @@ from mfd_bayes.records.trace import (
 )
 from mfd_bayes.units import (
     actuation_factor,
+    by_spelling,
     factor,
     force_meant,
     may_mean,
@@ -578,9 +579,8 @@ _LENGTH = re.compile(rf"{_ALONE}(in|inch|mm)(?![a-z])", re.IGNORECASE)
 _ACTUATION = re.compile(
     rf"{_ALONE}[ _-]?(psi|ksi|kpa|mpa|bar|lbf|lbs|lb|kips|kip|kn)(?![a-z])", re.IGNORECASE
 )
-_SPELLED = {
-    written: unit
-    for unit, words in {
+_SPELLED = by_spelling(
+    {
         "kPa": "kpa",
         "MPa": "mpa",
         "kN": "kn",
@@ -592,9 +592,8 @@ _SPELLED = {
         "mA": "ma",
         "A": "a amp amps",
         "V": "v volt volts",
-    }.items()
-    for written in words.split()
-}
+    }
+)
 
 
 def contradictions(

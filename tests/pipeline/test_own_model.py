@@ -8,6 +8,7 @@ import pytest
 
 import mfd_bayes as mb
 from tests.command_line import refusal, said, write_csv
+from tests.run_folders import BUILDING
 
 VISCOUS = r"""
 import numpy as np
@@ -60,15 +61,6 @@ force = { name = "f_kip" }
 
 [laws]
 c = "affine"
-"""
-BUILDING = """
-[building]
-[[storey]]
-weight = "20 kip"
-stiffness = "8 kip/in"
-[[damper]]
-storey = 1
-actuation = "800 psi"
 """
 TRUTH = {"c": 3.0, "alpha": 0.5, "lean": 0.05}
 AT = 750.0  # psi, of c

@@ -15,18 +15,10 @@ import numpy as np
 import mfd_bayes as mb
 from mfd_bayes.reporting import figures
 from tests.command_line import said, write_csv
+from tests.run_folders import BUILDING
 
 DATA = Path(__file__).parents[1] / "data"
 LONG, ROWS = 260, 12  # of a longer table, and of those that figures show, so many rows are taken
-BUILDING = """
-[building]
-[[storey]]
-weight = "20 kip"
-stiffness = "8 kip/in"
-[[damper]]
-storey = 1
-actuation = "800 psi"
-"""
 
 
 def alike(cell, other):
