@@ -478,7 +478,7 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
     forces = [own.force for own in scales.values()]
     ends = dict.fromkeys(quantity(f, "force") for f in (min(forces), max(forces)))
     spread = max(_WIDE, 0.5 * float(np.log(max(forces) / min(forces))) + 0.7)
-    where = f"the plateau of {listed(list(scales), 1, str)}, {' to '.join(ends)}"
+    where = f"the slip force of {listed(list(scales), 1, str)}, {' to '.join(ends)}"
     slip = lognormal(usual.force, "force", spread, where)
     build_up = "the slope at which the force comes back"
     slope = lognormal(usual.build_up, "force/length", 1.5, build_up)

@@ -178,28 +178,28 @@ def laws_without(model: Model, laws: Mapping[str, str]) -> list[str]:
 
 def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:
     """Gap and slip force that no device of the priors has: a unit, or another priors file."""
-    read = test.features
+    width, slip = test.features["gap"], test.features["slip"]
     if not test.steady:
         return
     hint = "check its unit, or give priors that fit the device"
-    if gap is not None and np.isfinite(read.gap) and not NARROW < read.gap / gap < WIDE:
+    if gap is not None and np.isfinite(width) and not NARROW < width / gap < WIDE:
         yield Fault.of(
             "beyond the priors",
-            f"the loop's gap of {{value}} is {read.gap / gap:.2g} times the one that the priors "
+            f"the loop's gap of {{value}} is {width / gap:.2g} times the one that the priors "
             f"expect ({{expected}}): the displacement is probably in another unit; {hint}",
-            value=(read.gap, "in"),
+            value=(width, "in"),
             expected=(gap, "in"),
         )
     prior = priors.parameters.get("Fc_fwd")
-    if prior is None or prior.family != "lognormal" or not read.plateau > 0.0:
+    if prior is None or prior.family != "lognormal" or not slip > 0.0:
         return
-    ratio = read.plateau / prior.figures["median"]
+    ratio = slip / prior.figures["median"]
     if abs(np.log(ratio)) > FAR * prior.figures["spread"] and test.level > 0.0:
         yield Fault.of(
             "beyond the priors",
             f"the loop's slip force of {{value}} is {ratio:.2g} times the one that the priors "
             f"expect ({{expected}}): the force is probably in another unit; {hint}",
-            value=(read.plateau, "kip"),
+            value=(slip, "kip"),
             expected=(prior.figures["median"], "kip"),
         )
 
@@ -602,7 +602,7 @@ def most_wrong(priors: PriorFile, model: Model, traces: Sequence[Trace]) -> Misf
 
 def _misfits(priors: PriorFile, scales: Scales, names: frozenset[str]) -> Iterator[Misfit]:
     """Each prior that a record shows something of, beside it."""
-    slip = ("kip", scales.force, "the plateau of the loop")
+    slip = ("kip", scales.force, "the slip force of the loop")
     rise = ("kip/in", scales.build_up, "the slope at which the force comes back")
     shown = {
         **dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"), slip),

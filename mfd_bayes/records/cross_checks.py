@@ -11,11 +11,10 @@ import numpy as np
 
 from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import (
-    LoopFeatures,
     asymmetry,
     channels_swapped,
+    features_of,
     find_loops,
-    loop_estimate,
 )
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Array, Trace, without_spikes
@@ -32,8 +31,8 @@ last share of the sd of the force."""
 
 QUANTITIES = {
     "gap": ("gap", "in"),
-    "slope": ("build-up", "kip/in"),
-    "plateau": ("slip force", "kip"),
+    "build_up_slope": ("build-up", "kip/in"),
+    "slip": ("slip force", "kip"),
 }
 # Of the logarithm of each quantity: sd between tests of one device, and mean and sd of its exponent
 # over the actuation.
@@ -60,7 +59,7 @@ class Tested:
     id: str
     trace: Trace  # every sample, without spikes
     steady: bool  # whether it has enough loops at full stroke to be compared
-    features: LoopFeatures
+    features: dict[str, float]  # by name, as `features_of`
     asymmetry: Array  # (P,), kip; difference of the two directions along a stroke
     work: float  # kip*in, of the loops; negative where one sign is swapped
     cycle: float  # s; median time of a full loop, 0 where there is none
@@ -77,7 +76,7 @@ class Tested:
             id=name,
             trace=trace,
             steady=bool(np.count_nonzero(loops.strong) >= STEADY),
-            features=loop_estimate(trace),
+            features=features_of(trace),
             asymmetry=asymmetry(trace),
             work=float(np.sum(np.asarray(loops.energy))),
             cycle=float(np.median(loops.period)) if loops.period.size else 0.0,
@@ -104,7 +103,7 @@ def _duplicates(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         if test.id in twins:
             continue
         if test.steady and other.steady:
-            energies = abs(test.features.energy), abs(other.features.energy)
+            energies = abs(test.features["energy"]), abs(other.features["energy"])
             if not min(energies) > 0.8 * max(energies):
                 continue
         share = shared_part(test.trace, other.trace)
@@ -238,7 +237,7 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
 def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose gap, build-up or slip force is not that of the others."""
     steady = [t for t in tests if t.steady and t.work > 0.0]
-    values = np.array([[getattr(t.features, name) for name in QUANTITIES] for t in steady])
+    values = np.array([[t.features[name] for name in QUANTITIES] for t in steady])
     away, sds, exponents = deviations(values.reshape(-1, 3), np.array([t.level for t in steady]))
     far = np.nanmax(np.abs(away) / sds, axis=1, initial=0.0)
     odd = [int(j) for j in np.argsort(-far, kind="stable") if far[j] > FAR]
@@ -375,11 +374,11 @@ def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
 
 def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose slip force is that of a far actuation, or not that of others at their own."""
-    loaded = [t for t in tests if t.level > 0.0 and t.features.plateau > 0.0]
+    loaded = [t for t in tests if t.level > 0.0 and t.features["slip"] > 0.0]
     for test in loaded if len(loaded) > 2 else ():
         others = [t for t in loaded if t is not test]
         levels = np.log([test.level / t.level for t in others])
-        forces = np.log([test.features.plateau / t.features.plateau for t in others])
+        forces = np.log([test.features["slip"] / t.features["slip"] for t in others])
         near, like = int(np.argmin(np.abs(levels))), int(np.argmin(np.abs(forces)))
         far = abs(levels[near]) > max(np.log(FAR_LEVEL), np.ptp(levels))
         if far and abs(forces[like]) < np.log(UNLIKE):
@@ -390,7 +389,7 @@ def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 "of the nearest test, {near}, but its slip force, {slip}, is about the same: "
                 "{why}",
                 near=others[near].id,
-                slip=(test.features.plateau, "kip"),
+                slip=(test.features["slip"], "kip"),
                 why=_of_actuation(test, float(levels[like]), others),
             )
             yield test.id, fault
@@ -402,7 +401,7 @@ def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 f"its slip force, {{slip}}, is {np.exp(ratio):.2g} times the one of about "
                 "{expected} of the tests at its actuation: its load cell or its actuation is "
                 "probably wrong, or the file is that of another test",
-                slip=(test.features.plateau, "kip"),
-                expected=(test.features.plateau / float(np.exp(ratio)), "kip"),
+                slip=(test.features["slip"], "kip"),
+                expected=(test.features["slip"] / float(np.exp(ratio)), "kip"),
             )
             yield test.id, fault

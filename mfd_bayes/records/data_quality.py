@@ -14,10 +14,14 @@ from mfd_bayes.records.loops import (
     FEWEST,
     UNITS,
     Loops,
+    MeasuredCycles,
     channels_swapped,
+    features_of,
     find_loops,
-    loop_estimate,
+    mean_of,
     measured_cycles,
+    stroke_estimates,
+    zero_is_central,
 )
 from mfd_bayes.records.record import (
     NO_ACTUATION,
@@ -57,6 +61,7 @@ SAMPLES, LOOPS = 100, 2  # fewest samples and cycles of a record
 CLIPPED = 5  # fewest equal samples at the extreme of the force that show a load cell's limit
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075  # s, samples, cycles: a lag is above all three
 CORRELATION, SCALE = 0.9, 1.25  # least, and most, of the integral of a velocity
+NEAR = 0.01  # of the stroke: zero displacement is then that of mid-stroke
 LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
 NOISE = 0.05  # most noise of a displacement, as a share of the travel of the build-up
 DRIFT, STEADY_DRIFT, P_VALUE, STEADY = 0.25, 0.07, 0.01, 5
@@ -409,8 +414,8 @@ def noise(trace: Trace) -> Iterator[Fault]:
     Errors in what a force follows weaken the relation: a fit takes the force for smaller and
     softer than it is (regression dilution).
     """
-    size, loop = sensor_noise(trace.displacement), loop_estimate(trace)
-    rise = loop.plateau / loop.slope  # NaN where it cannot be read
+    size, loop = sensor_noise(trace.displacement), features_of(trace)
+    rise = loop["slip"] / loop["build_up_slope"]  # NaN where it cannot be read
     if size > NOISE * rise > 0.0:
         yield Fault.of(
             "noise",
@@ -440,7 +445,7 @@ def drift(trace: Trace) -> Iterator[Fault]:
     change = float(line.slope) * float(trace.time[-1] - trace.time[0])
     if count >= max(STEADY, 0.5 * strong.size) and not trace.varying:
         change = change if line.pvalue < P_VALUE else 0.0
-        size, least = loop_estimate(trace).plateau, STEADY_DRIFT
+        size, least = features_of(trace)["slip"], STEADY_DRIFT
     else:
         size, least = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01]))), DRIFT
         few = max(trace.samples // 50, 1)
@@ -793,7 +798,6 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
 
 _SHOWN = (
     ("peak force", "{} forward, {} backward", "peak_fwd peak_bwd"),
-    ("slip force", "{} forward, {} backward, at mid-stroke", "slip_fwd slip_bwd"),
     ("effective stiffness", "{}", "effective_stiffness"),
     ("effective damping", "{}", "effective_damping"),
     ("equivalent damping", "{}", "c_eq"),
@@ -812,6 +816,8 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Mes
     if cycles is None or not cycles.energy.size:
         return facts
     own, since = cycles.of_test(), "from the first loops to the last"
+    if has("slip_fwd") and np.isfinite([own["slip_fwd"], own["slip_bwd"]]).all():
+        facts["slip force"] = _slip_force(trace, cycles)
     for title, text, words in _SHOWN:
         names = words.split()
         if has(names[0]) and np.isfinite([own[name] for name in names]).all():
@@ -831,6 +837,26 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Mes
     if loops.offset_drift is not None:
         facts["force drift"] = _message(f"{{}} {since}", (loops.offset_drift, "kip"), digits=3)
     return facts
+
+
+def _slip_force(trace: Trace, cycles: MeasuredCycles) -> Message:
+    """Slip forces with their standard errors, and those at mid-stroke where it lies elsewhere."""
+    names, values = ("slip_fwd", "slip_bwd"), cycles.of_test()
+    errors = [cycles.standard_error(name) for name in names]
+    text, quantities = "{} forward, {} backward", [(values[name], "kip") for name in names]
+    if np.isfinite(errors).all():
+        text += " (standard errors {} and {})"
+        quantities += [(float(f"{error:.2g}"), "kip") for error in errors]
+    if not zero_is_central(trace):
+        return _message(f"{text}, at mid-stroke, where zero displacement is not", *quantities)
+    middles = find_loops(trace).middle[cycles.full_stroke]
+    if abs(np.median(middles)) <= NEAR * np.median(cycles.stroke[cycles.full_stroke]):
+        return _message(f"{text}, at zero displacement", *quantities)
+    strokes = stroke_estimates(trace, np.asarray(trace.force)[None], mid_stroke=True)
+    for sign in (1.0, -1.0):
+        middle = mean_of(strokes.slip[0], strokes.full & (strokes.sign == sign))
+        quantities.append((float(middle), "kip"))
+    return _message(f"{text}, at zero displacement; at mid-stroke {{}} and {{}}", *quantities)
 
 
 def _message(text: str, *values: tuple[Array | float, str], digits: int = 4) -> Message:

@@ -5,7 +5,12 @@ With D+ and D- the largest and the smallest displacement of a cycle and F+ and F
     K_eff = (F+ - F-) / (D+ - D-),    beta_eff = (2/pi) E / (K_eff (D+ - D-)^2),    E = ∮ F dx
 
 (ASCE/SEI 7, chapters 17 and 18; EN 15129 has the same damping as E / (2 pi K_eff d^2), with d half
-of the stroke). Zero displacement is the middle of the cycle's stroke, whatever zero the sensor has.
+of the stroke).
+
+The slip force of a stroke is the mean of the force over the `WINDOW` about zero displacement, by
+displacement: wide enough for chatter, and inside the plateau. Zero displacement is the record's;
+where it lies further from mid-stroke than `OFF_CENTRE` it is only that of a sensor, and mid-stroke
+is taken. Measured and computed forces are read alike, over the same window of the same motion.
 """
 
 from __future__ import annotations
@@ -122,86 +127,75 @@ def follows(motion: Array, force: Array) -> float:
     return abs(float(np.corrcoef(way, force[at])[0, 1]))
 
 
-SLIP = (0.5, 0.95)  # shares of a stroke between which the damper slips
-RISE = (0.2, 0.8)  # shares of the plateau between which the force builds up after the gap
+WINDOW = 0.15  # slip force: over this share of the stroke on both sides of zero displacement,
+OFF_CENTRE = 0.1  # which lies at most this share of it from mid-stroke, else it is mid-stroke
+RISE = (0.2, 0.8)  # shares of the slip force between which the force builds up after the gap
 UNLOADING = (0.8, 0.2)  # shares of the slip force between which the slope after a turn is read
-
-
-@dataclass(frozen=True)
-class LoopFeatures:
-    """What a person reads off the full strokes of a loop; NaN where it cannot be read.
-
-    A stroke is the way from one of `Trace.cycle_turns` to the next; full strokes are those of at
-    least `STRONG` of the longest. Every figure but the energy is the median over full strokes.
-    """
-
-    plateau_fwd: float  # kip; slip force: the median over the part `SLIP` of a stroke
-    plateau_bwd: float
-    slope: float  # kip/in, of the build-up, between the shares `RISE` of the plateau
-    gap: float  # in; travel after a turn at which the line of the build-up meets the plateau
-    energy: float  # kip*in, of a cycle at full stroke, their mean
-
-    @property
-    def plateau(self) -> float:
-        """Mean of the slip forces of both directions, kip; free of the load cell's offset."""
-        return 0.5 * (self.plateau_fwd + self.plateau_bwd)
 
 
 @dataclass(frozen=True, eq=False)
 class Strokes:
-    """The S strokes of a motion, and what each shows of forces (n, T), (n, S), as `LoopFeatures`.
+    """The S strokes of a motion, and what each shows of forces (n, T), (n, S).
 
-    `ends` (S, 2) are the first and the last sample of each, `sign` (S,) is its direction, `full`
-    (S,) whether it is a full one. NaN where nothing is seen.
+    A stroke is the way from one of `Trace.cycle_turns` to the next. `ends` (S, 2) are the first and
+    the last sample of each, `sign` (S,) is its direction, `full` (S,) whether it has at least
+    `STRONG` of the longest. NaN where nothing is seen.
     """
 
     ends: NDArray[np.intp]
     sign: Array
     full: NDArray[np.bool_]
-    plateau: Array  # kip
-    slope: Array  # kip/in
-    gap: Array  # in
-
-    def slip(self, sign: float) -> Array:
-        """Slip force in a direction, (n,), kip: the median plateau of its full strokes."""
-        return _median(self.plateau[:, self.full & (self.sign == sign)])
+    slip: Array  # kip, positive along the stroke
+    slope: Array  # kip/in, of the build-up, between the shares `RISE` of the slip force
+    gap: Array  # in; travel after a turn at which the line of the build-up meets the slip force
 
 
-def stroke_estimates(trace: Trace, force: Array) -> Strokes:
-    """What is read off each stroke of a motion under forces (n, T), kip."""
+def stroke_estimates(trace: Trace, force: Array, *, mid_stroke: bool = False) -> Strokes:
+    """What is read off each stroke of a motion under forces (n, T), kip.
+
+    The slip force is that at zero displacement, or at mid-stroke.
+    """
     x = trace.displacement
     ends = np.column_stack([trace.cycle_turns[:-1], trace.cycle_turns[1:]])
     way = np.diff(x[ends])[:, 0]
     full = np.abs(way) >= STRONG * np.max(np.abs(way), initial=0.0)
-    plateau, slope, gap = np.full((3, len(force), way.size), np.nan)
-    strokes = Strokes(ends, np.sign(way), full, plateau, slope, gap)
+    slip, slope, gap = np.full((3, len(force), way.size), np.nan)
+    strokes = Strokes(ends, np.sign(way), full, slip, slope, gap)
+    centre = x[ends].mean(axis=1)
+    if not mid_stroke and zero_is_central(trace):
+        centre[:] = 0.0
     for k, (a, b) in enumerate(ends):
-        share = (x[a : b + 1] - x[a]) / way[k]
-        inside = (share >= SLIP[0]) & (share <= SLIP[1])
-        if inside.any():
-            plateau[:, k] = np.sign(way[k]) * np.median(force[:, a : b + 1][:, inside], axis=1)
-    slip = {sign: strokes.slip(sign) for sign in (1.0, -1.0)}
-    for k, (a, b) in enumerate(ends):
-        sign = float(np.sign(way[k]))
-        travel = np.abs(x[a : b + 1] - x[a])
-        slope[:, k], gap[:, k] = _rise(sign * force[:, a : b + 1], travel, slip[sign])
+        weights = _window(x[a : b + 1], centre[k], WINDOW * abs(way[k]))
+        slip[:, k] = strokes.sign[k] * (force[:, a : b + 1] @ weights)
+    for sign in (1.0, -1.0):
+        level = mean_of(slip, full & (strokes.sign == sign))
+        for k in np.flatnonzero(strokes.sign == sign).tolist():
+            a, b = ends[k]
+            travel = np.abs(x[a : b + 1] - x[a])
+            slope[:, k], gap[:, k] = _rise(sign * force[:, a : b + 1], travel, level)
     return strokes
 
 
-def loop_estimate(trace: Trace, offset: float = 0.0) -> LoopFeatures:
-    """What a record shows less the offset of its load cell, kip.
-
-    A motion without a full stroke, or without a force, has none: all are NaN.
-    """
-    nan = float("nan")
-    if trace.force is None or trace.cycle_turns.size < 2:
-        return LoopFeatures(nan, nan, nan, nan, nan)
-    strokes = stroke_estimates(trace, trace.force[None] - offset)
-    slope, gap = (float(_median(v[:, strokes.full])[0]) for v in (strokes.slope, strokes.gap))
+def zero_is_central(trace: Trace) -> bool:
+    """Whether the zero of the displacement lies near the middle of the strong loops."""
     loops = find_loops(trace)
-    energy = np.asarray(loops.energy)[loops.strong]
-    mean = float(energy.mean()) if energy.size else nan
-    return LoopFeatures(float(strokes.slip(1.0)[0]), float(strokes.slip(-1.0)[0]), slope, gap, mean)
+    stroke, middle = 2.0 * loops.amplitude[loops.strong], loops.middle[loops.strong]
+    return not stroke.size or bool(abs(np.median(middle)) <= OFF_CENTRE * np.median(stroke))
+
+
+def _window(x: Array, centre: float, half: float) -> Array:
+    """Weights, (m,), of samples in their mean over a window of a stroke x, (m,), by displacement.
+
+    The force is taken as linear between samples. NaN where the window leaves the stroke.
+    """
+    low, high = centre - half, centre + half
+    if not min(x[0], x[-1]) <= low < high <= max(x[0], x[-1]):
+        return np.full(x.size, np.nan)
+    inside, step = np.clip(x, low, high), np.diff(x)
+    share = 0.5 * (inside[1:] + inside[:-1]) - x[:-1]  # of a step, to the middle of what is inside
+    share = np.divide(share, step, out=np.full(step.size, 0.5), where=step != 0.0)
+    part = np.diff(inside) / (inside[-1] - inside[0])
+    return np.asarray(np.append(part * (1.0 - share), 0.0) + np.insert(part * share, 0, 0.0))
 
 
 def asymmetry(trace: Trace) -> Array:
@@ -249,24 +243,18 @@ def _crossing(share: Array, travel: Array, at: NDArray[np.intp], level: float) -
     return np.asarray(travel[at] + part * (travel[behind] - travel[at]))
 
 
-def _median(values: Array) -> Array:
-    """Median over the last axis of values (n, S) that are known, (n,); NaN where none is."""
-    known = np.ma.masked_invalid(np.insert(values, 0, np.nan, axis=-1))
-    return np.asarray(np.ma.median(known, axis=-1).filled(np.nan))  # type: ignore[no-untyped-call]
-
-
 @dataclass(frozen=True)
 class Scales:
     """What a record shows of its device, internal units; all positive but the offset."""
 
-    force: float  # slip force: the plateau of the loop, else half the range of the force
+    force: float  # slip force of both directions, else half the range of the force
     unloading: float  # slope of the force right after a turn
     build_up: float  # slope at which the force comes back
     length: float  # travel from a turn until the force has come back, the gap included
     stroke: float  # from one end of the motion to the other
     speed: float
     noise: float  # standard deviation of what differs from sample to sample
-    offset: float  # middle of the plateaus of both directions
+    offset: float  # middle of the slip forces of both directions
 
 
 def scales_of(trace: Trace) -> Scales | None:
@@ -277,15 +265,16 @@ def scales_of(trace: Trace) -> Scales | None:
         return None
     offsets = find_loops(trace).offset
     offset = float(np.mean(force) if offsets is None or not offsets.size else np.median(offsets))
-    read = loop_estimate(trace, offset)
-    slip = _positive(read.plateau, 0.5 * float(np.ptp(force)))
-    length = _positive(read.gap, 0.05 * stroke)
+    strong, values = find_loops(trace).strong, cycle_values(trace, force[None] - offset)
+    read = {name: float(mean_of(value[0], strong)) for name, value in values.items()}
+    slip = _positive(0.5 * (read["slip_fwd"] + read["slip_bwd"]), 0.5 * float(np.ptp(force)))
+    length = _positive(read["gap"], 0.05 * stroke)
     # White noise whose second differences have the size of these.
     noise = float(np.median(np.abs(np.diff(force, 2))) / 0.6745 / np.sqrt(6.0))
     return Scales(
         force=slip,
         unloading=_positive(_unloading(trace, force - offset, slip), slip / length),
-        build_up=_positive(read.slope, slip / length),
+        build_up=_positive(read["build_up_slope"], slip / length),
         length=length,
         stroke=stroke,
         speed=_positive(float(np.quantile(np.abs(trace.velocity), 0.9)), 1e-9),
@@ -333,9 +322,10 @@ UNITS: Mapping[str, str] = {
 """Internal unit of the values of a cycle, in the order of tables."""
 
 FORMULAS: Mapping[str, str] = {
-    "slip_force": "force at zero displacement, in the direction of the motion; zero displacement "
-    "is the middle of the stroke",
-    "peak_force": "largest force of the cycle in the direction of the motion",
+    "slip_force": f"mean force over the window of {WINDOW:.0%} of the stroke on both sides of zero "
+    "displacement, in the direction of the motion; mid-stroke, where zero displacement lies more "
+    f"than {OFF_CENTRE:.0%} of the stroke from it",
+    "peak_force": "largest force of the test in the direction of the motion",
     "effective_stiffness": "K_eff = (|F+| + |F-|) / (|D+| + |D-|), F+ and F- at the largest and "
     "the smallest displacement D+ and D- (ASCE/SEI 7, 17.2.8)",
     "effective_damping": "beta_eff = (2/pi) E_loop / (K_eff (|D+| + |D-|)^2) (ASCE/SEI 7, 17.2.8)",
@@ -361,7 +351,7 @@ class MeasuredCycles:
     stroke: Array  # in, from the smallest to the largest displacement
     frequency: Array  # Hz
     full_stroke: NDArray[np.bool_]  # at least 95 % of the largest stroke; others ramp in or out
-    slip_fwd: Array  # force at zero displacement
+    slip_fwd: Array  # mean over the window about zero displacement
     slip_bwd: Array
     peak_fwd: Array
     peak_bwd: Array
@@ -380,6 +370,13 @@ class MeasuredCycles:
         """One value of each quantity: the largest peak, of others the mean at full stroke."""
         means = {name: float(mean_of(getattr(self, name), self.full_stroke)) for name in UNITS}
         return means | {"peak_fwd": self.largest_fwd, "peak_bwd": self.largest_bwd}
+
+    def standard_error(self, name: str) -> float:
+        """Standard error of a mean over the cycles at full stroke; NaN with fewer than two."""
+        values = getattr(self, name)[self.full_stroke]
+        values = values[np.isfinite(values)]
+        count = values.size
+        return float(values.std(ddof=1) / np.sqrt(count)) if count > 1 else float("nan")
 
     def to_content(self) -> dict[str, tuple[float, ...]]:
         """The values as plain numbers by name, for JSON."""
@@ -438,6 +435,7 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
         stroke, energy = motion[high] - motion[low], np.trapezoid(f, motion, axis=1)
         stiffness = (f[:, high] - f[:, low]) / stroke
         stiffness[stiffness == 0.0] = np.nan
+        squares = np.trapezoid(trace.velocity[kept] ** 2, trace.time[kept])
         both = slice(2 * cycle, 2 * cycle + 2)
         own = {
             "peak_fwd": f.max(axis=1),
@@ -445,17 +443,25 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
             "effective_stiffness": stiffness,
             "effective_damping": 2.0 / np.pi * energy / (stiffness * stroke**2),
             "energy": energy,
-            "c_eq": energy / np.trapezoid(trace.velocity[kept] ** 2, trace.time[kept]),
+            "c_eq": energy / squares if squares > 0.0 else np.full(len(force), np.nan),
             "build_up_slope": mean_of(strokes.slope[:, both]),
             "gap": mean_of(strokes.gap[:, both]),
         }
-        for (first, last), sign in zip(strokes.ends[both], strokes.sign[both], strict=True):
-            side = "slip_fwd" if sign > 0.0 else "slip_bwd"
-            zero = 0.5 * (motion[high] + motion[low])
-            own[side] = sign * _at(sign * x[first : last + 1], force[:, first:], sign * zero)
+        for slip, sign in zip(strokes.slip[:, both].T, strokes.sign[both], strict=True):
+            own["slip_fwd" if sign > 0.0 else "slip_bwd"] = slip
         for name, value in own.items():
             values[name][:, cycle] = value
     return values
+
+
+def features_of(trace: Trace) -> dict[str, float]:
+    """`MeasuredCycles.of_test` of a record, NaN without a force, and its "slip" force, kip.
+
+    That is the mean of both directions, free of the load cell's offset.
+    """
+    cycles = measured_cycles(trace)
+    values = dict.fromkeys(UNITS, float("nan")) if cycles is None else cycles.of_test()
+    return values | {"slip": 0.5 * (values["slip_fwd"] + values["slip_bwd"])}
 
 
 def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
@@ -463,12 +469,3 @@ def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
     known = np.isfinite(values) if kept is None else np.isfinite(values) & kept
     means = np.ma.array(values, mask=~known).mean(axis=-1)
     return np.asarray(np.ma.filled(means, np.nan))
-
-
-def _at(x: Array, force: Array, level: float) -> Array:
-    """Forces, (n,), where a motion (T,) first rises to a level."""
-    after = int(np.argmax(x >= level))
-    if after == 0:
-        return force[:, 0]
-    share = (level - x[after - 1]) / (x[after] - x[after - 1])
-    return np.asarray(force[:, after - 1] + share * (force[:, after] - force[:, after - 1]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.backlash import BacklashLuGre
-from mfd_bayes.records.loops import loop_estimate
+from mfd_bayes.records.loops import features_of
 from mfd_bayes.records.trace import Trace
 from tests.friction.motions import (
     cut,
@@ -108,7 +108,7 @@ def test_the_travel_from_slip_to_slip_is_what_a_loop_shows():
     np.testing.assert_allclose(MODEL.gap_width(values), expected)
     trace = sine(1.0, seconds=8.0)
     force = MODEL.force(theta(n=12.0, ell=0.005), trace)[0]
-    assert loop_estimate(replace(trace, force=force)).gap == pytest.approx(expected, rel=0.1)
+    assert features_of(replace(trace, force=force))["gap"] == pytest.approx(expected, rel=0.1)
 
 
 def test_friction_that_falls_lets_go_as_the_motion_goes_on():

@@ -11,10 +11,12 @@ from typer.testing import CliRunner
 from mfd_bayes import Trace, read_record
 from mfd_bayes.cli.commands import app
 from mfd_bayes.records.loops import (
+    OFF_CENTRE,
+    WINDOW,
     MeasuredCycles,
     cycle_values,
+    features_of,
     find_loops,
-    loop_estimate,
     measured_cycles,
     scales_of,
 )
@@ -68,22 +70,22 @@ def test_without_a_force_or_a_full_loop_there_is_less():
     assert loops.bounds.size == loops.period.size == loops.energy.size == loops.strong.size == 0
     time = np.arange(100) / 50
     for force in (None, np.ones(100)):
-        read = loop_estimate(Trace.from_arrays(time, time, 0.03, force))
-        assert np.isnan([read.plateau_fwd, read.slope, read.gap, read.energy]).all()
+        read = features_of(Trace.from_arrays(time, time, 0.03, force))
+        assert np.isnan([read[name] for name in ("slip", "build_up_slope", "gap", "energy")]).all()
 
 
 @pytest.mark.parametrize(("offset", "ramp"), [(0.0, 0), (0.4, 0), (0.0, 3)])
 def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
     trace = drawn_loop(8, ramp)
     shifted = Trace.from_arrays(trace.time, trace.displacement, 0.03, trace.force + offset)
-    assert loop_estimate(shifted).plateau_fwd == pytest.approx(FORWARD + offset, abs=1e-6)
-    read = loop_estimate(shifted, offset)
-    assert read.plateau_fwd == pytest.approx(FORWARD)
-    assert read.plateau_bwd == pytest.approx(BACKWARD)
-    assert read.slope == pytest.approx(SLOPE, rel=0.02)
-    assert read.gap == pytest.approx(GAP, rel=0.02)
-    loops = find_loops(trace)
-    assert read.energy == pytest.approx(loops.energy[loops.strong].mean())
+    read = features_of(shifted)
+    assert read["slip_fwd"] == pytest.approx(FORWARD + offset)
+    assert read["slip_bwd"] == pytest.approx(BACKWARD - offset)
+    assert read["slip"] == pytest.approx(0.5 * (FORWARD + BACKWARD))
+    loops, read = find_loops(trace), features_of(trace)
+    assert read["build_up_slope"] == pytest.approx(SLOPE, rel=0.02)
+    assert read["gap"] == pytest.approx(GAP, rel=0.02)
+    assert read["energy"] == pytest.approx(loops.energy[loops.strong].mean())
     for by in (1.0, 1e-3):  # a device of any size
         arrays = by * trace.displacement, 0.03, by * (trace.force + offset)
         scales = scales_of(Trace.from_arrays(trace.time, *arrays))
@@ -112,8 +114,14 @@ def test_a_spring_and_a_dashpot_have_their_textbook_values(
     own = cycles.of_test()
     assert own["energy"] == pytest.approx(np.pi * damping * w * amplitude**2, rel=1e-2)
     assert own["c_eq"] == pytest.approx(damping, rel=1e-2)
-    assert own["slip_fwd"] == pytest.approx(damping * w * amplitude, rel=2e-2)
-    assert own["slip_bwd"] == pytest.approx(damping * w * amplitude, rel=2e-2)
+    centre = -zero / amplitude  # of the window, over the amplitude, or at mid-stroke
+    centre = 0.0 if abs(centre) > 2.0 * OFF_CENTRE else centre
+    window = centre + 2.0 * WINDOW * np.linspace(-1.0, 1.0, 101)
+    dashpot = damping * w * amplitude * np.sqrt(1.0 - window**2).mean()
+    spring, size = stiffness * amplitude * centre, (stiffness + damping * w) * amplitude
+    if abs(abs(zero / amplitude) - 2.0 * OFF_CENTRE) > 0.01:
+        assert own["slip_fwd"] == pytest.approx(dashpot + spring, abs=1e-2 * size)
+        assert own["slip_bwd"] == pytest.approx(dashpot - spring, abs=1e-2 * size)
     close = {"rel": 5e-3, "abs": 0.02 * damping * w}
     assert own["effective_stiffness"] == pytest.approx(stiffness, **close)
 
