@@ -336,13 +336,13 @@ def derive_from_parameters(
     pressure: float = float("nan"),
     area: float | None = None,
 ) -> dict[str, Array]:
-    """Gap width, in, and self-energizing factors C = F_c/(p A) by name, (n,) each.
+    """Travel from slip to slip, in, and self-energizing factors C = F_c/(p A) by name, (n,) each.
 
     Those that are unknown, as without a pressure (ksi) or an area of the actuator (in²), are left
     out.
     """
-    width = model.gap_width(values)
-    derived = {} if width is None else {"gap_width": width}
+    width = model.slip_to_slip(values)
+    derived = {} if width is None else {"slip_to_slip": width}
     if area is not None and pressure > 0.0:
         sides = zip(("C_fwd", "C_bwd"), model.slip_forces, strict=False)
         derived |= {name: values[force] / (pressure * area) for name, force in sides}

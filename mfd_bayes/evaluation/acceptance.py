@@ -10,9 +10,11 @@ integrated out. The posterior of the device's level under a flat prior is the me
 these draws. Against limits there are two one-sided tests (Schuirmann, 1987): a device is accepted
 where the interval of its level lies within the limits. A difference is one that the scatter of
 tests does not explain; its p-value is adjusted over the quantities by the distribution of the
-largest one (Westfall and Young, 1993), and over the devices of a batch by Benjamini and Hochberg
-(1995). Where the calibrated tests themselves scatter more than the population says, all scatter of
-that quantity is widened by the Birge ratio (Birge, 1932).
+largest one (Westfall and Young, 1993), and never below that of the quantity by itself: what lies
+inside its 95 % interval, that of a measurement in the data sheet, does not differ. Over the devices
+of a batch it is adjusted by Benjamini and Hochberg (1995). Where the calibrated tests themselves
+scatter more than the population says, all scatter of that quantity is widened by the Birge ratio
+(Birge, 1932).
 """
 
 from __future__ import annotations
@@ -48,12 +50,13 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
+from mfd_bayes.records.cross_checks import UNITS as RECORD_UNITS
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import far_sentences
-from mfd_bayes.units import DAMPER, Axes
+from mfd_bayes.units import DAMPER, Axes, factor
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -81,6 +84,7 @@ QUANTITIES: Mapping[str, tuple[str, str, str]] = {
 LIMITS = tuple(dict.fromkeys(name for name, *_ in QUANTITIES.values() if name != "loop"))
 
 
+LARGE = np.log(2.0)  # a logarithm so far from the others' asks whether the unit is wrong
 ALONE = 1.96  # size at which one quantity by itself differs, 5 %
 
 
@@ -362,7 +366,10 @@ class Level:
             for away in ((device - mean) / sd, (measured - mean) / sd)
         )
         largest = size.max(axis=1)
+        above, below = (1.0 + np.sum(s, axis=0) for s in (device >= measured, device <= measured))
+        single = np.where(two_sided, 2.0 * np.minimum(above, below), above) / (1.0 + len(device))
         p = (1.0 + np.sum(largest[:, None] >= own, axis=0)) / (1.0 + len(largest))
+        p = np.minimum(np.maximum(p, single), 1.0)
         critical = float(np.quantile(largest, 1.0 - ALPHA))
         return cls(names, measured, device, among, p, own, critical)
 
@@ -448,7 +455,24 @@ def judge(
     verdict = "rejected" if "beyond the limit" in verdicts else verdict
     table = pd.DataFrame(list(rows.values()), index=pd.Index(level.names, name="name"))
     sentence = _sentence(verdict, rows, named)
+    if axes.of_damper and (hint := _wrong_unit(rows, group)):
+        sentence += f" {hint}"
     return Acceptance(device, verdict, sentence, level.p_value, p_batch, named, table, group)
+
+
+def _wrong_unit(rows: Mapping[str, Row], group: Sequence[ComparedRecord]) -> str:
+    """Whether slip forces or gap are as far off as another unit of the record would make them."""
+    for role, names in (("force", ("slip_fwd", "slip_bwd")), ("displacement", ("gap",))):
+        ratios = [rows[n]["measured"] / rows[n]["nominal"] for n in names if n in rows]
+        read, mean = group[0].record.columns[role][1], float(np.log(ratios or [1.0]).mean())
+        off = {u: np.log(factor(read, role) / factor(u, role)) - mean for u in RECORD_UNITS[role]}
+        unit = min(off, key=lambda unit: abs(off[unit]))
+        if abs(mean) > LARGE and unit != read and abs(off[unit]) < 0.5 * abs(mean):
+            return (
+                f"The {role} is {np.exp(mean):.3g} times that of the others: is its unit wrong? It "
+                f"was read in {read}, and in {unit} it would be {np.exp(-off[unit]):.2f} times."
+            )
+    return ""
 
 
 def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:

@@ -121,7 +121,7 @@ def predictive_checks(
     replicated records by the same rules; `properties` are theirs, by name, (n,) each.
     """
     allowed = complete_tolerances(tolerances)
-    width = posterior.model.gap_width(replicas.values)
+    width = posterior.model.slip_to_slip(replicas.values)
     gap = None if width is None else float(np.median(width))
     checks = []
     for check in check_predictive(posterior, replicas, gap):

@@ -45,7 +45,7 @@ UNITS: Mapping[str, str] = {
     **dict.fromkeys(("energy_per_cycle", "energy_of_ramps", "energy_in_all"), "kip*in"),
     "c_eq": "kip*s/in",
     "build_up_slope": "kip/in",
-    **dict.fromkeys(("gap", "gap_width"), "in"),
+    **dict.fromkeys(("gap", "slip_to_slip"), "in"),
     **dict.fromkeys(("C_fwd", "C_bwd"), "1"),
 }
 """Internal unit of every property of a test, in the order of tables."""
@@ -77,7 +77,7 @@ def measured_of(manifest: Manifest, name: str) -> MeasuredCycles:
 
 
 def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
-    """Measured value of each property: the largest peak, of others the mean at full stroke."""
+    """Measured value of each property: `MeasuredCycles.of_test`, and energies of all."""
     own, ramps = cycles.of_test(), cycles.energy[~cycles.full_stroke]
     return {name: own[name] for name in (*_OF_CYCLES, "peak_fwd", "peak_bwd")} | {
         "energy_per_cycle": own["energy"],
@@ -211,21 +211,15 @@ def properties_of(
     return properties | {name: values.max(axis=1) for name, values in seen.items()}
 
 
-def cycles_of(
-    trace: Trace, force: Array, peaks: Peaks = NO_FACTOR, *, smooth: Array | None = None
-) -> dict[str, Array]:
-    """Values of each full cycle at full stroke, (n, L) each, by name, as `properties_of`."""
-    loops = find_loops(trace)
-    values = {name: cycles[:, loops.strong] for name, cycles in cycle_values(trace, force).items()}
-    pairs = zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True)
-    spans = [(a, b + 1) for (a, b), full in pairs if full]
-    return values | _seen_peaks(force if smooth is None else smooth, spans, peaks)
+def cycle_energies(trace: Trace, force: Array) -> Array:
+    """Energy of each full cycle at full stroke under forces (n, T), kip: (n, L), kip*in."""
+    return cycle_values(trace, force)["energy"][:, find_loops(trace).strong]
 
 
 def of_parameters(
     model: Model, values: Mapping[str, Array], level: float, settings: CampaignFile
 ) -> dict[str, Array]:
-    """Width of the gap and, where the actuator's area is given, self-energizing factors, (n,)."""
+    """Travel from slip to slip; with the actuator's area self-energizing factors; (n,) each."""
     area = settings.area if settings.actuation_unit == "ksi" else None
     return derive_from_parameters(model, values, level, area)
 
@@ -351,33 +345,46 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
 
     "This device tested again" is a test of one of the calibrated devices in one of the declared
     sessions, "another device" a test of a new one, in a new session where there are several. With
-    one device the latter is not known. The mean property has the mean of the factor between the
-    model's peak and the measured one, the others its scatter too.
+    one device the latter is not known.
     """
-    places, n, peaks = places_of(run), n_draws(run), peaks_of(run)
+    drawn = drawn_properties(run, trace, places_of(run))
+    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
 
-    def draw(kind: str, session: str, device: str, draws: int = n) -> Band:
+
+def drawn_properties(
+    run: Run, trace: Trace, places: Sequence[tuple[str, str]]
+) -> dict[str, dict[str, Array]]:
+    """Draws of the properties of a motion by basis of `BASES`, then by name, (n,) each.
+
+    `places` are session and device of the tests. The mean property has the mean of the factor
+    between the model's peak and the measured one, the others its scatter too. Energies of the
+    cycles at full stroke, "energy", are (n, L).
+    """
+    peaks, axes, drawn = peaks_of(run), run.manifest.axes, {}
+
+    def draw(kind: str, session: str, device: str, draws: int) -> Band:
         how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
-        return run.predict(trace, kind, probability, **how)
+        return run.predict(trace, kind, **how)
 
-    bands = {kind: [draw(kind, *place) for place in places] for kind in KIND_NAMES if kind in BASES}
+    n = n_draws(places)
+    bands = {k: [draw(k, *place, n) for place in places] for k in KIND_NAMES if k in BASES}
     if len(run.devices) > 1:
         session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
         bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
-    drawn, axes = {}, run.manifest.axes
     for basis, several in bands.items():
         factors = expected_factors(peaks) if basis == "device" else peaks
         quiet = bands["new_test"] if basis == "observation" else several
         parts = [
             properties_of(trace, band.draws, factors, smooth=without_noise(band, test))
+            | {"energy": cycle_energies(trace, band.draws)}
             for band, test in zip(several, quiet, strict=True)
         ]
         drawn[basis] = {
             name: np.concatenate([part[name] for part in parts])
-            for name in DESIGN_PROPERTIES
+            for name in (*DESIGN_PROPERTIES, "energy")
             if axes.has(name)
         }
-    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
+    return drawn
 
 
 def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
@@ -387,7 +394,8 @@ def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note
     another device.
     """
     rows = []
-    for name, mean in drawn["device"].items():
+    for name in DESIGN_PROPERTIES:
+        mean = drawn["device"].get(name, np.empty(0))
         if not np.any(np.isfinite(mean)):  # the motion has no full cycle
             continue
         for basis in BASES:
@@ -431,12 +439,12 @@ def design_warnings(run: Run) -> tuple[str, ...]:
     )
 
 
-def n_draws(run: Run) -> int:
+def n_draws(places: Sequence[tuple[str, str]]) -> int:
     """Draws of the bands behind the bounds, for each session and device.
 
     A band with as many, of one session and device, has the same draws as the bounds.
     """
-    return DESIGN_DRAWS // len(places_of(run)) + 10
+    return DESIGN_DRAWS // len(places) + 10
 
 
 def places_of(run: Run) -> tuple[tuple[str, str], ...]:
@@ -453,7 +461,7 @@ def sessions_of(run: Run) -> tuple[str, ...]:
 # --- the data sheet: measured values, nominal ones and bounds, at each condition
 
 PROBABILITY = 0.95  # of the interval between lower and upper bound
-DRAWS = 400
+BASIS = "observation"  # what the bounds are of: a measured value lies in them with PROBABILITY
 CYCLES = 3  # cycles of which the energy is given one by one
 HARMONIC = 0.2  # least share of the cycles at full stroke, by which a test counts as harmonic
 _QUANTITIES = (
@@ -471,7 +479,8 @@ _QUANTITIES = (
 _COLUMNS = [
     *("condition", "actuation", "actuation_unit", "stroke", "frequency", "tested"),
     *("quantity", "direction", "unit", "cycle", "measured_low", "measured", "measured_high"),
-    *("n_cycles", "n_outside", "nominal", "lower", "upper", "lambda_min", "lambda_max"),
+    *("standard_error", "n_cycles", "n_tests", "n_outside", "of"),
+    *("nominal", "lower", "upper", "lambda_min", "lambda_max"),
     *("lambda_min_other", "lambda_max_other", "note"),
 ]
 """Of `Datasheet.rows`, there even where no test is harmonic."""
@@ -503,13 +512,13 @@ def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Cond
 
 def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
     """Data sheet of a run: every condition that was tested, and those of `at`."""
-    peaks, tests = peaks_of(run), _harmonic_tests(run)
+    tests = _harmonic_tests(run)
     table, lacking = [], []
     for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *at]):
         own = [test for test in tests if test[0] == condition]
         label = condition_words(run, condition)
         try:
-            table += _rows(run, condition, label, own, peaks)
+            table += _rows(run, condition, label, own)
         except MfdError as error:
             if condition in at:
                 raise
@@ -570,7 +579,7 @@ def _rounded(value: float) -> float:
 
 
 def _rows(
-    run: Run, condition: Condition, label: str, own: Sequence[Tested], peaks: Peaks
+    run: Run, condition: Condition, label: str, own: Sequence[Tested]
 ) -> list[dict[str, object]]:
     """Rows of one condition; `own` are its tests."""
     axes = run.system.axes
@@ -580,8 +589,7 @@ def _rows(
         trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
     devices = run.manifest.settings.devices
     names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in own) or places_of(run)
-    nominal, bounded = _predicted(run, trace, list(names), peaks)
-    others = _predicted(run, trace, [(NEW, NEW)], peaks)[1] if len(run.devices) > 1 else {}
+    drawn = drawn_properties(run, trace, list(names))
     remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
     head = {
         "condition": label,
@@ -590,55 +598,65 @@ def _rows(
         "stroke": condition.stroke,
         "frequency": condition.frequency,
         "tested": bool(own),
+        "of": BASES[BASIS],
+        "note": "; ".join(remarks),
     }
     rows = []
     for quantity, direction, name in _QUANTITIES:
         if not axes.has(name):
             continue
-        values = [getattr(cycles, name)[cycles.full_stroke] for _, _, _, cycles in own]
         for cycle in range(CYCLES + 1 if name == "energy" else 1):
-            kept = slice(None) if cycle == 0 else slice(cycle - 1, cycle)
-            mean, drawn = nominal[name][:, kept], bounded[name][:, kept]
-            if cycle and not np.any(np.isfinite(drawn)):
+            values = {basis: _of_cycle(of, name, cycle) for basis, of in drawn.items()}
+            if cycle and not np.any(np.isfinite(values[BASIS])):
                 continue
-            row = bounds(mean, drawn, PROBABILITY)
-            other = bounds(mean, others[name][:, kept] if others else np.empty(0), PROBABILITY)
-            seen = np.concatenate([np.empty(0), *(v[kept] for v in values)])
-            seen = seen[np.isfinite(seen)]
-            low, middle, high = (
-                (seen.min(), seen.mean(), seen.max()) if seen.size else (np.nan,) * 3
-            )
-            outside = (seen < row["lower"]) | (seen > row["upper"])
+            row = bounds(values["device"], values[BASIS], PROBABILITY)
+            other = bounds(values["device"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
             rows.append(
                 head
                 | {"quantity": quantity, "direction": direction, "unit": CYCLE_UNITS[name]}
-                | {"cycle": cycle, "measured_low": low, "measured": middle, "measured_high": high}
-                | {"n_cycles": seen.size}
-                | {"n_outside": int(outside.sum()), **row}
+                | {"cycle": cycle, **row}
+                | _measured(name, cycle, [cycles for *_, cycles in own], row)
                 | {f"{key}_other": other[key] for key in ("lambda_min", "lambda_max")}
-                | {"note": "; ".join(remarks)}
             )
     return rows
 
 
-def _predicted(
-    run: Run, trace: Trace, places: Sequence[tuple[str, str]], peaks: Peaks
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Draws of the nominal values of the cycles at full stroke, and of those of a measurement."""
-    nominal, bounded = [], []
-    draws = max(DRAWS // len(places), 10)
-    for session, name in places:
-        device, test, seen = (
-            run.predict(trace, kind, PROBABILITY, draws=draws, session=session, device=name)
-            for kind in ("device", "new_test", "observation")
-        )
-        nominal.append(cycles_of(trace, device.draws, expected_factors(peaks)))
-        bounded.append(cycles_of(trace, seen.draws, peaks, smooth=without_noise(seen, test)))
-    first, second = (
-        {name: np.concatenate([part[name] for part in parts]) for name in CYCLE_UNITS}
-        for parts in (nominal, bounded)
-    )
-    return first, second
+def _of_cycle(drawn: Mapping[str, Array], name: str, cycle: int) -> Array:
+    """Draws, (n,), of a property of a test, or of the energy of one of its cycles."""
+    if cycle:
+        return drawn["energy"][:, cycle - 1 : cycle].ravel()
+    return drawn["energy_per_cycle" if name == "energy" else name]
+
+
+def _measured(
+    name: str, cycle: int, tests: Sequence[MeasuredCycles], bounds: Mapping[str, float]
+) -> dict[str, float]:
+    """Measured value of tests, or of one cycle of them, with its smallest and largest cycle.
+
+    The standard error is that of the mean of the cycles, of all tests.
+    """
+    kept = slice(cycle - 1, cycle) if cycle else slice(None)
+    of_cycles = [getattr(test, name)[test.full_stroke][kept] for test in tests]
+    if cycle:
+        values, errors = np.concatenate([np.empty(0), *of_cycles]), np.empty(0)
+    else:
+        values = np.array([test.of_test()[name] for test in tests])
+        errors = np.array([test.standard_error(name) for test in tests])
+    if name.startswith("peak"):  # the largest value is no mean
+        errors = np.empty(0)
+    each = np.concatenate([np.empty(0), *of_cycles])
+    each, values = each[np.isfinite(each)], values[np.isfinite(values)]
+    outside = (values < bounds["lower"]) | (values > bounds["upper"])
+    nan = float("nan")
+    return {
+        "measured_low": float(each.min()) if each.size else nan,
+        "measured": float(values.mean()) if values.size else nan,
+        "measured_high": float(each.max()) if each.size else nan,
+        "standard_error": float(np.sqrt(np.sum(errors**2)) / errors.size) if errors.size else nan,
+        "n_cycles": each.size,
+        "n_tests": values.size,
+        "n_outside": int(outside.sum()),
+    }
 
 
 def _tested(run: Run) -> dict[str, Message]:
@@ -666,16 +684,16 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     fine = " All tests are reproduced within tolerance." if use == Use.USABLE else ""
     first = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
     tested = rows[(rows["cycle"] == 0) & rows["tested"].astype(bool)]
-    cycles, outside = int(tested["n_cycles"].sum()), int(tested["n_outside"].sum())
+    values, outside = int(tested["n_tests"].sum()), int(tested["n_outside"].sum())
     most = ""
     if outside:
         worst = tested.sort_values("n_outside").to_dict("records")[-1]
         quantity = worst["quantity"].replace("_", " ")
         most = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
     second = Message("No test is harmonic: there are no measured cycles to compare.")
-    if cycles:
+    if values:
         second = Message(
-            f"{outside} of {cycles} measured values ({100 * outside / cycles:.1f} %) lie outside "
+            f"{outside} of {values} measured values ({100 * outside / values:.1f} %) lie outside "
             "their 95 % bounds{most}.",
             {"most": most},
         )
@@ -683,8 +701,9 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     actuated = ("actuation",) if run.system.axes.actuated else ()
     where = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
     third = Message(
-        "Bounds hold for one device within {where}; outside they rest on the form of the laws.",
-        {"where": ", ".join(span.words(run.system) for span in where)},
+        "Bounds and λ, which are bounds over the nominal value, are of {of}, the device tested "
+        "again, within {where}; outside they rest on the form of the laws.",
+        {"of": BASES[BASIS], "where": ", ".join(span.words(run.system) for span in where)},
     )
     if len(run.devices) < 2:
         return first, second, third

@@ -299,12 +299,13 @@ class Datasheet:
     """What an engineer needs to use a device, in internal units.
 
     `rows` has one for each condition, quantity, direction and cycle (0: all cycles at full stroke).
-    `stroke` is the amplitude of the motion. `measured` is the mean over the cycles, and
-    `measured_low` and `measured_high` the smallest and the largest; NaN where nothing was tested.
-    `nominal` is the mean of the mean property (the device at this actuation), `lower` and `upper`
-    hold a cycle of a new test with 95 %, offset, noise and chatter included. `n_outside` counts the
-    measured cycles outside of them. `lambda_min_other` and `lambda_max_other` are those of another
-    device: NaN where all tests are of one.
+    `stroke` is the amplitude of the motion. `measured` is the value of a test, by the formula of
+    the quantity, and the mean of several; `measured_low` and `measured_high` are its smallest and
+    its largest cycle, NaN where nothing was tested. `nominal` is the mean of the mean property (the
+    device at this actuation). `lower` and `upper` hold what `of` says, the value of a measured
+    test, with 95 %, offset, noise and chatter included: `n_outside` of `n_tests` lie outside.
+    `lambda_min_other` and `lambda_max_other` are those of another device tested: NaN where all
+    tests are of one.
     """
 
     rows: pd.DataFrame

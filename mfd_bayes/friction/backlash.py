@@ -545,7 +545,7 @@ class BacklashLuGre(Model):
         """Width of the gap D, (n,), in."""
         return named_columns(values, ("gap",))["gap"]
 
-    def gap_width(self, values: Mapping[str, Array]) -> Array:
+    def slip_to_slip(self, values: Mapping[str, Array]) -> Array:
         """Travel from slip to slip, D + F_c,fwd/k_f + F_c,bwd/k_b, (n,), in."""
         c = named_columns(values, ("gap", "Fc_fwd", "Fc_bwd", "k_fwd", "k_bwd"))
         return c["gap"] + c["Fc_fwd"] / c["k_fwd"] + c["Fc_bwd"] / c["k_bwd"]

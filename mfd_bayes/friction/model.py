@@ -525,8 +525,8 @@ class Model:
         """Width of the gap, (n,), in, of values by name; None without a gap."""
         return None
 
-    def gap_width(self, values: Mapping[str, Array]) -> Array | None:
-        """Travel from slip to slip, (n,), in: what is read off a loop as its gap."""
+    def slip_to_slip(self, values: Mapping[str, Array]) -> Array | None:
+        """Travel from slip to slip, (n,), in: about what is read off a loop as its gap."""
         return self.gap(values)
 
     def unloaded(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array] | None:

@@ -18,7 +18,13 @@ from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError, why_no_file
 from mfd_bayes.evaluation.acceptance import DRAWS as ACCEPTANCE_DRAWS
 from mfd_bayes.evaluation.acceptance import LIMITS, accept
-from mfd_bayes.evaluation.properties import design_rows, design_warnings, n_draws, predicted_rows
+from mfd_bayes.evaluation.properties import (
+    design_rows,
+    design_warnings,
+    n_draws,
+    places_of,
+    predicted_rows,
+)
 from mfd_bayes.evaluation.views import (
     Acceptance,
     AdviceInWords,
@@ -150,7 +156,7 @@ def predict(out: Path, question: Question) -> Answer:
     if not others:
         how |= {"test": question.test, "device": question.device}
         # without sessions the tables of --design are then of the same draws
-        how["draws"] = max(n_draws(run), DRAWS) if question.design else DRAWS
+        how["draws"] = max(n_draws(places_of(run)), DRAWS) if question.design else DRAWS
     band = source.predict(*asked, **how)
     compared_with = record if question.compare else None
     about = question.after, measured, question.device

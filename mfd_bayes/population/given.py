@@ -608,7 +608,7 @@ class Forecaster:
                     off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
                     draws[name] = draws[name] - side * off
         weights = np.exp(log_weights - log_weights.max())
-        unit_of, known = {**units(self._model), "gap_width": "in"}, {}
+        unit_of, known = {**units(self._model), "slip_to_slip": "in"}, {}
         for name, drawn in draws.items():
             lower, median, upper = quantiles(drawn, weights, (0.025, 0.5, 0.975))
             new = self._new[0][name]
@@ -705,8 +705,8 @@ def properties(model: Model, values: Mapping[str, Array]) -> dict[str, Array]:
     Of a model that names neither, these are the quantities that follow the actuation.
     """
     named = {name: values[name] for name in model.slip_forces or model.laws if name in values}
-    gap = model.gap_width(values)
-    return named if gap is None else {**named, "gap_width": gap}
+    gap = model.slip_to_slip(values)
+    return named if gap is None else {**named, "slip_to_slip": gap}
 
 
 def narrowing_of(sd: float, before: float, scatter: float, cycles: int) -> float:

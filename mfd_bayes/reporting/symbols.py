@@ -18,7 +18,7 @@ from mfd_bayes.friction.model import Model, html_of
 from mfd_bayes.population.bands import KIND_NAMES
 
 _SYMBOLS = {
-    "gap_width": (r"D_\mathrm{slip}", "travel from slip to slip"),
+    "slip_to_slip": (r"D_\mathrm{slip}", "travel from slip to slip, of the parameters"),
     "alpha_sigma0": (r"\alpha_{\sigma0}", "bristle stiffness per actuation"),
     "energy_per_cycle": ("E", "energy dissipated in a cycle at full stroke, their mean"),
     "energy_of_ramps": (r"E_\mathrm{ramp}", "the same of smaller full cycles"),
@@ -33,7 +33,10 @@ for _side, _words in (("fwd", "forward"), ("bwd", "backward")):
     _SYMBOLS |= {
         f"K_c_{_side}": (rf"K_{{c,\mathrm{{{_side}}}}}", "kinetic friction per actuation"),
         f"K_s_{_side}": (rf"K_{{s,\mathrm{{{_side}}}}}", "static friction per actuation"),
-        f"slip_{_side}": (rf"F_{{0,\mathrm{{{_side}}}}}", "slip force at zero displacement"),
+        f"slip_{_side}": (
+            rf"F_{{0,\mathrm{{{_side}}}}}",
+            f"slip force at zero displacement, {_words}",
+        ),
         f"peak_{_side}": (rf"F_{{\max,\mathrm{{{_side}}}}}", f"peak force, {_words}"),
         f"C_{_side}": (rf"C_\mathrm{{{_side}}}", f"self-energizing factor, {_words}"),
     } | {

@@ -402,7 +402,7 @@ def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes
         properties.setdefault(key, {})[row["condition"]] = Cell(lines, row["note"])
     made = []
     for (quantity, direction, cycle, unit), cells in properties.items():
-        name = axes.text(quantity.replace("_", " ").replace("gap", "gap width"))
+        name = axes.text(quantity.replace("_", " "))
         detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle else "")))
         meaning = ", ".join(filter(None, (symbols.meaning(name), detail)))
         of = tuple(cells.get(condition, Cell()) for condition in conditions)

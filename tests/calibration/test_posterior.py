@@ -198,9 +198,9 @@ def test_gap_and_self_energizing_factors_follow_from_the_parameters():
     columns = {"d2": [0.1, 0.2], "d3": [0.05, 0.1], "Fc_fwd": [2.0, 4.0], "Fc_bwd": [6.0, 8.0]}
     values = {name: np.array(column) for name, column in columns.items()}
     derived = derive_from_parameters(ThreeStage(), values, pressure=0.5, area=4.0)
-    for name, expected in (("gap_width", [0.15, 0.3]), ("C_fwd", [1, 2]), ("C_bwd", [3, 4])):
+    for name, expected in (("slip_to_slip", [0.15, 0.3]), ("C_fwd", [1, 2]), ("C_bwd", [3, 4])):
         np.testing.assert_allclose(derived[name], expected)
-    assert set(derive_from_parameters(ThreeStage(), values)) == {"gap_width"}
+    assert set(derive_from_parameters(ThreeStage(), values)) == {"slip_to_slip"}
     without = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
-    assert set(without) == {"gap_width"}
+    assert set(without) == {"slip_to_slip"}
     assert derive_from_parameters(LuGre(), values) == {}

@@ -105,7 +105,7 @@ def test_stages_follow_each_other_after_a_turn():
 def test_the_travel_from_slip_to_slip_is_what_a_loop_shows():
     values = {name: np.array([value]) for name, value in VALUES.items()}
     expected = 0.2 + 2.2 / 50.0 + 1.8 / 42.0
-    np.testing.assert_allclose(MODEL.gap_width(values), expected)
+    np.testing.assert_allclose(MODEL.slip_to_slip(values), expected)
     trace = sine(1.0, seconds=8.0)
     force = MODEL.force(theta(n=12.0, ell=0.005), trace)[0]
     assert features_of(replace(trace, force=force))["gap"] == pytest.approx(expected, rel=0.1)

@@ -331,7 +331,7 @@ def test_a_table_is_read_by_its_names(model):
 
 
 def test_values_are_vectors_given_by_name(model):
-    for call in [model.theta, *([model.gap, model.gap_width] if model.has_gap else [])]:
+    for call in [model.theta, *([model.gap, model.slip_to_slip] if model.has_gap else [])]:
         for values in (None, [1.0], "a", 5, dict):
             refused("values must be a mapping from names", call, values)
         refused("values by name lack", call, {})

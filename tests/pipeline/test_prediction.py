@@ -101,7 +101,7 @@ def test_with_another_run_both_give_half_of_the_draws(ask, table, out, tmp_path)
         widths.append((table()["upper_kip"] - table()["lower_kip"]).mean())
     assert widths[1] == pytest.approx(widths[0], rel=0.15)
     assert "three_stage (ou) and three_stage (iid) in equal parts" in printed
-    assert not {"gap_width", "C_fwd"} & set(table("_derived")["quantity"])  # each has its own
+    assert not {"slip_to_slip", "C_fwd"} & set(table("_derived")["quantity"])  # each has its own
 
 
 # --- what was tested, and what cannot be asked

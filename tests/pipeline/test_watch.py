@@ -39,7 +39,7 @@ def test_each_cycle_says_what_it_told(words, tests):
     assert [line.split(":")[0] for line in lines] == [f"cycle {k}" for k in range(1, CYCLES + 1)]
     for line in lines:
         assert re.search(r"Fc_fwd [\d.]+ kip \([\d.]+ to [\d.]+ kip; \d+ % of new tests", line)
-        assert "gap_width" in line
+        assert "slip_to_slip" in line
         assert "does not fit" not in line
         assert " wide; " in line
         assert "enough" not in line
