@@ -846,7 +846,8 @@ def _slip_force(trace: Trace, cycles: MeasuredCycles) -> Message:
     text, quantities = "{} forward, {} backward", [(values[name], "kip") for name in names]
     if np.isfinite(errors).all():
         text += " (standard errors {} and {})"
-        quantities += [(float(f"{error:.2g}"), "kip") for error in errors]
+        least = 1e-6 * max(cycles.largest_fwd, cycles.largest_bwd)  # below it is round-off
+        quantities += [(float(f"{e:.2g}") if e > least else 0.0, "kip") for e in errors]
     if not zero_is_central(trace):
         return _message(f"{text}, at mid-stroke, where zero displacement is not", *quantities)
     middles = find_loops(trace).middle[cycles.full_stroke]

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,7 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
+from mfd_bayes.evaluation.properties import datasheet
 from tests.command_line import here, write_csv
 
 
@@ -54,6 +56,50 @@ def test_a_good_device_is_not_rejected_and_a_wrong_one_is(batch, production):
     assert strong.loc["energy_per_cycle", "measured"] == pytest.approx(energy, rel=0.05)
     gap = strong.loc["gap"]
     assert gap["effect_lower"] < 0.0 < gap["effect_upper"]  # its gap is as wide as the others'
+
+
+def test_chatter_is_no_change_of_the_slip_force(run, production):
+    """A sample at mid-stroke may lie anywhere in chatter; a mean over the window does not."""
+    quiet = mb.read_record(production("quiet.csv", seed=3), actuation="1000 psi")
+    x, force = quiet.displacement, quiet.force
+    forward = np.gradient(x, quiet.time) > 0.0
+    chatter = 0.7 * np.where(forward, 1.0, -1.0) * np.cos(2.0 * np.pi * x / 0.15 + np.pi)
+    loud = replace(quiet, force=force + chatter * (np.abs(force) > 1.0))
+    (before,), (after,) = (mb.accept(run, record) for record in (quiet, loud))
+    for name in ("slip_fwd", "slip_bwd"):
+        sizes = [device.rows.loc[name, "measured"] for device in (before, after)]
+        assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+        assert after.rows.loc[name, "verdict"] != "beyond the limit"
+
+
+def test_a_force_read_in_another_unit_is_asked_for(run, production):
+    for name, factor, asked in (("kN.csv", 4.448, True), ("strong.csv", 1.3, False)):
+        record = mb.read_record(production(name, factor), actuation="1000 psi")
+        (device,) = mb.accept(run, record)
+        assert device.verdict == "rejected"
+        sentence = "is its unit wrong? It was read in kip, and in kN"
+        assert (sentence in device.sentence) is asked, device.sentence
+
+
+def test_bounds_are_those_of_the_data_sheet_and_what_they_hold_does_not_differ(run):
+    """An unaltered record of the calibrated device: one interval in accept and in the sheet."""
+    shown = datasheet(run).rows.query("cycle == 0").set_index(["condition", "quantity"])
+    names = {"energy_per_cycle": "energy", "effective_damping": "effective_damping"}
+    for test in run.manifest.settings.test:
+        if test.role != "calibrate":
+            continue
+        path = Path(run.folder).parent / "campaign" / test.file
+        (device,) = mb.accept(run, mb.read_record(path, actuation=test.actuation))
+        level = test.actuation.split()[0]
+        for name, quantity in names.items():
+            row = device.rows.loc[name]
+            condition = next(c for c, q in shown.index if c.startswith(f"{level} "))
+            bounds = shown.loc[(condition, quantity), ["lower", "upper"]].to_numpy(float).ravel()
+            assert row[["lower", "upper"]].to_numpy(float) == pytest.approx(bounds, rel=0.03)
+        inside = device.rows["measured"].between(device.rows["lower"], device.rows["upper"])
+        assert (device.rows.loc[inside, "verdict"] != "differs").all()
+        assert (device.rows.loc[inside, "p_value"] > 0.05).all()
+        assert device.verdict != "rejected"
 
 
 def test_each_device_has_a_page_to_file(batch):

@@ -157,6 +157,34 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
         np.testing.assert_allclose(own["c_eq"], 0.7, rtol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("chatter", "zero", "said"),
+    [
+        (0.0, 0.0, "at zero displacement$"),
+        (0.8, 0.0, "at zero displacement$"),
+        (0.0, 0.1, r"at zero displacement; at mid-stroke 2 kip and 2.5 kip$"),
+        (0.0, 5.0, "at mid-stroke, where zero displacement is not$"),
+    ],
+)
+def test_a_slip_force_is_a_mean_about_zero_displacement(tmp_path, chatter, zero, said):
+    """Of chatter the mean remains; the sensor's zero is that of the device where it can be."""
+    trace = drawn_loop(8)
+    slipping = np.isin(np.abs(trace.force), (FORWARD, BACKWARD))
+    waves = 1.0 + chatter * np.cos(2.0 * np.pi * trace.time / 0.137 + np.pi) * slipping
+    path = tmp_path / "test.csv"
+    columns = np.column_stack([trace.time, trace.displacement + zero, waves * trace.force])
+    names = "time_s,displacement_in,force_kip"
+    np.savetxt(path, columns, delimiter=",", header=names, comments="")
+    out = CliRunner().invoke(app, ["inspect", str(path), "-o", str(tmp_path), "--units", "us"])
+    shown = " ".join(out.stdout.split())
+    line = re.search(r"slip force (.*?) peak force", shown)[1]
+    assert re.search(said, line), line
+    slips = [float(n) for n in re.findall(r"([\d.]+) kip (?:forward|backward)", line)]
+    assert slips == pytest.approx((FORWARD, BACKWARD), rel=0.1 if chatter else 1e-3)
+    errors = re.search(r"standard errors ([\d.e-]+) kip and ([\d.e-]+) kip", line).groups()
+    assert 0.002 < max(map(float, errors)) < 0.2 if chatter else errors == ("0", "0")
+
+
 TITLES = {
     "peak force": ("peak_fwd", "peak_bwd"),
     "energy per cycle": ("energy",),
