@@ -392,8 +392,8 @@ def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes
         several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
         ends = (row["measured_low"], row["measured_high"]) if several else (math.nan, math.nan)
         lines = (
-            Line("{}", (row["measured"],), marked=outside and not several),
-            Line("{}–{}", ends, marked=outside),
+            Line("{}", (row["measured"],), marked=outside),
+            Line("{}–{}", ends),
             Line("{}", (row["nominal"],)),
             Line("{}–{}", (row["lower"], row["upper"])),
             Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
