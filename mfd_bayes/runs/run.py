@@ -88,6 +88,7 @@ from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
     departures,
+    kind_sentence,
     range_of,
     reach_of,
 )
@@ -541,6 +542,8 @@ class Run:
             departure.sentence(self.system, widened=not test)
             for departure in self.departures(trace, test)
         ]
+        tests = [self.manifest.tests[name].conditions for name in ([test] if test else self.tests)]
+        remarks += [kind] if (kind := kind_sentence(tests, trace)) and given is None else []
         remarks += self._remarks(session, device, CONDITIONS if test else forecast.conditions)
         remarks += [NO_GAP] if after and forecast.before is None else []
         remarks += [*forecast.remarks, *band.remarks]
