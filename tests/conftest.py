@@ -4,6 +4,7 @@ import fcntl
 import importlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +24,10 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 # Processes that tests start read what tests define. Last, so that the installed package is tested.
 sys.path.append(str(Path(__file__).parents[1]))
 
+# What a calibration remembers of a user's own models is not to be that of who runs the tests.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="mfd_bayes-state-")
+
 # The tests run in a folder of their own, and a path is meant from where they were started.
 for variable in {"MFD_BAYES_DATA", "MFD_BAYES_FINISHED_RUN"} & set(os.environ):
     os.environ[variable] = str(Path(os.environ[variable]).absolute())
@@ -41,6 +46,8 @@ def pytest_configure(config) -> None:
     """Hypothesis writes before the first test: to a folder that is removed at the end."""
     folder = tempfile.TemporaryDirectory()
     config.add_cleanup(folder.cleanup)
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        config.add_cleanup(lambda: shutil.rmtree(os.environ["XDG_STATE_HOME"]))
     set_hypothesis_home_dir(folder.name)
 
 

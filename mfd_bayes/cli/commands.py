@@ -233,6 +233,7 @@ def check(
     every: Annotated[bool, Option("--all", help="Show every check.")] = False,
     quiet: options.Quiet = False,
     units: options.Units = None,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Show checks, warnings and the verdict on every test; exit 1 where the run is not usable.
 
@@ -248,7 +249,7 @@ def check(
     with mistakes():
         from mfd_bayes.pipeline import calibrate as pipeline
 
-        view = pipeline.check(out, units or "")
+        view = pipeline.check(out, units or "", trust_model=trust_model)
     if not quiet:
         console.print_checks(view, every=every)
     console.print_sentences(view)
@@ -282,6 +283,7 @@ def report(
         Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
     ] = None,
     units: options.Units = None,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Remake the report, tables and figures of a run from what is stored, without sampling.
 
@@ -303,7 +305,9 @@ def report(
 
         forms = options.settings(Forms, ctx)
         with show_progress(quiet=quiet) as observe:
-            view = pipeline.report(out, observe, forms=forms, units=units or "")
+            view = pipeline.report(
+                out, observe, forms=forms, units=units or "", trust_model=trust_model
+            )
         console.print_end(view, out, quiet=quiet)
     if not view.whole:
         raise typer.Exit(1)
@@ -314,6 +318,7 @@ def draws(
     to: Annotated[Literal["csv", "parquet"], Option(help="Parquet needs the extra parquet.")],
     units: options.Units = None,
     most: Annotated[int, Option(min=0, help="Most draws kept of each test; 0 for all.")] = 0,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Write the posterior draws of every test as one table, for other programs.
 
@@ -327,7 +332,7 @@ def draws(
     with mistakes():
         from mfd_bayes.pipeline import calibrate as pipeline
 
-        written, rows = pipeline.write_draws(out, to, units or "", most)
+        written, rows = pipeline.write_draws(out, to, units or "", most, trust_model=trust_model)
     console.say(f"{written} written: {rows} draws")
 
 
@@ -438,6 +443,7 @@ def predict(
     force: options.Replace = False,
     units: options.Units = None,
     quiet: options.Quiet = False,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Predict the force of a motion at an actuation, tested or not.
 
@@ -619,6 +625,7 @@ def accept(
     force: options.Replace = False,
     units: options.Units = None,
     quiet: options.Quiet = False,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Say whether a device is like the others: accepted, rejected, or that a record cannot tell.
 
@@ -692,6 +699,7 @@ def next_test(
     force: options.Replace = False,
     units: options.Units = None,
     quiet: options.Quiet = False,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Say which test to make next: by how much each narrows a band or an interval.
 
@@ -769,6 +777,7 @@ def respond(
     units: options.Units = None,
     force: options.Replace = False,
     quiet: options.Quiet = False,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Compute a building's response to earthquakes, with this device as its dampers.
 
@@ -815,6 +824,7 @@ def export(
     extrapolate: Annotated[
         bool, Option("--extrapolate", help="Export also far outside of the tested range.")
     ] = False,
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Write joint samples of a new device's parameters for other programs.
 
@@ -845,6 +855,7 @@ def serve(
     ] = None,
     sine: Annotated[str, Option(help='Such as "1 in, 0.5 Hz, 3 cycles".')] = "",
     actuation: Annotated[str, Option(help='Of a model, such as "1000 psi".')] = "",
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Serve a model, or a run's log posterior, to other programs, as UM-Bridge has it.
 
@@ -862,7 +873,7 @@ def serve(
     with mistakes():
         from mfd_bayes.pipeline import export as pipeline
 
-        pipeline.serve(source, port, motion, sine, actuation, console.say)
+        pipeline.serve(source, port, motion, sine, actuation, console.say, trust_model=trust_model)
 
 
 def watch(
@@ -885,6 +896,7 @@ def watch(
     wait: Annotated[
         str, Option(metavar='"10 s"', help="End when the file has not grown for so long.")
     ] = "10 s",
+    trust_model: options.TrustModel = False,
 ) -> None:
     """Follow a test while it runs: a line for each cycle, and when the test is long enough.
 

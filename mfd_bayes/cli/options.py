@@ -194,6 +194,10 @@ Units = Annotated[
 Date = Annotated[str, Option(help="The day of the test, as 2024-03-05.")]
 Cycles = Annotated[float | None, Option(min=0, help="Cycles that the device had made before.")]
 Temperature = Annotated[str, Option(help='Of the device, such as "20 °C".')]
+TrustModel = Annotated[
+    bool,
+    Option("--trust-model", help="Run the model.py of a run that is not yours; read it first."),
+]
 Quiet = Annotated[bool, Option("-q", "--quiet", help="Print only warnings and the verdict.")]
 
 

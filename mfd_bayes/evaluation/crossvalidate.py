@@ -92,7 +92,8 @@ class Fold:
         began = time.perf_counter()
         observe(Step(self.id, "gathering the others"))
         try:
-            result = leave_out(open_run(out), self, observe)
+            # a model of its own is that of the campaign, which has just been calibrated
+            result = leave_out(open_run(out, trust=True), self, observe)
         except StoreError:
             raise
         except MfdError as error:
@@ -105,9 +106,14 @@ class Fold:
 
     def stored(self, out: Path) -> bool:
         """Whether its scores are stored, for exactly this fold."""
-        file = out / FOLDER / self.file
+        path = out / FOLDER / self.file
         key = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
-        return file.is_file() and read_json(file).get("key") == key  # JSON has lists for tuples
+        try:
+            stored = check(_StoredPredictions, read_json(path), path)
+        except StoreError:  # there is none, or it is damaged
+            return False
+        tests = tuple(prediction.test for prediction in stored.predictions)
+        return stored.key == key and tests == self.left_out  # JSON has lists for tuples
 
 
 def fold_id(part: str) -> str:

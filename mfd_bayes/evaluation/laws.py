@@ -36,6 +36,7 @@ from mfd_bayes.population.design import (
 from mfd_bayes.population.mixed_model import LARGEST_K, LawScore
 from mfd_bayes.population.population import Population
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.tested_range import FAR
 
 Array = NDArray[np.float64]
 
@@ -146,8 +147,11 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     """
     population, tests = run.population, run.tests.values()
     levels = [test.trace.reference_actuation for test in tests]
-    grid = np.union1d(np.linspace(0.0, 1.15 * max(levels), 60), levels)
+    # farther below the tests a prediction is refused, but where it is asked for expressly
+    lowest = min((level for level in levels if level > 0.0), default=0.0) / FAR
+    grid = np.union1d(np.linspace(lowest, 1.15 * max(levels), 60), levels)
     drawn, views = _law_draws(run, grid), []
+    scores = law_score_rows(run.manifest.law_scores, run.manifest.settings.laws)
     for name, law in population.design.laws.items():
         starts = np.any(population.ratio(name, grid) > 0.0, axis=(0, 1))  # not at zero
         bounds = [test.intervals[name] for test in tests]
@@ -155,7 +159,11 @@ def law_views(run: Run) -> tuple[LawView, ...]:
             LawView(
                 name=name,
                 unit=units(run.model)[name],
-                law=law_label(law, population.law_weights[name]),
+                law=law_label(
+                    law,
+                    population.law_weights[name],
+                    tuple(row for row in scores if row["quantity"] == name),
+                ),
                 actuation=grid,
                 device=fan_of("device", starts * drawn["device"][name]),
                 new_test=fan_of("new_test", starts * drawn["new_test"][name]),
@@ -270,12 +278,20 @@ def _sentence(rows: Sequence[Row], chosen: str | None) -> str:
     return f"{text}{caveat}."
 
 
-def law_label(law: str, weights: Mapping[str, float]) -> str:
-    """A law's name, or the weights of those that were compared."""
+def law_label(law: str, weights: Mapping[str, float], scores: Rows = ()) -> str:
+    """A law's name, or the weights of those that were compared.
+
+    `scores` are the rows of `law_score_rows` of its quantity: where they speak against the
+    campaign's law, the label says so, as the sentence of `law_choices` does.
+    """
     if law != COMPARE:
-        return law
+        trusted = [row for row in scores if row["pareto_k"] <= LARGEST_K]
+        near = [r["law"] for r in trusted if -r["difference"] <= r["difference_se"]]
+        best = next((row["law"] for row in trusted), law)
+        return law if law in (best, *near) else f"{law}, the campaign's; {best} predicts best"
     held = sorted(((name, w) for name, w in weights.items() if w > 0), key=lambda it: -it[1])
-    return "compared: " + ", ".join(f"{name} {weight:.2g}" for name, weight in held)
+    mixed = ", ".join(f"{name} {weight:.2g}" for name, weight in held)
+    return f"compared: {mixed}"
 
 
 # --- change with age, cycles or temperature, and when it is too much

@@ -31,6 +31,7 @@ from mfd_bayes.records.record import NO_ACTUATION, Record
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.folder import Manifest, Use
 from mfd_bayes.runs.run import ModelAverage, Run
+from mfd_bayes.runs.tested_range import PARTIAL, partial_strokes
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
@@ -208,6 +209,9 @@ def properties_of(
     ends = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
     spans = [(a, b) for a, b in pairwise(ends) if b > a]
     seen = _seen_peaks(force if smooth is None else smooth, spans, peaks)
+    if partial_strokes(trace) > PARTIAL:  # what a cycle at full stroke has, such a motion has not
+        of_cycles = (*_OF_CYCLES, "energy_per_cycle", "energy_of_ramps")
+        properties |= {name: np.full(len(force), np.nan) for name in of_cycles}
     return properties | {name: values.max(axis=1) for name, values in seen.items()}
 
 
@@ -286,6 +290,8 @@ def property_rows(
     rows = []
     for name, unit in UNITS.items():
         if name not in drawn or (name == "energy_of_ramps" and not ramps):
+            continue
+        if not np.any(np.isfinite(drawn[name])):  # the motion does not have it
             continue
         note = ""
         if name in _MEANS:

@@ -8,9 +8,10 @@ import sys
 import traceback
 from collections.abc import Mapping
 from hashlib import sha256
+from importlib.machinery import SourceFileLoader
 from importlib.metadata import entry_points
 from pathlib import Path
-from types import MappingProxyType
+from types import CodeType, MappingProxyType
 from typing import Any
 
 from mfd_bayes.errors import FitError, MfdError
@@ -64,6 +65,15 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     )
 
 
+class _Source(SourceFileLoader):
+    """Loader of what a file says: bytecode beside it may be of another text, or another person."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Code of the file's text."""
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
 def _of_file(name: str, folder: Path | None) -> Model:
     """Model of "file.py:Class"."""
     file, _, wanted = name.rpartition(":") if not name.endswith(".py") else (name, "", "")
@@ -79,7 +89,8 @@ def _of_file(name: str, folder: Path | None) -> Model:
         raise FitError(f"there is no file {path} for the model {name!r}")
     path = path.resolve()
     module_name = f"{path.stem}_{sha256(str(path).encode()).hexdigest()[:12]}"
-    spec = importlib.util.spec_from_file_location(module_name, path)
+    loader = _Source(module_name, str(path))
+    spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
     if spec is None or spec.loader is None:
         raise FitError(f"the model's file {path} cannot be read as Python")
     module = importlib.util.module_from_spec(spec)

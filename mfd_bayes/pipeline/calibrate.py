@@ -60,6 +60,7 @@ from mfd_bayes.runs.folder import (
     Status,
     Truth,
     Verdict,
+    add_calibrated_model,
     alone_in,
     check_apart,
     check_free,
@@ -68,6 +69,7 @@ from mfd_bayes.runs.folder import (
     check_places,
     discard,
     hash_stored,
+    mark_pages,
     pooled_of,
     posterior_of,
     prepare_folder,
@@ -173,6 +175,7 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     if plan.campaign.model_file:
         message = f"runs {file_of(plan.campaign.model)}, the campaign's own model"
         observe(Step("model", State.NOTE, message=message))
+        add_calibrated_model(plan.campaign.model_file)
     if plan.slow:
         observe(Step("model", State.NOTE, message=plan.slow))
     manifest = resumed.manifest
@@ -182,6 +185,7 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
     try:
         if manifest.status != Status.FINISHED:
             remove_stale(out, draws=bool(todo) or not resumed.same_tests)
+            mark_pages(out)
         manifest = _calibrate_tests(plan, manifest, todo, out, observe)
         model = plan.campaign.force_model
         files = {task.id: out / posterior_of(task.id) for task in plan.tasks}
@@ -202,7 +206,7 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
         manifest.write(out)
     finally:
         remove_partial_files(out)
-    return Run(out, manifest, plan.priors, results, plan.held_out)
+    return Run(out, manifest, plan.priors, results, plan.held_out, trust=True)
 
 
 def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
@@ -381,6 +385,7 @@ def report(
     jobs: int = 0,
     forms: Forms = PLAIN,
     units: str = "",
+    trust_model: bool = False,
 ) -> CampaignView:
     """Write the tables, figures and report of a finished run, from its stored results."""
     forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
@@ -388,7 +393,8 @@ def report(
         get_ready()
     with alone_in(out):
         check_places(out)
-        return write_report(open_run(out), observe, jobs=jobs, forms=forms, units=units)
+        run = open_run(out, trust=trust_model)
+        return write_report(run, observe, jobs=jobs, forms=forms, units=units)
 
 
 def write_report(
@@ -419,19 +425,21 @@ def write_report(
     return view
 
 
-def check(out: Path, units: str = "") -> CampaignView:
+def check(out: Path, units: str = "", *, trust_model: bool = False) -> CampaignView:
     """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing.
 
     Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
     """
-    run = open_run(out)
+    run = open_run(out, trust=trust_model)
     metric = named_system(units, run.system).name == SI.name
     view = assess(run)
     checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
     return replace(view, metric=metric, checks=tuple(checks))
 
 
-def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Path, int]:
+def write_draws(
+    out: Path, to: str, units: str = "", most: int = 0, *, trust_model: bool = False
+) -> tuple[Path, int]:
     """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows."""
     import pandas as pd
 
@@ -443,7 +451,7 @@ def write_draws(out: Path, to: str, units: str = "", most: int = 0) -> tuple[Pat
     read_manifest(out)  # a folder that is no finished run is refused before it is locked
     with alone_in(out):
         check_places(out)
-        run = open_run(out)
+        run = open_run(out, trust=trust_model)
         frame = pd.concat(draws_of(run, named_system(units, run.system), most), ignore_index=True)
         path, content = out / f"draws.{to}", io.BytesIO()
         if to == "parquet":

@@ -51,13 +51,14 @@ class Export:
     seed: int = 1
     force: bool = False
     extrapolate: bool = False
+    trust_model: bool = False
 
 
 def export(out: Path, request: Export) -> tuple[list[str], list[str]]:
     """Write the samples of a new device; what was written, and reasons to trust it less."""
     folder = request.folder
     check_folder(folder, force=request.force)
-    run = open_run(out)
+    run = open_run(out, trust=request.trust_model)
     level = float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
     if request.actuation:
         level = run.level_of(request.actuation)
@@ -294,7 +295,14 @@ class Served:
 
 
 def serve(
-    source: str, port: int, motion: Path | None, sine: str, actuation: str, say: Callable[..., Any]
+    source: str,
+    port: int,
+    motion: Path | None,
+    sine: str,
+    actuation: str,
+    say: Callable[..., Any],
+    *,
+    trust_model: bool = False,
 ) -> None:
     """Answer requests on localhost until the process is ended.
 
@@ -304,7 +312,7 @@ def serve(
     if Path(source).is_dir():
         if motion or sine or actuation:
             raise CampaignError("--motion, --sine and --actuation are for a model, not for a run")
-        tests = open_run(Path(source)).tests
+        tests = open_run(Path(source), trust=trust_model).tests
         models = {name: _served(test.posterior) for name, test in tests.items()}
     else:
         models = {"": {"forward": _forward(find_model(source), _trace(motion, sine, actuation))}}

@@ -65,6 +65,7 @@ class Query:
     jobs: int = 0
     units: str = ""
     force: bool = False
+    trust_model: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ def prepare(out: Path, query: Query) -> Prepared:
     levels = parse_sweep(query.sweep) if query.sweep else None
     building = read_building(query.building)
     grounds = _grounds(query)
-    run = replace(open_run(out), units=query.units)
+    run = replace(open_run(out, trust=query.trust_model), units=query.units)
     if levels is not None:
         check_kind("--sweep: the actuation", levels[1], run.actuation_unit)
         if not building.devices:

@@ -86,6 +86,7 @@ class Question:
     date: str = ""
     cycles: float | None = None
     temperature: str = ""
+    trust_model: bool = False
 
     @property
     def window(self) -> tuple[float, float] | None:
@@ -130,7 +131,9 @@ class Answer:
 def predict(out: Path, question: Question) -> Answer:
     """Force band for a motion and an actuation, and derived quantities; both are written."""
     check_question(question)
-    run, *others = (open_run(folder) for folder in (out, *question.others))
+    run, *others = (
+        open_run(folder, trust=question.trust_model) for folder in (out, *question.others)
+    )
     question = replace(question, actuation=stated_actuation(run, question.actuation))
     conditions = stated_conditions(question)
     run, *others = (
@@ -354,6 +357,7 @@ class Inspection:
     seed: int = 0
     units: str = ""
     force: bool = False
+    trust_model: bool = False
 
 
 def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
@@ -382,7 +386,7 @@ def accept_records(out: Path, wish: Inspection) -> tuple[tuple[Acceptance, ...],
     """Compare devices with those of a run; table, pages (returned) and picture are written."""
     check_folder(wish.folder, force=wish.force)
     limits = parse_limits(wish.limit)
-    run = replace(open_run(out), units=wish.units)
+    run = replace(open_run(out, trust=wish.trust_model), units=wish.units)
     wish = replace(wish, actuation=stated_actuation(run, wish.actuation))
     run.level_of(wish.actuation)
     records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
@@ -464,6 +468,7 @@ class Watched:
     temperature: str = ""
     narrowing: str = f"{100 * NARROWING:g} %"
     wait: str = "10 s"
+    trust_model: bool = False
 
 
 @dataclass(frozen=True)
@@ -508,7 +513,8 @@ class Cycle:
 
 def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
     """Cycles of a test as they end in its file, which may still grow."""
-    run = replace(open_run(out), conditions=stated_conditions(watched))
+    run = open_run(out, trust=watched.trust_model)
+    run = replace(run, conditions=stated_conditions(watched))
     watched = replace(watched, actuation=stated_actuation(run, watched.actuation))
     level = run.level_of(watched.actuation)
     narrowing = parse_quantity(watched.narrowing, "dimensionless", of="--narrowing")
@@ -603,6 +609,7 @@ class Wish:
     seed: int = 0
     units: str = ""
     force: bool = False
+    trust_model: bool = False
 
 
 def next_test(out: Path, wish: Wish) -> tuple[AdviceInWords, list[Path]]:
@@ -618,7 +625,7 @@ def next_test(out: Path, wish: Wish) -> tuple[AdviceInWords, list[Path]]:
     own = [] if wish.table is None else files  # else they are the run's own
     check_outputs([*own, *drafts], inputs, force=wish.force)
     candidates = _candidates(wish.candidates)
-    run = replace(open_run(out), units=wish.units)
+    run = replace(open_run(out, trust=wish.trust_model), units=wish.units)
     advice = run.next_test(
         wish.goal or None,
         candidates,

@@ -19,16 +19,23 @@ if TYPE_CHECKING:
     from mfd_bayes.runs.unit_system import System
 
 
-def open_run(folder: str | Path) -> Run:
+def open_run(folder: str | Path, *, trust: bool = False) -> Run:
     """Finished calibration of a run folder, whose results can be drawn.
+
+    Parameters
+    ----------
+    folder : str or Path
+    trust : bool
+        Whether the run's own `model.py` is run although no calibration of yours on this machine
+        has run it. Read it first: it can do all that you can.
 
     Raises
     ------
     StoreError
         When the folder is no finished run, a file in it is not what the run wrote, or another
-        process changes it meanwhile.
+        process changes it meanwhile; or it has a model of its own, which is not trusted.
     """
-    return runs.open_run(folder, Notebook)
+    return runs.open_run(folder, Notebook, trust=trust)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ import platform
 import re
 import reprlib
 import shlex
-import shutil
 import socket
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -56,7 +55,9 @@ from mfd_bayes.store.files import (
     read_json,
     remove_file,
     write_json,
+    write_text,
 )
+from mfd_bayes.store.netcdf import load_test
 from mfd_bayes.units import DAMPER, Axes
 
 MANIFEST = "manifest.json"
@@ -75,6 +76,14 @@ OWNER = ".owner"
 
 FOLDERS = ("tests", "figures", CROSSVALIDATION)
 """Folders in a run folder."""
+
+WRITTEN = re.compile(
+    r"tests/[^/]+/((posterior|pooled|record)\.nc|record\.csv|page\.html"
+    r"|(loops|history|residuals|marginals|corner|ranks)\.png)"
+    r"|figures/(overview|laws|truth|next)\.(png|csv)"
+    rf"|{CROSSVALIDATION}/(test|level|session)_\d+\.json"
+)
+"""Names of the files that a run and its report write in these folders; others are not theirs."""
 
 DRAWS = ("draws.csv", "draws.parquet")
 ADVICE = ("next.csv", "next.json", "next.png")
@@ -124,6 +133,43 @@ def is_file_of_a_run(path: Path) -> bool:
         if (folder / MANIFEST).is_file() or (folder / DISCARDED).is_file():
             return is_written_by_run(place.relative_to(folder))
     return False
+
+
+# --- models of the user's own
+
+
+def calibrated_models() -> Path | None:
+    """The user's list of files of models that calibrations have run: a SHA-256 a line.
+
+    None where no folder for it is known. It stands in no run folder, and has no paths, so that
+    nothing in a folder that is received, or where it lies, makes a model trusted.
+    """
+    state = os.environ.get("XDG_STATE_HOME", "")
+    try:
+        path = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
+    except RuntimeError:  # a user without a home
+        return None
+    return path / "mfd_bayes" / "calibrated_models.txt" if path.is_absolute() else None
+
+
+def is_calibrated_model(path: Path) -> bool:
+    """Whether a calibration by this user on this machine has run a file of this content."""
+    models = calibrated_models()
+    try:
+        return models is not None and hash_file(path) in models.read_text("ascii").split()
+    except (OSError, ValueError):
+        return False
+
+
+def add_calibrated_model(path: Path) -> None:
+    """Add the file of a campaign's own model to the user's list, if that can be written."""
+    models = calibrated_models()
+    if models is None or is_calibrated_model(path):
+        return
+    with suppress(OSError):  # a read-only home: the run is then opened as anybody's
+        models.parent.mkdir(parents=True, exist_ok=True)
+        with models.open("a", encoding="ascii") as file:
+            file.write(f"{hash_file(path)}\n")
 
 
 # --- the lock
@@ -264,7 +310,7 @@ def discard(out: Path) -> None:
             raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
         remove_partial_files(out)
         for name in FOLDERS:
-            remove_folder(out / name)
+            remove_folder(out, name)
         for name in (*OUTPUTS, *ADVICE):
             (out / name).unlink(missing_ok=True)
         begun.unlink()
@@ -272,13 +318,23 @@ def discard(out: Path) -> None:
         raise cannot_remove(out, error) from error
 
 
-def remove_folder(path: Path) -> None:
-    """Remove a folder if it is there; of a link, the link alone. StoreError when it cannot be."""
+def remove_folder(out: Path, name: str) -> None:
+    """Remove what a run wrote in one of its folders, and the folder where nothing else is in it.
+
+    Of a link, the link alone. StoreError where something cannot be removed.
+    """
+    path = out / name
     try:
         if path.is_symlink():
             path.unlink()
-        elif path.exists():
-            shutil.rmtree(path)
+        elif path.is_dir():
+            for entry in path.iterdir():
+                if WRITTEN.fullmatch(f"{name}/{entry.name}"):
+                    entry.unlink()
+                elif name == "tests" and entry.is_dir():
+                    remove_folder(out, f"{name}/{entry.name}")
+            if not any(path.iterdir()):
+                path.rmdir()
     except OSError as error:
         raise cannot_remove(path, error) from error
 
@@ -293,12 +349,35 @@ def remove_stale(out: Path, *, draws: bool) -> None:
         remove_file(out / name)
 
 
+OLD_PAGE = (
+    '<p role="alert"><strong>This page is of an earlier calibration.</strong> The run in this '
+    "folder is being calibrated again, since {since}, and the page is written again at the end.</p>"
+)
+
+
+def mark_pages(out: Path) -> None:
+    """Let the pages of an earlier report say so, while a run is calibrated again."""
+    since, begin = f"{datetime.now(UTC):%Y-%m-%d %H:%M UTC}", OLD_PAGE.partition("{")[0]
+    for path in (
+        *out.glob("report.html"),
+        *out.glob("datasheet.html"),
+        *out.glob("tests/*/page.html"),
+    ):
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, ValueError):  # not what a report wrote
+            continue
+        if begin not in text:
+            write_text(path, text.replace("<header>", f"<header>{OLD_PAGE.format(since=since)}", 1))
+
+
 def remove_partial_files(out: Path) -> None:
     """Remove the partly written files that a killed process left in a run folder, if possible."""
     for parts in (out.glob, *((out / name).rglob for name in FOLDERS)):
         for part in parts(f".*{PART}"):
-            with suppress(OSError):  # if the folder is read-only, the next write reports it
-                part.unlink(missing_ok=True)
+            if re.fullmatch(rf"\..+\.[0-9a-f]{{8}}\{PART}", part.name):
+                with suppress(OSError):  # if the folder is read-only, the next write reports it
+                    part.unlink(missing_ok=True)
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool) -> None:
@@ -812,20 +891,25 @@ def prepare_folder(
         raise StoreError(f"{out} cannot be resumed: {error}; give {again}") from error
     _check_resumable(manifest, before, out)
     same = {place for place, key in manifest.keys.items() if before.keys.get(place) == key}
-    kept = [name for name in manifest.tests if folder_of(name) in same]
+    damaged = {name: reason for name in manifest.tests if (reason := _damage(out, name, before))}
+    kept = [n for n in manifest.tests if folder_of(n) in same and n not in damaged]
+    notes = [f"{reason}; {name} is sampled again" for name, reason in damaged.items()]
+    if POPULATION in same and not damaged and (reason := _damage_of_population(out, before)):
+        notes.append(f"{reason}; the population is inferred again")
+        same.remove(POPULATION)
     resumed = _with_results(manifest, before, kept, out)
     if COMPARISON in same and all((out / posterior_of(n)).is_file() for n in manifest.fitted):
         resumed = resumed.changed(comparison=before.comparison)
-    notes = tuple(_notes(kept, manifest, before, out))
+    notes += _notes([*kept, *damaged], manifest, before, out)
     if CROSSVALIDATION not in same:
-        remove_folder(out / CROSSVALIDATION)
+        remove_folder(out, CROSSVALIDATION)
         before = before.changed(crossvalidation=None)
-    if POPULATION not in same:
+    if POPULATION not in same or damaged:
         before.changed(status=Status.RUNNING).write(out)  # what is left is no finished run
     for name in {*before.tests, *manifest.tests}.difference(kept):
-        remove_folder(out / folder_of(name))
+        remove_folder(out, folder_of(name))
     population = before if POPULATION in same else None
-    return Resumed(resumed, population, COMPARISON in same, notes)
+    return Resumed(resumed, population, COMPARISON in same, tuple(notes))
 
 
 def _check_resumable(manifest: Manifest, before: Manifest, out: Path) -> None:
@@ -845,17 +929,44 @@ def _check_resumable(manifest: Manifest, before: Manifest, out: Path) -> None:
         )
 
 
+def _damage(out: Path, name: str, before: Manifest) -> str:
+    """Why the stored posterior of a test cannot be kept; "" where it can, or there is none.
+
+    The hash of one that was stored just before the run was killed is not known: it is read.
+    """
+    file = posterior_of(name)
+    if not (out / file).is_file():
+        return ""
+    try:
+        path = check_stored(out, file, before.files)
+        if file not in before.files and load_test(path).facts.get("test") != name:
+            return f"{path} is of another test"
+    except StoreError as error:
+        return str(error)
+    return ""
+
+
+def _damage_of_population(out: Path, before: Manifest) -> str:
+    """Why the stored population of a finished run cannot be kept; "" where it can."""
+    if before.status == Status.FINISHED:
+        try:
+            for name in (POPULATION, *map(pooled_of, before.tests)):
+                if name in before.files:
+                    check_stored(out, name, before.files)
+        except StoreError as error:
+            return str(error)
+    return ""
+
+
 def _with_results(
     manifest: Manifest, before: Manifest, kept: Collection[str], out: Path
 ) -> Manifest:
-    """The manifest with what is kept of an earlier session, after a check of the kept files.
+    """The manifest with what is kept of an earlier session.
 
     Hashes of other files are dropped: such a file is written again before its hash is, and a kill
     in between would leave a new file with an old hash.
     """
     files = [name for name in map(posterior_of, kept) if (out / name).is_file()]
-    for name in (*files, *([POPULATION] if (out / POPULATION).is_file() else [])):
-        check_stored(out, name, before.files)
     truth = before.truth
     if truth is not None:
         tests = {name: values for name, values in truth.tests.items() if name in kept}

@@ -77,6 +77,7 @@ from mfd_bayes.runs.folder import (
     Use,
     check_links,
     check_stored,
+    is_calibrated_model,
     pooled_of,
     posterior_of,
     read_manifest,
@@ -87,6 +88,7 @@ from mfd_bayes.runs.tested_range import (
     Departure,
     Span,
     departures,
+    kind_sentence,
     range_of,
     reach_of,
 )
@@ -254,12 +256,20 @@ class ByName(Mapping[str, Item]):
         return name in self._names
 
 
-def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None = None) -> Run:
-    """Finished calibration of a run folder; posteriors and records are read when asked for."""
+def open_run(
+    folder: str | Path,
+    make_extras: Callable[[System], Extras] | None = None,
+    *,
+    trust: bool = False,
+) -> Run:
+    """Finished calibration of a run folder; posteriors and records are read when asked for.
+
+    With `trust`, a model of the run's own is run, whoever wrote it.
+    """
     folder = path_of("folder", folder, StoreError)
     check_links(folder)
     manifest = read_manifest(folder)
-    model = model_of(folder, manifest)
+    model = model_of(folder, manifest, trust=trust)
     stored = check_stored(folder, PRIORS, manifest.files).name
     priors = load_priors(stored, folder, model, of_others=True)
     extras = None if make_extras is None else make_extras(manifest.system)
@@ -273,17 +283,26 @@ def open_run(folder: str | Path, make_extras: Callable[[System], Extras] | None 
     read_test = partial(_read_test, folder, manifest, priors, model, extras)
     tests = ByName("calibrated test", done, read_test)
     traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
-    return Run(folder, manifest, priors, tests, traces, extras)
+    return Run(folder, manifest, priors, tests, traces, extras, trust=trust)
 
 
-def model_of(folder: Path, manifest: Manifest) -> Model:
-    """Model of a run; of a user's own, the run folder's copy of its file is run."""
+def model_of(folder: Path, manifest: Manifest, *, trust: bool = False) -> Model:
+    """Model of a run; of a user's own, the run folder's copy of its file is run.
+
+    A file that no calibration of this user has run is refused, but for `trust`.
+    """
     name = manifest.settings.model
     if not file_of(name):
         return find_model(name)
     if MODEL not in manifest.files:
         raise StoreError(f"the run in {folder} does not say which {MODEL} it has stored")
-    check_stored(folder, MODEL, manifest.files)
+    path = check_stored(folder, MODEL, manifest.files)
+    if not (trust or is_calibrated_model(path)):
+        raise StoreError(
+            f"the run in {folder} would execute its own {MODEL}, which no calibration of yours on "
+            "this machine has run: read that file, then give --trust-model, or "
+            "open_run(…, trust=True) in Python"
+        )
     return find_model(f"{MODEL}:{name.rpartition(':')[2]}", folder)
 
 
@@ -318,6 +337,8 @@ class Run:
         What its sentences are in; "" for the units of the records.
     conditions : mapping of str to float
         Of tests that are predicted, where a call says no others, as in `predict`.
+    trust : bool
+        Whether a model of the run's own is run, whoever wrote it.
     """
 
     folder: Path
@@ -328,11 +349,12 @@ class Run:
     extras: Extras | None = field(default=None, repr=False)
     units: str = ""
     conditions: Mapping[str, float] = field(default_factory=dict)
+    trust: bool = field(default=False, repr=False)
 
     @cached_property
     def model(self) -> Model:
         """Force model of its tests."""
-        return model_of(self.folder, self.manifest)
+        return model_of(self.folder, self.manifest, trust=self.trust)
 
     @cached_property
     def population(self) -> Population:
@@ -520,6 +542,8 @@ class Run:
             departure.sentence(self.system, widened=not test)
             for departure in self.departures(trace, test)
         ]
+        tests = [self.manifest.tests[name].conditions for name in ([test] if test else self.tests)]
+        remarks += [kind] if (kind := kind_sentence(tests, trace)) and given is None else []
         remarks += self._remarks(session, device, CONDITIONS if test else forecast.conditions)
         remarks += [NO_GAP] if after and forecast.before is None else []
         remarks += [*forecast.remarks, *band.remarks]

@@ -23,6 +23,9 @@ tested actuation."""
 FASTEST = 0.995
 """Quantile of the speeds of a motion that is its peak: the noise of a few samples is not."""
 
+PARTIAL = 0.5
+"""A motion more of whose strokes than this share are partial has no cycles at full stroke."""
+
 _SHARE = 20  # of a half-cycle, over which a speed is taken, so that noise does not make it
 _UNITS = {"stroke": "in", "speed": "in/s", "frequency": "Hz"}
 _MARGINS = {"stroke": MARGIN, "speed": MARGIN, "frequency": MARGIN, "actuation": SAME_LEVEL}
@@ -89,7 +92,8 @@ class Departure:
 def conditions_of(trace: Trace) -> dict[str, float]:
     """Stroke (in), peak speed (in/s), frequency (Hz) and level of actuation of a trace.
 
-    Frequency is left out where the motion has no full loop, actuation where it is not known.
+    And its share of partial strokes, "partial", where it turns twice or more. Frequency is left
+    out where the motion has no full loop, actuation where it is not known.
     """
     turns = trace.cycle_turns
     half = float(np.median(np.diff(turns))) if turns.size > 1 else trace.samples - 1.0
@@ -100,12 +104,38 @@ def conditions_of(trace: Trace) -> dict[str, float]:
     conditions = {"stroke": float(np.ptp(trace.displacement))}
     if trace.timed:
         conditions["speed"] = float(np.quantile(np.abs(speeds), FASTEST))
+    if trace.cycle_turns.size > 1:
+        conditions["partial"] = partial_strokes(trace)
     loops = find_loops(trace)
     if loops.period.size and trace.timed:
         conditions["frequency"] = float(1.0 / np.median(loops.period[loops.strong]))
     if np.isfinite(trace.reference_actuation):
         conditions["actuation"] = float(trace.reference_actuation)
     return conditions
+
+
+def partial_strokes(trace: Trace) -> float:
+    """Share of the strokes of a motion, from turn to turn, that go over less than half of it all.
+
+    Cycles of a constant or a growing amplitude have few, an earthquake has most. 0 without a turn.
+    """
+    strokes = np.abs(np.diff(trace.displacement[trace.cycle_turns]))
+    shorter = strokes < 0.5 * np.ptp(trace.displacement)
+    return float(np.mean(shorter)) if strokes.size else 0.0
+
+
+def kind_sentence(tests: Iterable[Mapping[str, float]], trace: Trace) -> str:
+    """That a motion is of another kind than all tests, whose conditions are given; "" if not."""
+    share = partial_strokes(trace)
+    tested = max((test.get("partial", 1.0) for test in tests), default=1.0)
+    if share <= PARTIAL or tested > PARTIAL:
+        return ""
+    return (
+        f"most strokes of this motion are partial, as those of an earthquake ({100 * share:.0f} % "
+        "go over less than half of its whole stroke), and the tests went through full cycles (at "
+        f"most {100 * tested:.0f} %): a motion of another kind is predicted less well, and its "
+        "force and energy lie outside of the band more often than its probability says"
+    )
 
 
 def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple[Span, ...]:

@@ -104,3 +104,36 @@ def test_what_is_unchanged_is_kept_and_all_is_as_in_a_fresh_run(
         calibrate(fresh)
         assert run_folders.files(out) == run_folders.files(fresh / "out")
         assert run_folders.differing(out, fresh / "out") == []
+
+
+def test_damage_is_computed_again_and_what_is_not_the_runs_stays(home):
+    before, out = posteriors(home), home / "out"
+    notes = [out / "tests/b/notes.txt", out / "figures/mine.png"]
+    for path in notes:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("mine")
+    (out / "tests/b/posterior.nc").write_bytes(b"")
+    assert "b is sampled again" in calibrate(home, "--resume")
+    after = posteriors(home)
+    assert set(after) == set(before)
+    assert [name for name in after if after[name] != before[name]] in ([], ["b"])
+    calibrate(home, "--force")
+    assert [path.read_text() for path in notes] == ["mine", "mine"]
+
+
+def test_the_report_of_an_earlier_campaign_says_so_until_it_is_written_again(home, monkeypatch):
+    from mfd_bayes.pipeline import calibrate as pipeline
+
+    out, pages, words = home / "out", [], "This page is of an earlier calibration"
+    infer = pipeline.infer_population
+
+    def observed(*args, **options):
+        pages.extend((out / name).read_text() for name in ("report.html", "tests/a/page.html"))
+        return infer(*args, **options)
+
+    monkeypatch.setattr(pipeline, "infer_population", observed)
+    text = HEAD + '\n[laws]\nsigma0 = "constant"\n' + "".join(USUAL)
+    (home / "campaign" / "campaign.toml").write_text(text)
+    calibrate(home, "--resume")
+    assert [page.count(words) for page in pages] == [1, 1]
+    assert words not in (out / "report.html").read_text()

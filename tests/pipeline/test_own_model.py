@@ -1,12 +1,18 @@
 """A campaign with a model of the user's own, from its file to what is predicted with it."""
 
+import importlib.util
+import json
+import py_compile
 import shutil
+from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import mfd_bayes as mb
+from mfd_bayes.runs.folder import hash_stored
 from tests.command_line import refusal, said, write_csv
 from tests.run_folders import BUILDING
 
@@ -180,3 +186,106 @@ def test_what_cannot_be_used_is_one_sentence(folder, tmp_path, file, old, new, w
     sentence = refusal("calibrate", folder / "all.toml", "-o", tmp_path / "out")
     assert all(word in sentence for word in words)
     assert not (tmp_path / "out").exists()
+
+
+# --- a run that was received
+
+CARRIED = """
+from pathlib import Path
+import mfd_bayes as mb
+Path(__file__).with_name("executed").touch()
+"""
+
+
+def hashed(out, **settings):
+    """Write the hashes of a run's files, as they are, and other settings into its manifest."""
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["files"] |= hash_stored(out, [*manifest["files"], "model.py"])
+    manifest["settings"]["campaign"] |= settings
+    (out / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.fixture
+def received(finished, tmp_path):
+    """A run whose model is another text than any that was calibrated here."""
+    out = Path(shutil.copytree(finished[0], tmp_path / "received"))
+    (out / "model.py").write_text(CARRIED + VISCOUS)
+    hashed(out)
+    return out
+
+
+SINE = ("--sine", "1 in, 0.5 Hz, 3 cycles", "--actuation", "800 psi")
+OPENING = {
+    "check": ("OUT",),
+    "report": ("OUT",),
+    "draws": ("OUT", "--to", "csv"),
+    "predict": ("OUT", *SINE, "--no-figures", "-o", "TO/b.csv"),
+    "accept": ("OUT", "TO/new.csv", "--actuation", "800 psi", "-o", "TO/qc"),
+    "next": ("OUT", "-o", "TO/next.csv"),
+    "respond": ("OUT", "--building", "TO/b.toml", "--ground", "TO/g.csv", "-o", "TO/r"),
+    "export": ("OUT", "--to", "csv", "-o", "TO/samples"),
+    "serve": ("OUT", "--port", 0),
+    "watch": ("TO/new.csv", "--run", "OUT"),
+}
+
+
+@pytest.mark.parametrize("command", OPENING)
+def test_no_command_executes_the_model_of_a_received_run(received, tmp_path, command):
+    time, x, speed = motion(0.5)
+    write_csv(tmp_path / "new.csv", time, x, force(750.0, speed), names=("time_s", "x_in", "f_kip"))
+    (tmp_path / "b.toml").write_text(BUILDING)
+    (tmp_path / "g.csv").write_text("time_s,acceleration_g\n0,0\n0.01,0.1\n0.02,0\n")
+    places = {"OUT": str(received), "TO/": f"{tmp_path}/"}
+    words = [str(word) for word in OPENING[command]]
+    for name, place in places.items():
+        words = [word.replace(name, place) for word in words]
+    sentence = refusal(command, *words)
+    assert "would execute its own model.py" in sentence
+    assert "--trust-model" in sentence
+    assert not (received / "executed").exists()
+
+
+def test_a_received_model_is_executed_by_one_who_trusts_it(received, finished):
+    with pytest.raises(mb.MfdError, match="trust=True"):
+        mb.open_run(received)
+    assert not (received / "executed").exists()
+    assert mb.open_run(received, trust=True).model.name == "viscous"
+    assert (received / "executed").exists()
+    said("check", received, "--trust-model")
+    with pytest.raises(mb.MfdError, match="trust=True"):
+        mb.open_run(received)  # it holds for once
+    mb.open_run(finished[0])  # the control: calibrated here, and moved since
+
+
+def test_the_run_of_another_user_is_received(finished, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with pytest.raises(mb.MfdError, match="trust=True"):
+        mb.open_run(finished[0])
+    # a list beside the run is not the user's
+    monkeypatch.chdir(tmp_path)
+    listed = Path("state/mfd_bayes/calibrated_models.txt")
+    listed.parent.mkdir(parents=True)
+    listed.write_text(sha256((finished[0] / "model.py").read_bytes()).hexdigest())
+    for name, value in {"XDG_STATE_HOME": "state", "HOME": str(tmp_path)}.items():
+        monkeypatch.setenv(name, value)
+        with pytest.raises(mb.MfdError, match="trust=True"):
+            mb.open_run(finished[0])
+
+
+def test_a_run_of_a_built_in_model_does_not_become_a_carrier(small_run, tmp_path):
+    out = Path(shutil.copytree(small_run, tmp_path / "received"))
+    (out / "model.py").write_text(CARRIED)
+    hashed(out, model="any.py:LuGre")
+    assert "would execute its own model.py" in refusal("check", out)
+    assert not (out / "executed").exists()
+
+
+def test_bytecode_beside_a_trusted_model_is_not_executed(finished, tmp_path):
+    out = Path(shutil.copytree(finished[0], tmp_path / "received"))
+    carrier = tmp_path / "carrier.py"
+    carrier.write_text(f"open({str(tmp_path / 'executed')!r}, 'w')\n" + VISCOUS)
+    cache = importlib.util.cache_from_source(str(out / "model.py"))
+    unchecked = py_compile.PycInvalidationMode.UNCHECKED_HASH
+    py_compile.compile(str(carrier), cache, invalidation_mode=unchecked)
+    assert mb.open_run(out).model.name == "viscous"
+    assert not (tmp_path / "executed").exists()

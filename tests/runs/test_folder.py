@@ -144,3 +144,64 @@ def test_a_link_in_place_of_a_folder_is_removed_and_not_what_it_leads_to(out):
     discard(out)
     assert [path.name for path in out.iterdir()] == ["kept"]
     assert (out / "kept" / "notes.txt").read_text() == "mine"
+
+
+# --- damaged files, and files that are not the run's
+
+FOREIGN = ("tests/a/notes.txt", "tests/a/raw/record.csv", "figures/mine.png", "tests/mine/a.png")
+FOREIGN += ("crossvalidation/mine.json", "tests/a/.mine.part")
+
+
+def forget(manifest):
+    del manifest["files"]["tests/b/posterior.nc"]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(path.read_bytes()[:-2000]),
+        lambda path: path.write_bytes(b""),
+        lambda path: shutil.copy(path.parents[1] / "a/posterior.nc", path),
+    ],
+    ids=["truncated", "empty", "another test's"],
+)
+@pytest.mark.parametrize("known", [True, False], ids=["hash known", "hash not known"])
+def test_a_test_whose_file_is_damaged_is_sampled_again(plan, out, change, damage, known):
+    if not known:
+        change(out, forget)
+        assert resume(plan, out).notes == ()  # the control: it is whole
+        assert stored(out)[0] == "ab"
+    (out / "tests/b/mine.txt").write_text("mine")
+    damage(out / "tests/b/posterior.nc")
+    (note,) = resume(plan, out).notes
+    assert note.startswith(f"{out / 'tests/b/posterior.nc'} is ")
+    assert note.endswith("b is sampled again")
+    assert stored(out)[0] == "a"
+    assert (out / "tests/b/mine.txt").read_text() == "mine"
+    assert json.loads((out / "manifest.json").read_text())["status"] == "running"
+
+
+@pytest.mark.parametrize("content", [b"", b"x" * 5000])
+def test_a_damaged_population_is_inferred_again(plan, out, content):
+    (out / "population.nc").write_bytes(content)
+    resumed = resume(plan, out)
+    assert resumed.before is None
+    assert "population.nc is not what this run wrote" in resumed.notes[0]
+    assert stored(out)[0] == "ab"
+
+
+@pytest.mark.parametrize("how", ["force", "resume"])
+def test_what_a_run_did_not_write_is_kept(plan, out, how):
+    for name in FOREIGN:
+        (out / name).parent.mkdir(exist_ok=True, parents=True)
+        (out / name).write_text("mine")
+    (out / "figures/overview.png").write_text("ours")
+    if how == "force":
+        prepare_folder(plan.manifest, plan.campaign.folder, out, force=True)
+        assert sorted(p for p in out.rglob("*") if p.is_file()) == sorted(
+            out / name for name in FOREIGN
+        )
+    else:
+        resume(plan, out, other_k3(plan.priors))
+        assert stored(out)[0] == ""
+    assert [(out / name).read_text() for name in FOREIGN] == ["mine"] * len(FOREIGN)
