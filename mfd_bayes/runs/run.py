@@ -985,8 +985,10 @@ def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
 Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
 
 
-def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list[Ground]:
-    """Ground motions of what is given; `unit` and `meant` are as in `read_ground`."""
+def grounds_of(
+    grounds: Grounds, *, unit: str = "", scale: float = 1.0, meant: bool = False
+) -> list[Ground]:
+    """Ground motions of what is given; `unit`, `scale` and `meant` are as in `read_ground`."""
     motions = []
     for given in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
         if isinstance(given, Ground):
@@ -994,7 +996,8 @@ def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list
             continue
         path_of("a ground motion", given, BuildingError)
         path, step, own = parse_ground(fspath(given), of="ground")
-        motions.append(read_ground(path, step=step, unit=own or unit, meant=meant))
+        ground = read_ground(path, step=step, unit=own or unit, scale=scale, meant=meant)
+        motions.append(ground)
     if not motions:
         raise BuildingError("give at least one ground motion")
     return motions

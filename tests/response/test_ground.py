@@ -121,6 +121,8 @@ def test_a_header_says_its_unit_in_many_ways(tmp_path):
         ("Units [mm/s2]", 10.0 * IN_GAL),
         ("UNITS OF {CM/S/S}", IN_GAL),
         ("UNITS OF CM/S/S (GAL)", IN_GAL),
+        ("UNITS OF G/10", 10.0),
+        ("40 points of accel data equally spaced at .010 sec, in g/10. (8f10.6)", 10.0),
         ("UNITS: IN/S2", GRAVITY),
         ("units=cm/sec2(04),Format=(8f10.3)", IN_GAL),
         ("Acceleration (cm per sec per sec); units of velocity: cm/s", IN_GAL),
@@ -131,10 +133,14 @@ def test_a_header_says_its_unit_in_many_ways(tmp_path):
 
 
 def test_a_unit_that_cannot_be_read_is_never_taken_for_g(tmp_path):
-    for unit in ("CM/S", "COUNTS", "G/10", "1/100 G", "G X 1000", "(G)*10", "(unknown)", ""):
+    words = r"header says 'UNITS OF.* is no acceleration"
+    for unit in ("CM/S", "COUNTS", "1/100 G", "G X 1000", "(G)*10", "(unknown)", ""):
         path = written(tmp_path, f"ACCELERATION IN UNITS OF {unit}\n{NPTS}")
-        refused(r"header says 'UNITS OF.* is no acceleration", read, path)
-        check(read_ground(path, unit="g"))
+        refused(words, read, path)
+        if unit in ("", "(unknown)"):
+            check(read_ground(path, unit="g"))
+        else:  # it says something else than g
+            refused(words, read_ground, path, unit="g")
     refused("'VELOCITY', and not", read, written(tmp_path, f"VELOCITY TIME SERIES\n{NPTS}"))
     refused("'V/g', and not", read, written(tmp_path, f"Accelerometer, 1.25 V/g\n{NPTS}"))
     path = written(tmp_path, f"UNITS OF G\nUnits: cm/s^2\n{NPTS}")
@@ -185,10 +191,14 @@ def test_what_is_given_may_not_contradict_the_file(tmp_path):
 def test_an_impossible_peak_is_asked_about(tmp_path):
     for header, by in (("T", IN_GAL), ("UNITS OF G", IN_GAL), ("T", 1e-4), ("UNITS OF G", 1e-4)):
         path = written(tmp_path, f"{header}\n{NPTS}", by)
-        refused(r"peak would be .* g, and ground motions have", read, path)
-        for ground in (read_ground(path, meant=True), read(f"{path}:g")):
-            assert np.allclose(ground.acceleration, by * MOVES * GRAVITY)
+        for given in (path, f"{path}:g"):
+            refused(r"peak would be .* g, and ground motions have", read, given)
+        assert np.allclose(read_ground(path, meant=True).acceleration, by * MOVES * GRAVITY)
+        check(read_ground(path, scale=1.0 / by))
     check(read(f"{written(tmp_path, NPTS, IN_GAL)}:gal"))
+    path = written(tmp_path, NPTS, 9.0)  # 2.6 g
+    refused("2 g where no unit is stated: give the unit", read, path)
+    assert np.allclose(read(f"{path}:g").acceleration, 9.0 * MOVES * GRAVITY)
 
 
 # --- values
@@ -211,7 +221,7 @@ def test_columns_of_time_and_acceleration_are_not_read_as_one(tmp_path):
 
 def test_accelerations_in_rows_are_read_along_the_rows(tmp_path):
     path, moves = tmp_path / "a.txt", np.sin(np.arange(30.0)).round(4)
-    ramp = 0.1 * np.arange(1.0, 31.0).round(1)
+    ramp = 0.1 * np.arange(-14.5, 15.0).round(1)
     for width in (1, 2, 3, 5):
         for values, header, step in ((moves, "", 0.02), (ramp, "NPTS= 30, DT= .02 SEC\n", None)):
             # the header says that all of them are accelerations
