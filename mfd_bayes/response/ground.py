@@ -382,8 +382,8 @@ _POINTS = re.compile(
     re.IGNORECASE,
 )
 _PEAK = re.compile(
-    r"\b(?:PGA|PEAK|MAX)(?:IMUM)?[. ]*(?:GROUND )?(?:ACC[A-Z]*\.?)?\s*(?:[_(\[]\s*([^)\]:=\s]+)[)\]]?)?"
-    rf"\s*[:=]?\s*{_WHOLE}(?:\s*([A-Za-z%][\w%/^*]*))?",
+    r"\b(?:PGA|PEAK|MAX)(?:IMUM)?[. ]*(?:GROUND )?(?:ACC[A-Z]*\.?)?\s*"
+    rf"(?:[_(\[]\s*([^)\]:=\s]+)[)\]]?)?\s*[:=]?\s*{_WHOLE}(?:\s*([A-Za-z%][\w%/^*]*))?",
     re.IGNORECASE,
 )
 _UNIT = re.compile(
@@ -534,9 +534,9 @@ def _refuse_columns(path: Path, values: Array, width: int, points: int | None) -
     if (np.all(steps > 0.0) or np.all(steps < 0.0)) and (is_even or len(table) >= 10):
         is_motion = is_even and steps[0] > 0.0 and np.any(table[:, 1:] < 0.0)
         kind = "time and acceleration" if is_motion else "a spectrum"
-    elif points is not None and points < values.size:
-        kind = f"{width} components"
-    elif width <= 4 and np.mean(np.diff(table, axis=0) ** 2) < 0.5 * np.mean(np.diff(values) ** 2):
+    elif (points is not None and points < values.size) or (
+        width <= 4 and np.mean(np.diff(table, axis=0) ** 2) < 0.5 * np.mean(np.diff(values) ** 2)
+    ):
         kind = f"{width} components"
     else:
         return
