@@ -485,8 +485,8 @@ def _read_rows(
     of_others = _COUNTS.search(text) or ("acc" not in text.lower() and _OTHER.search(text))
     if not own and of_others:
         raise BuildingError(
-            f"{path}: the header says {of_others[0].strip()!r}, and not that the numbers are "
-            "accelerations: correct the file if they are, with 'UNITS OF G' in its header"
+            f"{path}: the header says {of_others[0].strip(' ,:=(')!r}, and not that the numbers "
+            "are accelerations: correct the file if they are, with 'UNITS OF G' in its header"
         )
     known = [(place, seconds) for place, seconds in steps if seconds is not None]
     if known and max(s for _, s in known) > (1.0 + SAME_STEP) * min(s for _, s in known):

@@ -380,12 +380,14 @@ class Run:
         unit = self.actuation_unit
         tested = self.tested
         if test:
-            tested = range_of([self.manifest.tests[test].conditions], unit)
+            entries = ByName("test", self.manifest.tests, self.manifest.tests.__getitem__)
+            tested = range_of([entries[test].conditions], unit)
         return departures(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
-        """Session of a test, "" where the campaign declares none."""
-        return self.manifest.settings.sessions[name]
+        """Session of a test, "" where the campaign declares none; NotThereError without it."""
+        sessions = self.manifest.settings.sessions
+        return ByName("test", sessions, sessions.__getitem__)[name]
 
     @cached_property
     def devices(self) -> tuple[str, ...]:

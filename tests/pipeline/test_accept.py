@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -54,6 +55,33 @@ def test_a_good_device_is_not_rejected_and_a_wrong_one_is(batch, production):
     assert strong.loc["energy_per_cycle", "measured"] == pytest.approx(energy, rel=0.05)
     gap = strong.loc["gap"]
     assert gap["effect_lower"] < 0.0 < gap["effect_upper"]  # its gap is as wide as the others'
+
+
+@pytest.mark.parametrize(
+    ("records", "options", "words"),
+    [
+        *(
+            (value, {}, "records must be one Record or several")
+            for value in ("good.csv", Path("good.csv"), None, 5, np.ones(9), ["good.csv"], [None])
+        ),
+        ("trace", {}, "records must be one Record or several"),
+        ("record", {"device": None}, "device must be a name"),
+        ("record", {"device": [5]}, "device must be a name"),
+        ("record", {"limits": "all"}, "limits must be shares"),
+        ("constant", {}, "the force is the same throughout"),
+    ],
+)
+def test_what_is_no_record_with_a_force_is_refused_in_one_sentence(
+    run, record, records, options, words
+):
+    made = {"trace": record.trace(), "record": record}
+    made["constant"] = replace(record, force=np.full_like(record.force, 2.0))
+    with pytest.raises(mb.MfdError, match=words):
+        mb.accept(
+            run, made.get(records, records) if isinstance(records, str) else records, **options
+        )
+    with pytest.raises(mb.MfdError, match="run must be a Run"):
+        mb.accept("out", record)
 
 
 def test_each_device_has_a_page_to_file(batch):
