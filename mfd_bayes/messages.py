@@ -28,6 +28,10 @@ class Quantity:
     unit: str
     digits: int = 3
 
+    def __post_init__(self) -> None:
+        if not (self.values and 0 < self.digits <= 17):
+            raise ValueError(f"{self} has no values, or digits that are not 1 to 17")
+
     @classmethod
     def of(cls, *values: float, unit: str, digits: int = 3) -> Quantity:
         """Quantity of one value or of the ends of a range."""
@@ -48,6 +52,11 @@ class Message:
 
     template: str
     values: Mapping[str, Quantity | str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for _, name, form, conversion in Formatter().parse(self.template):
+            if form or conversion or not (name is None or name in self.values):
+                raise ValueError(f"{self.template!r} has a place without a value")
 
     def to_text(self, writer: Writer) -> str:
         """The sentence with its quantities as `writer` writes them."""

@@ -785,8 +785,8 @@ def respond(
     FOLDER/report.html with the drift profile and its bands, histories, loops and
     limits, and the tables peaks.csv, limits.csv, draws.csv, peaks.tex and
     response.json. A step file without its step is given as FILE:0.01s. Files that
-    are numbers alone are taken to be in g; FILE:0.01s:cm/s^2 says otherwise. A peak
-    above 5 g or below 0.0001 g is refused unless its unit, --scale or --peak is given.
+    are numbers alone are taken to be in g; FILE:0.01s:cm/s^2 says otherwise. A scaled
+    peak above 5 g or below 0.0001 g is refused, as is one above 2 g without a unit.
 
     Example:
       mfd-bayes respond out --building b.toml --ground quake.AT2 -o response

@@ -19,6 +19,7 @@ scatter more than the population says, all scatter of that quantity is widened b
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -126,10 +127,23 @@ def accept(
         When a record has no force or no actuation, or lies far outside of what was tested, or a
         limit is unknown; when a date, a count or a temperature is needed and missing.
     """
-    records = [records] if isinstance(records, Record) else list(records)
+    if not isinstance(run, Run):
+        raise CampaignError(f"run must be a Run, as open_run returns it, got {run!r}")
+    records = list(records) if isinstance(records, list | tuple) else [records]
     if not records:
         raise CampaignError("accept needs one record or more")
-    names = [device or r.path.stem for r in records] if isinstance(device, str) else list(device)
+    for record in records:
+        if not isinstance(record, Record):
+            raise CampaignError(
+                "records must be one Record or several, as read_record returns them, got "
+                f"{reprlib.repr(record)}"
+            )
+    devices = device if isinstance(device, list | tuple) else [device]
+    if not all(isinstance(name, str) for name in devices):
+        raise CampaignError(f"device must be a name, or one of each record, got {device!r}")
+    if limits is not None and not isinstance(limits, Mapping):
+        raise CampaignError(f"limits must be shares by name, such as all=0.15, got {limits!r}")
+    names = [device or r.path.stem for r in records] if isinstance(device, str) else [*devices]
     if len(names) != len(records):
         raise CampaignError(
             f"give one device for all records, or one for each: there are {len(records)} records "
@@ -173,6 +187,11 @@ def trace_of(run: Run, record: Record) -> Trace:
     """Trace of a record at the rate of the calibrated tests."""
     if record.force is None:
         raise RecordError(f"{record.path} has no force, which is to be compared")
+    if np.ptp(record.force) == 0.0:
+        raise RecordError(
+            f"{record.path}: the force is the same throughout: was the load cell connected, and "
+            "is it the right column?"
+        )
     gap = run.priors.gap if run.model.has_gap else None
     trace = record.trace(run.manifest.settings.campaign.rate, gap=gap)
     if not np.isfinite(trace.reference_actuation):

@@ -1,16 +1,20 @@
 """A run for other programs: samples for quoFEM, OpenSees and CSV, and a server.
 
 The server answers by the protocol of UM-Bridge (Seelinger et al., 2023). It is small, so that the
-standard library answers it: for this machine alone, and in valid JSON.
+standard library answers it: for this machine alone, in valid JSON, and with a sentence where a
+request is malformed. `umbridge.serve_models` listens on every interface, answers NaN, and ends in
+tracebacks and empty answers there.
 """
 
 from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -20,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mfd_bayes.calibration.posterior import Posterior, units
-from mfd_bayes.errors import CampaignError, MfdError, StoreError
+from mfd_bayes.errors import CampaignError, MfdError, StoreError, why_invalid
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
@@ -277,6 +281,8 @@ def _elastic_plastic(tag: int, trace: Trace, force: Array, begin: Array) -> tupl
 LOWEST = -1e300
 """Log density outside of all range: JSON has no infinity."""
 
+LONGEST = 2**20  # bytes of a request
+
 
 @dataclass(frozen=True)
 class Served:
@@ -287,11 +293,19 @@ class Served:
     function: Callable[[Array], Array]
 
     def evaluate(self, content: Any) -> list[list[float]]:
-        """Output of the protocol's input, a list of one list; ValueError where it is none."""
-        vector = np.array(content, dtype=np.float64)
-        if vector.shape != (1, len(self.inputs)) or not np.all(np.isfinite(vector)):
-            raise ValueError(f"expected [[{', '.join(self.inputs)}]], all finite")
-        return [np.nan_to_num(self.function(vector[0]), neginf=LOWEST).tolist()]
+        """Output of the protocol's input, a list of one list; ValueError where there is none."""
+        vector = content[0] if isinstance(content, list) and len(content) == 1 else None
+        if not (
+            isinstance(vector, list)
+            and len(vector) == len(self.inputs)
+            and all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in vector)
+        ):
+            raise ValueError(f"expected [[{', '.join(self.inputs)}]], all finite numbers")
+        with np.errstate(all="ignore"):  # what comes of it is no number, which is refused
+            output = self.function(np.array(vector, dtype=np.float64))
+        if np.any(np.isnan(output) | np.isposinf(output)):
+            raise ValueError("the output of this input is no finite number")
+        return [np.nan_to_num(output, neginf=LOWEST).tolist()]
 
 
 def serve(
@@ -317,7 +331,7 @@ def serve(
     else:
         models = {"": {"forward": _forward(find_model(source), _trace(motion, sine, actuation))}}
     try:
-        server = ThreadingHTTPServer(("127.0.0.1", port), partial(_Handler, models))
+        server = _Server(("127.0.0.1", port), partial(_Handler, models))
     except OSError as error:
         raise CampaignError(f"--port {port} cannot be used: {error.strerror}") from error
     say(f"serving at http://localhost:{server.server_address[1]} until Ctrl-C")
@@ -368,10 +382,22 @@ def _trace(motion: Path | None, sine: str, actuation: str) -> Trace:
     return parse_sine(sine).trace(level)
 
 
+class _Server(ThreadingHTTPServer):
+    """A thread for each connection; many may wait to be accepted."""
+
+    request_queue_size = 128
+
+    def handle_error(self, *connection: Any) -> None:
+        """Say nothing of a client that has gone."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(*connection)
+
+
 class _Handler(BaseHTTPRequestHandler):
-    """Answers to the protocol's requests."""
+    """Answers to the protocol's requests, in JSON; in one sentence where there is no answer."""
 
     protocol_version = "HTTP/1.1"
+    timeout = 10.0  # s, for the next bytes of a request
 
     def __init__(self, models: Mapping[str, Mapping[str, Served]], *args: Any) -> None:
         self._models = models
@@ -379,20 +405,58 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer which models there are."""
-        self._answer({"protocolVersion": 1.0, "models": [*next(iter(self._models.values()))]})
+        if self.path != "/Info":
+            self.send_error(404, f"there is no {self.path[:40]}: expected GET /Info")
+        elif self._is_local():
+            self._answer({"protocolVersion": 1.0, "models": [*next(iter(self._models.values()))]})
 
     def do_POST(self) -> None:
         """Answer a request on a model, or say what is wrong with it."""
+        length = self.headers.get("Content-Length", "")
+        if not re.fullmatch(r"[0-9]{1,9}", length) or int(length) > LONGEST:
+            sentence = f"expected a Content-Length of at most {LONGEST} bytes, got {length[:20]!r}"
+            self.send_error(413, sentence)
+            return
         try:
-            content = json.loads(self.rfile.read(int(self.headers.get("Content-Length", 0))))
-            test = (content.get("config") or {}).get("test", next(iter(self._models)))
-            if test not in self._models or content["name"] not in self._models[test]:
-                raise ValueError(f"there is no test {test!r}, or it has no {content['name']!r}")
-            self._answer(self._result(self._models[test][content["name"]], content))
-        except (KeyError, ValueError, TypeError, AttributeError, MfdError) as error:
-            self._answer({"error": {"type": "InvalidInput", "message": str(error)}}, 400)
+            body = self.rfile.read(int(length))
+        except TimeoutError:
+            self.send_error(408, f"the {length} bytes of the Content-Length did not come")
+            return
+        if not self._is_local():
+            return
+        try:
+            content = json.loads(body)
+        except (ValueError, RecursionError) as error:
+            self.send_error(400, f"the request is no JSON: {why_invalid(error)}")
+            return
+        try:
+            answer = self._result(content)
+        except (ValueError, MfdError) as error:
+            self.send_error(400, str(error))
+        except Exception as error:  # a user's own model may raise anything
+            self.send_error(500, f"the model failed: {type(error).__name__}: {error}")
+        else:
+            self._answer(answer)
 
-    def _result(self, served: Served, content: Mapping[str, Any]) -> dict[str, Any]:
+    def _is_local(self) -> bool:
+        """Whether the request is to this machine by name; a page of another site says its own."""
+        host = self.headers.get("Host", "")
+        if re.fullmatch(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", host, re.IGNORECASE):
+            return True
+        self.send_error(403, f"expected the Host localhost, got {host[:80]!r}")
+        return False
+
+    def _result(self, content: Any) -> dict[str, Any]:
+        """Answer to the content of a request; ValueError where it has none."""
+        asked = content if isinstance(content, dict) else {}
+        name, config = asked.get("name"), asked.get("config") or {}
+        if not isinstance(name, str) or not isinstance(config, dict):
+            raise ValueError('expected {"name": NAME, "config": {…}, …}')
+        test = config.get("test", next(iter(self._models)))
+        models = self._models.get(test, {}) if isinstance(test, str) else {}
+        if name not in models:
+            raise ValueError(f"there is no test {test!r}, or it has no {name!r}")
+        served = models[name]
         if self.path == "/Evaluate":
             return {"output": served.evaluate(content.get("input"))}
         no = dict.fromkeys(("Gradient", "ApplyJacobian", "ApplyHessian"), False)
@@ -401,13 +465,24 @@ class _Handler(BaseHTTPRequestHandler):
             "/OutputSizes": {"outputSizes": [len(served.outputs)]},
             "/ModelInfo": {"support": {"Evaluate": True} | no},
         }
+        if self.path not in answers:
+            paths = ", ".join(["/Evaluate", *answers])
+            raise ValueError(f"{self.path[:40]} is not supported: expected one of {paths}")
         return answers[self.path]
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Say in JSON why there is no answer, and close the connection."""
+        self.close_connection = True
+        sentence = message or explain or HTTPStatus(code).phrase
+        self._answer({"error": {"type": "InvalidInput", "message": sentence[:500]}}, code)
 
     def _answer(self, content: dict[str, Any], status: int = 200) -> None:
         body = json.dumps(content).encode()
         self.send_response(status)
         self.send_header("Content-Type", "application/json")
         self.send_header("Content-Length", str(len(body)))
+        if self.close_connection:
+            self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
 

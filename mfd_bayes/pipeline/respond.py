@@ -98,15 +98,15 @@ def prepare(out: Path, query: Query) -> Prepared:
 
 def _grounds(query: Query) -> list[Ground]:
     """Ground motions as they are scaled."""
-    meant = query.scale is not None or bool(query.peak)
-    grounds = grounds_of(list(query.grounds), unit=query.unit, meant=meant)
     scale = 1.0 if query.scale is None else query.scale
     if not (np.isfinite(scale) and scale > 0):
         raise BuildingError(f"--scale must be positive, got {scale}")
-    if not query.peak:
-        return [g if scale == 1.0 else g.scaled(scale) for g in grounds]
-    if query.scale is not None:
+    if query.peak and query.scale is not None:
         raise BuildingError("give either --scale or --peak")
+    meant = bool(query.peak)  # which replaces the file's
+    grounds = grounds_of(list(query.grounds), unit=query.unit, scale=scale, meant=meant)
+    if not query.peak:
+        return grounds
     try:
         peak = parse_acceleration(query.peak)
     except UnitError as error:

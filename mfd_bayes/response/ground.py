@@ -25,15 +25,18 @@ from mfd_bayes.errors import (
 )
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.table import Table, header_unit, stated_unit
-from mfd_bayes.units import GRAVITY, convert, factor, split_quantity
+from mfd_bayes.units import GRAVITY, convert, factor, measure, split_quantity
 
 Array = NDArray[np.float64]
 
 LARGEST = 64 * 2**20  # largest file, bytes
 MOST = 200_000  # most samples
-WEAKEST, STRONGEST = 1e-4, 5.0  # peaks that are believed without a stated unit, g
+WEAKEST, STRONGEST = 1e-4, 5.0  # peaks that are believed, g
+UNSTATED = 2.0  # largest peak of numbers that are in g because nothing states their unit, g
+SAME_PEAK = 1.2  # quotient of a peak in the header and that of the values: filters change it
 LONGEST_STEP = 0.2  # that a file may have unless it is stated, s: it may be in ms
 SAME_STEP = 5e-3  # share by which two steps of one motion may differ: files round them
+LARGEST_MEAN = 0.1  # of the accelerations, as a share of their peak
 HEAD = 50  # lines in which a header may say the step
 UNEVEN = 0.1  # largest departure of times from even ones, in steps
 
@@ -65,6 +68,8 @@ def acceleration_factor(unit: str) -> float:
             return one
     if known := _UNITS.get(text.replace(" ", "")):
         return known
+    if tenths := re.fullmatch(r"(g|gals?)\s*/\s*(\d+)", text):  # "G/10"
+        return _UNITS[tenths[1]] / float(tenths[2])
     text = re.sub(r"\s*\bper\b\s*", "/", text)
     text = re.sub(r"(?<=[a-z])\.(?=[a-z])", "*", text)
     text = re.sub(r"(?<=[a-z])(-?2)\b", r"^\1", text)  # "cm/s2", "cm s-2"
@@ -190,14 +195,20 @@ def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None
 
 
 def read_ground(
-    path: str | PathLike[str], *, step: float | None = None, unit: str = "", meant: bool = False
+    path: str | PathLike[str],
+    *,
+    step: float | None = None,
+    unit: str = "",
+    scale: float = 1.0,
+    meant: bool = False,
 ) -> Ground:
-    """Ground motion of a file.
+    """Ground motion of a file, times a `scale`.
 
     With the suffix .csv it is a table with a column of the time and one of the acceleration, with
     units in its header; with any other PEER's .AT2, one of K-NET's files, or numbers alone. Step, s
     and unit are given where the file does not say them; the unit is "g" by default, but for a CSV.
-    A peak above 5 g or below 0.0001 g is refused, unless a `unit` is given or it is `meant`.
+    A scaled peak above 5 g or below 0.0001 g is refused unless it is `meant`, and so is one above
+    2 g where neither the file nor `unit` says the unit.
     """
     path = path_of("ground", path, BuildingError)
     if step is not None:
@@ -210,7 +221,7 @@ def read_ground(
         if path.stat().st_size > LARGEST:
             raise BuildingError(f"{path} is larger than {LARGEST >> 20} MB")
         read = _read_csv if path.suffix.lower() == ".csv" else _read_text
-        values, own = read(path, step, unit)
+        values, own, stated = read(path, step, unit)
     except OSError as error:
         raise BuildingError(f"cannot read {path}: {error.strerror or error}") from error
     except UnitError as error:
@@ -222,12 +233,14 @@ def read_ground(
             f"{path}: the file's step is {own:.6g} s, and steps are at most {LONGEST_STEP} "
             "s: give it as FILE:0.01s, or step=0.01 in Python"
         )
-    peak = ground.peak / GRAVITY
-    if not (meant or unit or WEAKEST <= peak <= STRONGEST):
+    ground = ground if scale == 1.0 else ground.scaled(scale)
+    peak, strongest = ground.peak / GRAVITY, STRONGEST if stated else UNSTATED
+    if not (meant or WEAKEST <= peak <= strongest):
+        advice = "correct the unit of its values" if stated else "give the unit of its values"
         raise BuildingError(
             f"{path}: its peak would be {peak:.3g} g, and ground motions have {WEAKEST:g} to "
-            f"{STRONGEST:g} g: give the unit of its values as FILE:cm/s^2 (unit='cm/s^2' in "
-            "Python), or a --scale"
+            f"{STRONGEST:g} g, or {UNSTATED:g} g where no unit is stated: {advice}, as "
+            "FILE:cm/s^2 (unit='cm/s^2' in Python), or give a --scale"
         )
     return ground
 
@@ -245,10 +258,12 @@ def _agreed_step(path: Path, own: float | None, given: float | None) -> float | 
 def _agreed_factor(where: str, own: str, given: str) -> float:
     """Factor of the unit that a file says to in/s²; `where` is the place at which it is said."""
     other, by = acceleration_factor(given) if given else None, _factor(own)
-    if by is None and other is None:
+    of_others = re.search(r"\d|count", own, re.IGNORECASE) or measure(own.lower())
+    if by is None and (other is None or of_others):
+        advice = "correct the file" if of_others else "give the unit as FILE:cm/s^2"
         raise BuildingError(
-            f"{where}, which is no acceleration such as 'g' or 'cm/s^2': give the unit as "
-            "FILE:cm/s^2, or unit='cm/s^2' in Python"
+            f"{where}, which is no acceleration such as 'g' or 'cm/s^2': {advice}"
+            + ("" if of_others else ", or unit='cm/s^2' in Python")
         )
     if by is not None and other is not None and not math.isclose(by, other, rel_tol=1e-6):
         raise BuildingError(
@@ -260,8 +275,8 @@ def _agreed_factor(where: str, own: str, given: str) -> float:
 # --- tables
 
 
-def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
-    """Accelerations, in/s², and step, s, of a table with a column of the time."""
+def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float, bool]:
+    """Accelerations, in/s², step, s, and true, as its unit is stated, of a table."""
     try:
         table = read_table(path)
         moves = _columns(table, ("acc", "a_", "ag", "ground"), _factor)
@@ -274,6 +289,7 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
         columns = table.columns([*moves, *times])
     except MfdError as error:
         raise BuildingError(str(error)) from error
+    _refuse_one_side(path, columns[moves[0]])
     own = _column_unit(table, moves[0]) or unit
     if not own:
         raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
@@ -284,7 +300,7 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
     if step is None:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
     by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
-    return by * columns[moves[0]], step
+    return by * columns[moves[0]], step, True
 
 
 def _columns(
@@ -334,19 +350,22 @@ def _even_step(path: Path, written: Array, unit: float, given: float | None) -> 
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
 _WHOLE = rf"({_NUMBER})(?![\d.]|,\d|[+-]\d|[eEdD][+-]?\d)"  # never the beginning of a longer one
-_COMPONENTS = re.compile(r"\bN-?S\b.*\bE-?W\b|\bE-?W\b.*\bN-?S\b", re.IGNORECASE)
-_OTHER = re.compile(r"\b(?:VELOCITY|DISPLACEMENT)\b", re.IGNORECASE)
+_OTHER = re.compile(r"(?<!wave )\b(?:VELOCITY|DISPLACEMENT)\b|\A\.[VD]T2\b", re.IGNORECASE)
+_COUNTS = re.compile(r"(?:\b(?:in|of|are)\s+|[,:=(]\s*)counts\b(?!\s*/)", re.IGNORECASE)
 _SENSITIVITY = re.compile(r"\b(?:m?V(?:olts?)?|counts?)\s*/\s*g\b", re.IGNORECASE)
 _VALUE = re.compile(rf"{_NUMBER}|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 _GLUED = re.compile(rf"{_NUMBER}(?:[+-](?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?)+")  # "0.123-0.456"
 _STEP = re.compile(
     r"\b(?:DT|DELTA[ _-]?T|TIME[ _-]?(?:STEP|INTERVAL|INCREMENT)|STEP|SPACING|SPACED|RATE|SPS"
     r"|SAMPLED"
-    r"|(?:SAMPL(?:E|ING)|DIGITI[SZ](?:ATION|ING))[ _-]?"
+    r"|INTERVALS?(?=\s+OF\b)|(?:SAMPL(?:E|ING)|DIGITI[SZ](?:ATION|ING))[ _-]?"
     r"(?:INTERVAL|PERIOD|STEP|TIME|RATE|FREQ(?:UENCY)?)"
     r"|SAMPLES[ _]?(?:PER|/)[ _]?S(?:EC(?:OND)?)?)(?![A-Z0-9])\.?"
     r"(?:_([A-Z]+)|\s*[(\[]([^)\]]*)[)\]])?\s*([:=]|OF\b|AT\b|IS\b)?\s*",
     re.IGNORECASE,
+)
+_STEP_AHEAD = re.compile(  # "at 0.020 sec intervals", "50 sps"
+    rf"(?:^|[\s,]){_WHOLE}\s*(?:([A-Za-zµ]+)[\s-]+(?:TIME[ -])?INTERVALS?\b|(SPS)\b)", re.IGNORECASE
 )
 _OF_RATE = re.compile(r"RATE|FREQ|SPS|SAMPLES", re.IGNORECASE)
 _AFTER_STEP = re.compile(
@@ -355,9 +374,16 @@ _AFTER_STEP = re.compile(
 )
 _POINTS_AND_STEP = re.compile(rf"\s*{_WHOLE}[\s,]+{_WHOLE}[\s,]+NPTS[\s,]+DT\b", re.IGNORECASE)
 _POINTS = re.compile(
-    r"\b(?:NPTS|NDATA|N(?:UMBER|O\.?)[ _]OF[ _](?:DATA|(?:DATA[ _])?(?:POINTS|SAMPLES)))"
-    r"\s*[:=]\s*(.*)"
-    r"|^\s*(\d\S*)\s+(?:points|pts)\b",
+    r"(?:\bNPTS|\bNDATA|(?:\bN(?:UMBER|O\.?|_)|#)[ _]?(?:OF[ _])?(?:DATA[ _])?"
+    r"(?:DATA|POINTS|SAMPLES)|^\s*(?:DATA[ _])?(?:POINTS|SAMPLES)(?=\s*[:=]))"
+    r"\s*(?:[:=]\s*(.*)|\s(\d.*))"
+    r"|(?:^|[,:=])\s*(\d\S*)\s+(?:[A-Z]+\.?\s+){0,2}(?:POINTS|PTS|SAMPLES)\b"
+    r"(?!\s*(?:/|PER\b|ACROSS\b|(?:IN|ON)\s+(?:A|EACH)\b))",
+    re.IGNORECASE,
+)
+_PEAK = re.compile(
+    r"\b(?:PGA|PEAK|MAX)(?:IMUM)?[. ]*(?:GROUND )?(?:ACC[A-Z]*\.?)?\s*"
+    rf"(?:[_(\[]\s*([^)\]:=\s]+)[)\]]?)?\s*[:=]?\s*{_WHOLE}(?:\s*([A-Za-z%][\w%/^*]*))?",
     re.IGNORECASE,
 )
 _UNIT = re.compile(
@@ -367,7 +393,7 @@ _OF_OTHERS = re.compile(r"(?:OF\s+)?(?:TIME|VEL|DISP)", re.IGNORECASE)
 _OF_ACCELERATION = re.compile(r"(?:OF\s+)?ACC[A-Z]*\.?\s*(?:ARE\b|IS\b|[:=])?\s*", re.IGNORECASE)
 _PHRASE = re.compile(r"[,;]|\.(?=\s|$)|\s{2,}|\s+[A-Z]\w*\s*[:=]", re.IGNORECASE)  # its end
 _OF_ACC = re.compile(
-    r"\bACC(?:EL\w*)?\b.*?(?:[(\[]\s*([^()\[\]]+)[)\]]|\bIN\s+(g)\b)", re.IGNORECASE
+    r"\bACC(?:EL\w*)?\b.*?(?:[(\[]\s*([^()\[\]]+)[)\]]|\bIN\s+(g(?:/10+)?)(?![\w/]))", re.IGNORECASE
 )
 _SLASHED = re.compile(r"[^\s,;:=()\[\]]*/[^\s,;:=()\[\]]+|\bgals?\b", re.IGNORECASE)  # "cm/s/s"
 _NOT_OF_VALUES = re.compile(r"\b(?:PGA|PEAK|MAX|MIN|MEAN|RMS|SENSIT)", re.IGNORECASE)
@@ -377,9 +403,41 @@ _SCALE = re.compile(
 )
 
 
-def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]:
-    """Accelerations, in/s², and step, s, along the rows of a text with a header."""
+_LAYOUTS = {
+    "COSMOS (V0, V1, V2)": r"\(Format v\d|Integer-header values follow",
+    "GeoNet (V1A, V2A)": r"\A\.V[12]A\b|\bCusp\b|\bGNS\b|transition bands|Accelerometer Axis",
+    "the USGS (SMC)": r"\A\.smc\b"
+    r"|^\s*\d\s+(?:(?:UN)?CORRECTED|VELOCITY|DISPLACEMENT|RESPONSE|FOURIER|UNKNOWN)[^\n]*\n\*",
+    "BHRC (V1, V2, V3)": r"\bBHRC\b|\bVOL[123]DS\b",
+    "CSMIP or USC (V1, V2, V3)": r"\bCSMIP\b|corrected accelerogram|Fourier amplitude spectra"
+    r"|points? of \w* ?accel\w* data",
+    "SAC in numbers": r"-12345(?:\.0*)?\s+-12345",
+    "IRIS (SLIST, TSPAIR)": r"^TIMESERIES\b",
+    "the CWB": r"^#StationCode|^#AmplitudeUnit",
+}
+"""Words of files, of which the suffix is the first line, that have more numbers than values."""
+
+
+def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float, bool]:
+    """Accelerations, in/s², step, s, and whether their unit is stated, of a text with a header."""
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    try:
+        return _read_rows(path, lines, step, unit)
+    except BuildingError as error:
+        text = "\n".join([path.suffix, *lines[:HEAD]])
+        for name, words in _LAYOUTS.items():
+            if re.search(words, text, re.IGNORECASE | re.MULTILINE):
+                raise BuildingError(
+                    f"{error}; this looks like a file of {name}: save the acceleration alone, one "
+                    "value a line, and give its step and unit as FILE:0.01s:cm/s^2"
+                ) from error
+        raise
+
+
+def _read_rows(
+    path: Path, lines: Sequence[str], step: float | None, unit: str
+) -> tuple[Array, float, bool]:
+    """As `_read_text`, of lines whose values are one block, along its rows."""
     head, end = _head(lines), len(lines)
     while end > head and not _begins_as_data(lines[end - 1]):  # "*** End data ***"
         end -= 1
@@ -390,7 +448,10 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
     for number, line in enumerate(body, head + 1):
         for word in (words := _words(line)):
             if not _VALUE.fullmatch(word):
-                raise BuildingError(f"{path} line {number}: expected numbers, got {word[:40]!r}")
+                glued = ", which run together" if re.fullmatch(r"[\d.eEdD+-]+", word) else ""
+                raise BuildingError(
+                    f"{path} line {number}: expected numbers, got {word[:40]!r}{glued}"
+                )
         rows += [words] if words else []
     if not rows:
         raise BuildingError(f"{path} holds no numbers")
@@ -400,34 +461,32 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
         steps += [("its first numbers", lead[1])] if lead[1] else []
     values = np.array([_float(word) for row in rows for word in row])
     width = len(rows[0]) if len({len(row) for row in rows}) == 1 else 1
-    if width in (2, 3) and (
-        points == values.size / width or (points is None and any(map(_COMPONENTS.search, header)))
-    ):
-        raise BuildingError(
-            f"{path} looks like columns of {width} components: save the one that is meant, as .csv "
-            "with a name such as acceleration_g in its first line"
-        )
+    if points is None or points == values.size / width:
+        _refuse_columns(path, values, width, points)
     if points is not None and points != values.size:
         raise BuildingError(
             f"{path}: the header says NPTS = {points}, and there are {values.size} values"
         )
-    if points is None and _has_times(values, {len(row) for row in rows}):
-        raise BuildingError(
-            f"{path} looks like columns of time and acceleration: save it as .csv with names such "
-            "as time_s,acceleration_g in its first line"
-        )
+    if points is None:
+        _refuse_blocks(path, rows)
+    _refuse_one_side(path, values)
     scale, own, said = _scale(path, header)
     for other, place in _units(header):
         a, b = _factor(own), _factor(other)
         if own and a != b and not (a and b and math.isclose(a, b, rel_tol=1e-6)):
             raise BuildingError(f"{path}: the header says {said!r} and {place!r}: correct the file")
         own, said = (own, said) if own else (other, place)
-    text = "\n".join(header)
-    what = _SENSITIVITY.search(text) or ("acc" not in text.lower() and _OTHER.search(text))
-    if what and not (unit or own):
+    text = "\n".join([path.suffix, *header])
+    if not own and not unit and (what := _SENSITIVITY.search(text)):
         raise BuildingError(
             f"{path}: the header says {what[0]!r}, and not that the numbers are accelerations: "
             "give the unit as FILE:cm/s^2 (unit='cm/s^2' in Python) if they are"
+        )
+    of_others = _COUNTS.search(text) or ("acc" not in text.lower() and _OTHER.search(text))
+    if not own and of_others:
+        raise BuildingError(
+            f"{path}: the header says {of_others[0].strip(' ,:=(')!r}, and not that the numbers "
+            "are accelerations: correct the file if they are, with 'UNITS OF G' in its header"
         )
     known = [(place, seconds) for place, seconds in steps if seconds is not None]
     if known and max(s for _, s in known) > (1.0 + SAME_STEP) * min(s for _, s in known):
@@ -444,7 +503,83 @@ def _read_text(path: Path, step: float | None, unit: str) -> tuple[Array, float]
     by = acceleration_factor(unit or "g")
     if said:
         by = _agreed_factor(f"{path}: the header says {said!r}", own, unit)
-    return scale * by * values, step
+    acceleration = scale * by * values
+    _check_peak(path, header, acceleration)
+    return acceleration, step, bool(said or unit)
+
+
+def _refuse_one_side(path: Path, values: Array) -> None:
+    """Refuse values of one sign, or with a mean that would leave the ground at a great speed."""
+    mean, peak = float(np.mean(values)), float(np.max(np.abs(values)))
+    if abs(mean) > LARGEST_MEAN * peak or (peak and not values.min() < 0.0 < values.max()):
+        raise BuildingError(
+            f"{path}: ground moves to both sides, and the mean of these values is "
+            f"{100.0 * mean / peak:.2g} % of their peak: expected accelerations over time, not a "
+            "spectrum, a table of peaks, or values with an offset"
+        )
+
+
+def _refuse_columns(path: Path, values: Array, width: int, points: int | None) -> None:
+    """Refuse rows whose numbers are of different quantities, (T, width).
+
+    The first rises or falls throughout, as a time or a period does; or, in at most four columns, a
+    number is closer to the one below it than to the next in its row.
+    """
+    table = values.reshape(-1, width)
+    fewest = 3 if width <= 3 else 6  # rows that show it
+    if width == 1 or len(table) < fewest:
+        return
+    steps, even = np.diff(table[:, 0]), np.linspace(table[0, 0], table[-1, 0], len(table))
+    is_even = np.all(np.abs(table[:, 0] - even) <= UNEVEN * np.abs(np.mean(steps)))
+    if (np.all(steps > 0.0) or np.all(steps < 0.0)) and (is_even or len(table) >= 10):
+        is_motion = is_even and steps[0] > 0.0 and np.any(table[:, 1:] < 0.0)
+        kind = "time and acceleration" if is_motion else "a spectrum"
+    elif (points is not None and points < values.size) or (
+        width <= 4 and np.mean(np.diff(table, axis=0) ** 2) < 0.5 * np.mean(np.diff(values) ** 2)
+    ):
+        kind = f"{width} components"
+    else:
+        return
+    raise BuildingError(
+        f"{path} looks like columns of {kind}: save an acceleration over time as .csv, with names "
+        "such as time_s,acceleration_g in its first line"
+    )
+
+
+def _refuse_blocks(path: Path, rows: Sequence[Sequence[str]]) -> None:
+    """Refuse rows that are not of one layout, where no header says how many values there are."""
+    width = len(rows[0])
+    uneven = [row for row in rows[:-1] if len(row) != width]
+    uneven += [rows[-1]] if len(rows[-1]) > width else []
+    whole = [all(re.fullmatch(r"[+-]?\d+", word) for word in row) for row in rows]
+    if width >= 3 and not all(whole):
+        uneven += [row for row, w in zip(rows, whole, strict=True) if w and any(map(_float, row))]
+    if uneven:
+        raise BuildingError(
+            f"{path}: the row {' '.join(uneven[0])[:60]!r} is of another layout than other rows: "
+            "leave out all numbers that are no accelerations, or say NPTS= … and DT= … in the "
+            "header"
+        )
+
+
+def _check_peak(path: Path, header: Sequence[str], acceleration: Array) -> None:
+    """Refuse values whose peak, in/s², is not the one that the header says with a unit."""
+    peaks = []
+    for line in header:
+        for match in _PEAK.finditer(line):
+            by = _factor(match[1] or match[3] or "")
+            if by and not re.search(r"uncor|raw", line, re.IGNORECASE):
+                peaks.append((abs(_float(match[2])) * by, match[0].strip()))
+    if not peaks or max(peaks)[0] > SAME_PEAK * min(peaks)[0]:
+        return
+    stated, place = peaks[0]
+    peak = float(np.max(np.abs(acceleration)))
+    if not stated / SAME_PEAK <= peak <= SAME_PEAK * stated:
+        raise BuildingError(
+            f"{path}: the header says {place!r}, {stated / GRAVITY:.3g} g, and the peak of the "
+            f"values would be {peak / GRAVITY:.3g} g: correct the unit, take an offset off the "
+            "values, or correct the file"
+        )
 
 
 def _head(lines: Sequence[str]) -> int:
@@ -472,6 +607,9 @@ def _steps(header: Sequence[str]) -> Iterator[tuple[str, float | None]]:
         if match := _POINTS_AND_STEP.match(line):
             yield match[0].strip(), _float(match[2])
             continue
+        if match := _STEP_AHEAD.search(line):
+            yield match[0].strip(" ,"), _seconds(_float(match[1]), match[2] or match[3])
+            continue
         matches = list(_STEP.finditer(line))
         ends = [*(match.start() for match in matches[1:]), len(line)]
         for match, end in zip(matches, ends, strict=False):
@@ -489,7 +627,7 @@ def _points(path: Path, header: Sequence[str]) -> int | None:
     """Number of values that a header says."""
     for line in header:
         if match := _POINTS_AND_STEP.match(line) or _POINTS.search(line):
-            number = re.match(rf"{_WHOLE}(?![A-Za-z])", match[1] or match[2])
+            number = re.match(rf"{_WHOLE}(?![A-Za-z])", next(filter(None, match.groups()), ""))
             value = _float(number[1]) if number else math.nan
             if not value.is_integer():
                 raise BuildingError(
@@ -561,18 +699,6 @@ def _scale(path: Path, header: Sequence[str]) -> tuple[float, str, str]:
                 "Factor 3920(gal)/6182761'; multiply the values by it, and remove this line"
             )
     return 1.0, "", ""
-
-
-def _has_times(values: Array, widths: set[int]) -> bool:
-    """Whether all rows have the same number of numbers, the first of which rises evenly."""
-    width = min(widths)
-    fewest = 3 if width <= 3 else 6  # rows that show it
-    if len(widths) > 1 or width < 2 or values.size < fewest * width:
-        return False
-    first = values[::width]
-    even = np.linspace(first[0], first[-1], first.size)
-    step = (first[-1] - first[0]) / (first.size - 1)
-    return bool(np.all(np.diff(first) > 0.0) and np.all(np.abs(first - even) <= UNEVEN * step))
 
 
 def _float(word: str) -> float:

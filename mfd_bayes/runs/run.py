@@ -402,12 +402,14 @@ class Run:
         unit = self.actuation_unit
         tested = self.tested
         if test:
-            tested = range_of([self.manifest.tests[test].conditions], unit)
+            entries = ByName("test", self.manifest.tests, self.manifest.tests.__getitem__)
+            tested = range_of([entries[test].conditions], unit)
         return departures(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
-        """Session of a test, "" where the campaign declares none."""
-        return self.manifest.settings.sessions[name]
+        """Session of a test, "" where the campaign declares none; NotThereError without it."""
+        sessions = self.manifest.settings.sessions
+        return ByName("test", sessions, sessions.__getitem__)[name]
 
     @cached_property
     def devices(self) -> tuple[str, ...]:
@@ -1009,8 +1011,10 @@ def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
 Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
 
 
-def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list[Ground]:
-    """Ground motions of what is given; `unit` and `meant` are as in `read_ground`."""
+def grounds_of(
+    grounds: Grounds, *, unit: str = "", scale: float = 1.0, meant: bool = False
+) -> list[Ground]:
+    """Ground motions of what is given; `unit`, `scale` and `meant` are as in `read_ground`."""
     motions = []
     for given in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
         if isinstance(given, Ground):
@@ -1018,7 +1022,8 @@ def grounds_of(grounds: Grounds, *, unit: str = "", meant: bool = False) -> list
             continue
         path_of("a ground motion", given, BuildingError)
         path, step, own = parse_ground(fspath(given), of="ground")
-        motions.append(read_ground(path, step=step, unit=own or unit, meant=meant))
+        ground = read_ground(path, step=step, unit=own or unit, scale=scale, meant=meant)
+        motions.append(ground)
     if not motions:
         raise BuildingError("give at least one ground motion")
     return motions

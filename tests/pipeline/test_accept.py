@@ -102,6 +102,33 @@ def test_bounds_are_those_of_the_data_sheet_and_what_they_hold_does_not_differ(r
         assert device.verdict != "rejected"
 
 
+@pytest.mark.parametrize(
+    ("records", "options", "words"),
+    [
+        *(
+            (value, {}, "records must be one Record or several")
+            for value in ("good.csv", Path("good.csv"), None, 5, np.ones(9), ["good.csv"], [None])
+        ),
+        ("trace", {}, "records must be one Record or several"),
+        ("record", {"device": None}, "device must be a name"),
+        ("record", {"device": [5]}, "device must be a name"),
+        ("record", {"limits": "all"}, "limits must be shares"),
+        ("constant", {}, "the force is the same throughout"),
+    ],
+)
+def test_what_is_no_record_with_a_force_is_refused_in_one_sentence(
+    run, record, records, options, words
+):
+    made = {"trace": record.trace(), "record": record}
+    made["constant"] = replace(record, force=np.full_like(record.force, 2.0))
+    with pytest.raises(mb.MfdError, match=words):
+        mb.accept(
+            run, made.get(records, records) if isinstance(records, str) else records, **options
+        )
+    with pytest.raises(mb.MfdError, match="run must be a Run"):
+        mb.accept("out", record)
+
+
 def test_each_device_has_a_page_to_file(batch):
     folder, _ = batch
     page = (folder / "strong.html").read_text(encoding="utf-8")

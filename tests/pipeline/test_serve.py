@@ -3,10 +3,13 @@
 import json
 import os
 import re
+import socket
+import struct
 import subprocess
 import sys
 import urllib.error
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
@@ -31,6 +34,12 @@ def served(*words):
             yield re.search(r"http://\S+", said[0])[0], "".join(said)
         finally:
             process.terminate()
+
+
+@pytest.fixture(scope="module")
+def model_server():
+    with served("lugre", *SINE) as (address, _):
+        yield address
 
 
 def ask(address, path, **content):
@@ -60,6 +69,65 @@ def test_a_model_gives_the_force_of_a_motion():
         assert "sigma0" in refusal(address, "Evaluate", name="forward", input=[[-1, *THETA[1:]]])[1]
         assert refusal(address, "Evaluate", name="backward", input=[THETA])[0] == 400
         assert "sigma0 [kip/in], " in said
+
+
+def sent(address, text):
+    """Status and content that a server sends to the bytes of a client, which then says no more."""
+    host, port = address.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port)), timeout=60) as client:
+        client.sendall(text.encode())
+        client.shutdown(socket.SHUT_WR)
+        answer = b"".join(iter(lambda: client.recv(2**16), b"")).decode()
+    head, _, body = answer.partition("\r\n\r\n")
+    return head.split()[1], json.loads(body)
+
+
+@pytest.mark.parametrize(
+    ("request_line", "host", "length", "body", "status", "words"),
+    [
+        ("POST /Evaluate", "evil.example", None, "{}", "403", "expected the Host localhost"),
+        ("GET /Info", "evil.example:80", 0, "", "403", "expected the Host localhost"),
+        ("GET /etc/passwd", "localhost", 0, "", "404", "there is no /etc/passwd"),
+        ("PUT /Evaluate", "localhost", 0, "", "501", "Unsupported method"),
+        ("GET /" + "a" * 70_000, "localhost", 0, "", "414", "Too Long"),
+        ("POST /Evaluate", "localhost", "-1", "{}", "413", "expected a Content-Length"),
+        ("POST /Evaluate", "localhost", "9" * 14, "{}", "413", "expected a Content-Length"),
+        ("POST /Evaluate", "localhost", "9", '{"name"', "400", "no JSON"),
+        ("POST /Evaluate", "localhost", None, "[" * 100_000, "400", "no JSON"),
+        ("POST /Evaluate", "localhost", None, "[1]", "400", 'expected {"name": NAME'),
+        ("POST /Evaluate", "localhost", None, '{"name": ["x"]}', "400", 'expected {"name": NAME'),
+        ("POST /Nope", "localhost", None, '{"name": "forward"}', "400", "/Nope is not supported"),
+        *(
+            ("POST /Evaluate", "localhost", None, json.dumps({"name": "forward", "input": v}), *end)
+            for v in ([[10**400] * 8], [[float("nan")] * 8], [[True] * 8], [["1"] * 8], [[1], [2]])
+            for end in [("400", "all finite numbers")]
+        ),
+    ],
+)
+def test_a_malformed_request_is_answered_in_one_sentence(
+    model_server, request_line, host, length, body, status, words
+):
+    length = len(body) if length is None else length
+    head = f"{request_line} HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n"
+    code, answer = sent(model_server, head + body)
+    assert (code, words in answer["error"]["message"]) == (status, True)
+
+
+def test_thirty_clients_are_answered_and_nothing_is_printed(capfd):
+    with served("lugre", *SINE) as (address, _):
+
+        def client(_):
+            return ask(address, "Evaluate", name="forward", input=[THETA])["output"][0][1]
+
+        with ThreadPoolExecutor(30) as clients:
+            assert len(set(clients.map(client, range(60)))) == 1
+        host, port = address.removeprefix("http://").split(":")
+        for _ in range(5):  # clients that do not wait for an answer
+            with socket.create_connection((host, int(port))) as gone:
+                gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                gone.sendall(b"GET /Info HTTP/1.1\r\nHost: localhost\r\n\r\n" * 50)
+        ask(address, "ModelInfo", name="forward")
+        assert capfd.readouterr().err == ""
 
 
 def test_what_cannot_be_served_is_one_sentence():

@@ -121,6 +121,8 @@ def test_a_header_says_its_unit_in_many_ways(tmp_path):
         ("Units [mm/s2]", 10.0 * IN_GAL),
         ("UNITS OF {CM/S/S}", IN_GAL),
         ("UNITS OF CM/S/S (GAL)", IN_GAL),
+        ("UNITS OF G/10", 10.0),
+        ("40 points of accel data equally spaced at .010 sec, in g/10. (8f10.6)", 10.0),
         ("UNITS: IN/S2", GRAVITY),
         ("units=cm/sec2(04),Format=(8f10.3)", IN_GAL),
         ("Acceleration (cm per sec per sec); units of velocity: cm/s", IN_GAL),
@@ -131,10 +133,14 @@ def test_a_header_says_its_unit_in_many_ways(tmp_path):
 
 
 def test_a_unit_that_cannot_be_read_is_never_taken_for_g(tmp_path):
-    for unit in ("CM/S", "COUNTS", "G/10", "1/100 G", "G X 1000", "(G)*10", "(unknown)", ""):
+    words = r"header says 'UNITS OF.* is no acceleration"
+    for unit in ("CM/S", "COUNTS", "1/100 G", "G X 1000", "(G)*10", "(unknown)", ""):
         path = written(tmp_path, f"ACCELERATION IN UNITS OF {unit}\n{NPTS}")
-        refused(r"header says 'UNITS OF.* is no acceleration", read, path)
-        check(read_ground(path, unit="g"))
+        refused(words, read, path)
+        if unit in ("", "(unknown)"):
+            check(read_ground(path, unit="g"))
+        else:  # it says something else than g
+            refused(words, read_ground, path, unit="g")
     refused("'VELOCITY', and not", read, written(tmp_path, f"VELOCITY TIME SERIES\n{NPTS}"))
     refused("'V/g', and not", read, written(tmp_path, f"Accelerometer, 1.25 V/g\n{NPTS}"))
     path = written(tmp_path, f"UNITS OF G\nUnits: cm/s^2\n{NPTS}")
@@ -185,10 +191,95 @@ def test_what_is_given_may_not_contradict_the_file(tmp_path):
 def test_an_impossible_peak_is_asked_about(tmp_path):
     for header, by in (("T", IN_GAL), ("UNITS OF G", IN_GAL), ("T", 1e-4), ("UNITS OF G", 1e-4)):
         path = written(tmp_path, f"{header}\n{NPTS}", by)
-        refused(r"peak would be .* g, and ground motions have", read, path)
-        for ground in (read_ground(path, meant=True), read(f"{path}:g")):
-            assert np.allclose(ground.acceleration, by * MOVES * GRAVITY)
+        for given in (path, f"{path}:g"):
+            refused(r"peak would be .* g, and ground motions have", read, given)
+        assert np.allclose(read_ground(path, meant=True).acceleration, by * MOVES * GRAVITY)
+        check(read_ground(path, scale=1.0 / by))
     check(read(f"{written(tmp_path, NPTS, IN_GAL)}:gal"))
+    path = written(tmp_path, NPTS, 9.0)  # 2.6 g
+    refused("2 g where no unit is stated: give the unit", read, path)
+    assert np.allclose(read(f"{path}:g").acceleration, 9.0 * MOVES * GRAVITY)
+
+
+# --- files of agencies, and what is no ground motion
+
+BLOCK = "\n".join("".join(f"{v:10.2f}" for v in row) for row in IN_GAL * MOVES.reshape(-1, 8))
+WHOLE = "\n".join([" 2016 11 13 11 2 560 0 4"] * 5)
+REALS = "\n".join(["  200.0  0.70  0.00  0.00  0.00  0.00  0.00  1.00"] * 5)
+GEONET = """Corrected accelerogram 2016 Lab
+Site X  Cusp file: 2016
+Number of points  40    Duration 0.40 sec
+Instrument corrected data at 0.010 sec intervals
+Acceleration:  peak  2884.7 mm/s/s at  0.2 sec"""
+COSMOS = """Corrected acceleration  (Format v01.20 with 13 text lines)
+ 100 Integer-header values follow on  10 lines, Format= (10I8)"""
+CSMIP = "40 points of accel data equally spaced at .010 sec, in cm/sec2. (8f10.2)"
+SMC = "2 CORRECTED ACCELEROGRAM\n*\nXX01A"
+BHRC = """* VOL1DS FILE: 1 (BHRC)
+NO. OF POINTS =  40   DURATION = 0.4
+UNITS ARE SECONDS AND G/10"""
+SAC = "\n".join(["-12345.00 -12345.00 -12345.00 -12345.00 -12345.00"] * 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "lines", "words"),
+    [
+        ("quake.V1A", (GEONET, WHOLE, REALS, BLOCK), "NPTS = 40, and there are 120 .*GeoNet"),
+        ("quake.V2A", (GEONET, WHOLE, REALS, BLOCK, BLOCK), "file of GeoNet"),
+        ("quake.V2c", (COSMOS, WHOLE, " 100 Real-header values", REALS, BLOCK), "file of COSMOS"),
+        ("quake.V2", (WHOLE, CSMIP, BLOCK, CSMIP.replace("accel", "veloc"), BLOCK), "of CSMIP"),
+        ("quake.smc", (SMC, WHOLE, "1.7E+38 1.7E+38 1.7E+38", BLOCK), "another layout.*SMC"),
+        ("quake.V1", (BHRC, WHOLE, BLOCK), "NPTS = 40, and there are 80 values.*BHRC"),
+        ("quake.sac", (SAC, BLOCK), "another layout.*SAC"),
+        ("quake.txt", (WHOLE, BLOCK), "row '2016 11 13 .* is of another layout"),
+        ("quake.txt", ("x\n-1.25-1.50-1.75", BLOCK), "which run together"),
+        *(
+            ("quake.txt", (count, BLOCK, BLOCK), "NPTS = 40, and there are 80 values")
+            for count in (
+                *("Number of points  40", "NO. OF POINTS = 40", "NDATA: 40", "# of points: 40"),
+                *("40 points of accel data", "  40 acceleration pts", "Points: 40", "40 samples"),
+                *("Number of samples 40", "Length: 40 samples", "N_POINTS = 40"),
+            )
+        ),
+        ("quake.txt", ("Max. Acc. (gal)  28.8", BLOCK), "'Max. Acc.*28.8'.* 0.0294 g, .* 0.296 g"),
+        ("quake.VT2", (BLOCK,), "'.VT2', and not that the numbers are accelerations"),
+        ("quake.txt", ("DATA_TYPE: VELOCITY", BLOCK), "'VELOCITY', and not"),
+        ("quake.txt", ("SLIST, INTEGER, Counts", BLOCK), "'Counts', and not"),
+    ],
+)
+def test_numbers_that_are_no_accelerations_are_refused_whatever_unit_is_given(
+    tmp_path, name, lines, words
+):
+    path = tmp_path / name
+    path.write_text("\n".join(lines) + "\n")
+    refused(words, read_ground, path, step=0.01, unit="cm/s^2")
+
+
+def test_an_agencys_header_above_the_acceleration_alone_is_read(tmp_path):
+    path = tmp_path / "quake.txt"
+    for header in (GEONET, CSMIP, f"TIMESERIES X, 40 samples, 100 sps, SLIST\n{CSMIP}"):
+        path.write_text(f"{header}\n{BLOCK}\n")
+        ground = read_ground(path, unit="cm/s^2")
+        assert ground.step == 0.01
+        assert np.allclose(ground.acceleration / GRAVITY, MOVES, atol=1e-5)
+
+
+@pytest.mark.parametrize("periods", [0.01 * np.arange(1.0, 101.0), np.geomspace(0.01, 10.0, 100)])
+def test_a_spectrum_is_no_ground_motion(tmp_path, periods):
+    spectrum = 0.5 * np.exp(-((np.log(periods) + 1.2) ** 2))
+    for head in ("Period (s),Sa (g)", "T [s],PSA [g]", "period_s,acc_g", "T,Sa\ns,g"):
+        path = tmp_path / "quake.csv"
+        rows = (f"{t:.4f},{a:.5f}" for t, a in zip(periods, spectrum, strict=True))
+        path.write_text("\n".join([head, *rows, ""]))
+        refused("not a spectrum", read, path)
+    path = tmp_path / "quake.txt"
+    for columns in ((periods, spectrum), (periods, spectrum, spectrum), (1 / periods, spectrum)):
+        np.savetxt(path, np.column_stack(columns))
+        refused("columns of a spectrum", read, f"{path}:0.01s:g")
+    np.savetxt(path, spectrum)
+    refused("not a spectrum", read, f"{path}:0.01s:g")
+    path.write_text("\n".join(f"{a + 0.2}" for a in MOVES))  # an offset
+    refused("mean of these values is", read, f"{path}:0.01s:g")
 
 
 # --- values
@@ -211,7 +302,7 @@ def test_columns_of_time_and_acceleration_are_not_read_as_one(tmp_path):
 
 def test_accelerations_in_rows_are_read_along_the_rows(tmp_path):
     path, moves = tmp_path / "a.txt", np.sin(np.arange(30.0)).round(4)
-    ramp = 0.1 * np.arange(1.0, 31.0).round(1)
+    ramp = 0.1 * np.arange(-14.5, 15.0).round(1)
     for width in (1, 2, 3, 5):
         for values, header, step in ((moves, "", 0.02), (ramp, "NPTS= 30, DT= .02 SEC\n", None)):
             # the header says that all of them are accelerations

@@ -11,6 +11,7 @@ from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.run import open_run
 from tests.run_folders import RECORD
 
+FINDING = {"subject": "a", "name": "gap", "stage": "records"}
 STORED = ("tests/a/posterior.nc", "tests/c/record.nc", "population.nc")
 
 
@@ -47,6 +48,17 @@ def test_a_file_that_was_changed_or_is_missing_or_a_link_is_refused(out, tmp_pat
         (("truth",), {"population": {}, "tests": {"elsewhere": {}}}, "elsewhere"),
         (("crossvalidation", "predictions", 0, "score", "coverage"), [0.5, 0.9], "coverage"),
         (("comparison", "rows", 0, "cycles"), 1.5, "cycles"),
+        *(
+            (("warnings",), [FINDING | {"message": message}], "warnings")
+            for message in (
+                {"template": "{x", "values": {}},
+                {"template": "{x}", "values": {}},
+                {"template": "{x:>999999999}", "values": {"x": "a"}},
+                {"template": "{x.a}", "values": {"x": "a"}},
+                {"template": "{x}", "values": {"x": {"values": [1.0], "unit": "in", "digits": -3}}},
+                {"template": "{x}", "values": {"x": {"values": [], "unit": "in", "digits": 3}}},
+            )
+        ),
         (("format",), 1, "format 1.*reads format 2 only"),
         (("status",), "running", "not finished; finish it with: mfd-bayes calibrate"),
     ],

@@ -36,6 +36,13 @@ def test_tests_are_a_mapping_that_cannot_be_changed(run):
         run.tests["zz"]
 
 
+@pytest.mark.parametrize("name", ["zz", None, 5, ["a"]])
+def test_what_is_said_of_a_test_that_is_not_there_is_a_sentence(run, trace, name):
+    for call in (run.session, run.place, lambda name: run.departures(trace, name or "zz")):
+        with pytest.raises(NotThereError, match=r"the run has no test .*: there are"):
+            call(name)
+
+
 def test_runs_and_tests_that_are_not_there_are_named(run):
     for folder in (None, b"out", "a\0b"):
         with pytest.raises(mb.MfdError, match="folder must be a path"):
