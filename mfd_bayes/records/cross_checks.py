@@ -35,15 +35,19 @@ QUANTITIES = {
     "slope": ("build-up", "kip/in"),
     "plateau": ("slip force", "kip"),
 }
-# Of the logarithm of each quantity: sd between tests of one device, and mean and sd of its exponent
-# over the actuation.
-SCATTER, EXPONENT, BEND = np.array([[0.08, 0.25, 0.15], [0.0, 0.0, 0.5], [0.3, 0.5, 0.7]])
-FREEDOM = 4.0  # tests that `SCATTER` is worth
+# Of the logarithm of each quantity, and last of the actuation itself: sd between tests of one
+# device, and mean and sd of its exponent over the actuation.
+SCATTER, EXPONENT, BEND = np.array(
+    [[0.08, 0.25, 0.15, 0.7], [0.0, 0.0, 0.5, 0.0], [0.3, 0.5, 0.7, 1e-3]]
+)
+FREEDOM = 8.0  # tests that `SCATTER` is worth
+FALLING = 0.05  # probability that the slip force of a device falls with its actuation
 FEWEST = 2  # fewest tests of a law
 # log prior odds of a mistake: another unit or power of ten, any factor, another device, an exchange
-UNIT, FACTOR, ANYTHING, EXCHANGED = -5.0, -8.0, -10.0, -5.0
+UNIT, FACTOR, ANYTHING, EXCHANGED = -5.0, -9.0, -13.0, -5.0
 LEAST = 0.2  # least logarithm of a factor that is a mistake
 ANY_FACTOR = np.array([s * a for a in np.arange(LEAST, np.log(3000.0), 0.1) for s in (1.0, -1.0)])
+WITHIN = 2.5  # sds of the laws within which an exchange must bring both tests
 CLEAR = 1.0  # log odds by which a mistake must be more probable than any in other tests
 WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0, 1.0])}
 UNITS = {
@@ -276,7 +280,7 @@ def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
             x[pair] = x[pair[::-1]]
             continue
         (j,) = mistake.tests
-        law = np.delete(_sums(x[:, None], y), j, axis=0).sum(axis=0)
+        law = np.delete(_sums(x, y), j, axis=0).sum(axis=0)
         yield steady[j].id, _explained(mistake, steady[j], x[j], y[j], law)
         x[j] += mistake.level
         y[j] = np.nan if mistake.left_out else y[j] + mistake.logs
@@ -297,13 +301,20 @@ def _logarithms(values: Array, levels: Array) -> tuple[Array, Array]:
 
 
 def _sums(x: Array, y: Array) -> Array:
-    """Count and sums of 1, x, y, x², xy, y² that a value adds to a law, (..., 6); 0 for NaN."""
+    """Count and sums of x, y, x², xy, y² that a test adds to each law, (..., 4, 6); 0 for NaN.
+
+    `x` (...) are logarithms of actuations, `y` (..., 3) those of `QUANTITIES`.
+    """
+    x, y = np.broadcast_arrays(x[..., None], y)
+    compared = np.isfinite(y).any(axis=-1, keepdims=True)
+    y = np.concatenate([y, np.where(compared, x[..., :1], np.nan)], axis=-1)
+    x = np.broadcast_to(x[..., :1], y.shape)
     terms = np.stack(np.broadcast_arrays(1.0, x, y, x * x, x * y, y * y), axis=-1)
     return np.where(np.isfinite(y)[..., None], terms, 0.0)
 
 
 def _law(sums: Array) -> tuple[Array, Array, Array, Array]:
-    """Mean x, mean y, exponent, and its precision over that of one value, of each law (..., 3)."""
+    """Mean x, mean y, exponent, and its precision over that of one value, of each law (..., 4)."""
     n = np.maximum(sums[..., 0], 1.0)
     x, y = sums[..., 1] / n, sums[..., 2] / n
     precision = sums[..., 3] - n * x * x + (SCATTER / BEND) ** 2
@@ -312,7 +323,7 @@ def _law(sums: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _variance(sums: Array) -> Array:
-    """Mean of the variance of a value about its law, and its degrees of freedom, (2, ..., 3)."""
+    """Mean of the variance of a value about its law, and its degrees of freedom, (2, ..., 4)."""
     n = np.maximum(sums[..., 0], 1.0)
     _, y, exponent, precision = _law(sums)
     ridge = (SCATTER / BEND) ** 2
@@ -322,15 +333,20 @@ def _variance(sums: Array) -> Array:
 
 
 def _log_evidence(sums: Array) -> Array:
-    """Log of the probability of all values under their laws, (...), from sums (..., 3, 6).
+    """Log of the probability of all values under their laws, (...), from sums (..., 4, 6).
 
     A law is a line with a flat prior on its level, a normal one on its exponent, and an inverse
-    gamma one on its variance (Gelman et al., Bayesian Data Analysis, 3rd ed., section 14.2).
+    gamma one on its variance (Gelman et al., Bayesian Data Analysis, 3rd ed., section 14.2). The
+    exponent of a slip force is positive but for the probability `FALLING`.
     """
-    from scipy.special import gammaln
+    from scipy.special import gammaln, stdtr
 
     variance, freedom = _variance(sums)
-    precision = _law(sums)[3]
+    _, _, exponent, precision = _law(sums)
+    slip = 2  # its place among the quantities
+    rising = stdtr(freedom, exponent / np.sqrt(variance / precision))[..., slip]
+    before = stdtr(FREEDOM, (EXPONENT / BEND)[slip])
+    sign = np.log(FALLING + (1.0 - FALLING) * rising / before)
     n, start = np.maximum(sums[..., 0], 1.0), FREEDOM * SCATTER**2
     logs = (
         0.5 * np.log((SCATTER / BEND) ** 2 / precision / n)
@@ -340,7 +356,7 @@ def _log_evidence(sums: Array) -> Array:
         + 0.5 * FREEDOM * np.log(start)
         - 0.5 * freedom * np.log(freedom * variance)
     )
-    return np.asarray(np.where(sums[..., 0] > 0.0, logs, 0.0).sum(axis=-1))
+    return np.asarray(np.where(sums[..., 0] > 0.0, logs, 0.0).sum(axis=-1) + sign)
 
 
 def _likeliest(
@@ -362,7 +378,7 @@ def _scored(
     tests: Sequence[Tested], x: Array, y: Array, wrong: Collection[int]
 ) -> Iterator[tuple[float, Mistake]]:
     """Log odds and mistake: the likeliest one of each test, and the exchange of each two."""
-    sums = _sums(x[:, None], y)
+    sums = _sums(x, y)
     total = sums.sum(axis=0)
     nothing = _log_evidence(total)
     right = [j for j in range(len(tests)) if j not in wrong and np.isfinite(y[j]).any()]
@@ -371,18 +387,29 @@ def _scored(
         logs = y[j] + np.array([mistake.logs for mistake in mistakes])
         logs[[mistake.left_out for mistake in mistakes]] = np.nan
         levels = x[j] + np.array([mistake.level for mistake in mistakes])
-        changed = total - sums[j] + _sums(levels[:, None], logs)
+        changed = total - sums[j] + _sums(levels, logs)
         odds = _log_evidence(changed) - nothing + [mistake.log_prior for mistake in mistakes]
         best = int(np.argmax(odds))
         yield float(odds[best]), mistakes[best]
     for i in right:
         later = np.array([j for j in right if j > i], dtype=np.intp)
-        changed = total - sums[i] - sums[later] + _sums(x[later, None], y[i])
-        odds = _log_evidence(changed + _sums(x[i], y[later])) - nothing
+        moved = total - sums[i] - sums[later] + _sums(x[later], y[i]) + _sums(x[i], y[later])
+        odds = _log_evidence(moved) - nothing
         odds += EXCHANGED - np.log(0.5 * len(right))
-        for j, value in zip(later.tolist(), odds.tolist(), strict=True):
-            if tests[i].level > 0.0 and tests[j].level > 0.0:
-                yield value, Mistake((i, j), "exchange")
+        away = [_away(x[later], y[i], moved), _away(x[i], y[later], moved)]
+        restored = np.nanmax(np.abs(away), axis=(0, 2), initial=0.0) < WITHIN
+        for j in np.flatnonzero(restored & (x[later] != x[i])).tolist():
+            if tests[i].level > 0.0 and tests[later[j]].level > 0.0:
+                yield float(odds[j]), Mistake((i, int(later[j])), "exchange")
+
+
+def _away(x: Array, y: Array, law: Array) -> Array:
+    """Distance of a test's values y (..., 3) from laws, in predictive sds, (..., 3)."""
+    mean_x, mean_y, exponent, precision = _law(law)
+    variance, _ = _variance(law)
+    along = np.asarray(x)[..., None] - mean_x
+    sd = np.sqrt(variance * (1.0 + 1.0 / np.maximum(law[..., 0], 1.0) + along**2 / precision))
+    return np.asarray((y - (mean_y + exponent * along)[..., :3]) / sd[..., :3])
 
 
 def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
@@ -392,7 +419,12 @@ def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
     steep; a force that is too large by f makes build-up and slip force f times as large; an
     actuation that is too large by f leaves the loop as it is.
     """
-    test, mistakes = tests[j], [Mistake((j,), "another device", log_prior=ANYTHING, left_out=True)]
+    test = tests[j]
+    why = (
+        "neither a unit nor the actuation explains it; is it the record of another device, or of "
+        "another session?"
+    )
+    mistakes = [Mistake((j,), "another device", log_prior=ANYTHING, left_out=True, why=why)]
     for role, way in WAYS.items():
         for unit in UNITS[role]:
             log = float(np.log(factor(test.units[role], role) / factor(unit, role)))
@@ -418,13 +450,9 @@ def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
 
 def _explained(mistake: Mistake, test: Tested, x: float, y: Array, law: Array) -> Fault:
     """A test's mistake, with the quantity that is farthest from the law of the others."""
-    mean_x, mean_y, exponent, precision = _law(law)
-    variance, _ = _variance(law)
+    mean_x, mean_y, exponent, _ = _law(law)
     expected = mean_y + exponent * (x - mean_x)
-    sd = np.sqrt(
-        variance * (1.0 + 1.0 / np.maximum(law[:, 0], 1.0) + (x - mean_x) ** 2 / precision)
-    )
-    k = int(np.nanargmax(np.abs(y - expected) / sd))
+    k = int(np.nanargmax(np.abs(_away(np.asarray(x), y, law))))
     words, unit = list(QUANTITIES.values())[k]
     why = mistake.why
     if mistake.name == "actuation":
