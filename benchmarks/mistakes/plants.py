@@ -27,6 +27,7 @@ class Planned:
     level: float  # of tension
     names: dict[str, str]
     unit: str = "lbf"
+    stem: str = ""  # of the file's name; the id where empty
 
     def column(self, name: str) -> np.ndarray:
         return self.table[name].to_numpy(copy=True)
@@ -149,6 +150,33 @@ def zero_stepped(test: Planned) -> Planned:
     return test.changed(displacement=x)
 
 
+def repeated(test: Planned) -> Planned:
+    """A second of the record is written twice, and the time goes on."""
+    time = test.column("time")
+    first, last = np.searchsorted(time, time[0] + np.array([0.4, 0.4]) * np.ptp(time) + [0.0, 1.0])
+    table = pd.concat([test.table.iloc[:last], test.table.iloc[first:]], ignore_index=True)
+    step = float(np.median(np.diff(time)))
+    return replace(test, table=table.assign(time=time[0] + step * np.arange(len(table))))
+
+
+def coarse(test: Planned) -> Planned:
+    """A force of 17 levels over its range."""
+    force = test.column("force")
+    step = np.ptp(force) / 16.0
+    return test.changed(force=step * np.round(force / step))
+
+
+def drifting_travel(test: Planned) -> Planned:
+    time, x = test.column("time"), test.column("displacement")
+    return test.changed(displacement=x + 0.2 * np.ptp(x) * (time - time[0]) / np.ptp(time))
+
+
+def humming(test: Planned) -> Planned:
+    """A force with mains hum of a tenth of its range."""
+    time, force = test.column("time"), test.column("force")
+    return test.changed(force=force + 0.05 * np.ptp(force) * np.sin(2.0 * np.pi * 50.0 * time))
+
+
 MM = {"displacement": "displacement_mm"}
 TENSION = r"actuation.*(probably|wrong)|another test"
 HALF = "tests at its actuation|force.*times too small"
@@ -188,16 +216,41 @@ MISTAKES: dict[str, tuple[str, Change]] = {
         lambda t: t.changed(displacement=t.table["force"], force=t.table["displacement"]),
     ),
     "overflow values": ("isolated sample", overflown),
+    # of few tests: about five of a session
+    "exchanged tensions": ("exchanged", lambda test: test),
+    "exchanged tensions, few tests": ("exchanged", lambda test: test),
+    "kN for lbf, few tests": ("probably .* lbf, not|actuation.*wrong", tension(1.0, "kN")),
+    "a tenth, few tests": (TENSION, tension(0.1)),
+    "force in kN, few tests": ("force.* in kN,", scaled("force", 4.4482216)),
+    "time a tenth too long": ("time|rate|frequency", scaled("time", 1.1)),
+    "a second repeated": ("repeat|twice|same", repeated),
+    "force of 17 levels": ("levels|resolution|quanti|steps of", coarse),
+    "displacement drifts": ("displacement.*drift|drift.*displacement", drifting_travel),
+    "hum": (r"\bhum\b|mains|50 Hz", humming),
 }
 
 
-def plant(name: str, tests: list[Planned], k: int) -> tuple[list[Planned], str]:
-    """A session with a mistake in test k, or in another, and the test that is to be named."""
+def plant(name: str, tests: list[Planned], k: int) -> tuple[list[Planned], list[str]]:
+    """A session with a mistake in test k, or in another, and the tests that are to be named."""
+    if name.endswith("few tests"):  # every second one
+        tests, k = tests[k % 2 :: 2], k // 2
     wrong = MISTAKES[name][1](tests[k])
+    if name.startswith("exchanged"):  # with the test whose tension is farthest
+        other = max(tests, key=lambda test: abs(np.log(test.level / wrong.level)))
+        levels = {wrong.id: other.level, other.id: wrong.level}
+        return [replace(t, level=levels.get(t.id, t.level)) for t in tests], [*levels]
     if name.startswith("duplicate"):
-        return [*tests, replace(wrong, id=f"{wrong.id}_again")], f"{wrong.id}_again"
+        return [*tests, replace(wrong, id=f"{wrong.id}_again")], [f"{wrong.id}_again"]
     if name == "file of another tension":  # the highest one's under the name of the lowest
         low, high = (pick(tests, key=lambda test: test.level) for pick in (min, max))
         swapped = replace(low, table=high.table)
-        return [swapped if test is low else test for test in tests if test is not high], low.id
-    return [wrong if i == k else test for i, test in enumerate(tests)], wrong.id
+        return [swapped if test is low else test for test in tests if test is not high], [low.id]
+    return [wrong if i == k else test for i, test in enumerate(tests)], [wrong.id]
+
+
+def neutral(tests: list[Planned]) -> dict[str, Planned]:
+    """Tests under ids and files that are only numbered, by their former id."""
+    return {
+        test.id: replace(test, id=f"t{20 + number}", stem=f"r{20 + number}")
+        for number, test in enumerate(tests)
+    }

@@ -35,6 +35,7 @@ from mfd_bayes.evaluation.views import (
     LOOP_ESTIMATE,
     MODES,
     PREDICTIVE,
+    SCATTER,
     Check,
     Row,
     Rows,
@@ -298,14 +299,14 @@ _WORDS = {
 def outlying_tests(run: Run) -> list[Finding]:
     """A warning for every test and quantity that stand out.
 
-    A test's deviation from the law is compared with the deviations of the others that inform the
-    quantity: a Student-t statistic that leaves the test out, with Bonferroni's correction for tests
-    and quantities.
+    The deviation of a test's own posterior from the law is compared with those of the others that
+    inform the quantity: a Student-t statistic that leaves the test out, with Bonferroni's
+    correction for tests and quantities. Pooled values would not do: they are shrunken to the law.
     """
     if len(run.tests) < FEWEST:
         return []
     design = run.population.design
-    places, medians = _places(run)
+    places, medians, sds = _places(run)
     deviations, names = places - medians, list(run.tests)
     groups: dict[bytes, list[int]] = {}  # quantities by the tests that inform them
     for k, name in enumerate(design.names):
@@ -316,7 +317,9 @@ def outlying_tests(run: Run) -> list[Finding]:
         tests = np.flatnonzero(design.informs[:, columns[0]])
         if tests.size < FEWEST:
             continue
-        for row, column, away in standing_out(deviations[tests][:, columns]):
+        for row, column, away in standing_out(
+            deviations[tests][:, columns], sds[tests][:, columns]
+        ):
             j, k = int(tests[row]), columns[column]
             others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
             name = design.names[k]
@@ -329,7 +332,7 @@ def outlying_tests(run: Run) -> list[Finding]:
             }
             message = Message(
                 f"{{test}} stands apart from the other tests: {shown} {{own}}, "
-                f"where the others suggest {{others}}, {away:.1f} of their standard deviations "
+                f"where the others suggest {{others}}, {away:.1f} standard deviations of tests "
                 "away; check its displacement, units and actuation before you use the campaign",
                 {"test": names[j], **values},
             )
@@ -337,29 +340,61 @@ def outlying_tests(run: Run) -> list[Finding]:
     return findings
 
 
-def standing_out(deviations: Array) -> Iterator[tuple[int, int, float]]:
-    """Test, quantity and distance in sds of the others, of deviations (J, K) that stand out."""
+def standing_out(deviations: Array, sds: Array) -> Iterator[tuple[int, int, float]]:
+    """Test, quantity and distance in sds, of deviations (J, K) that stand out from the others.
+
+    `sds` (J, K) are those of each deviation by its own posterior. The sd of a distance is that of
+    the others, which is at least their own, and the test's own.
+    """
     count, size = deviations.shape
     limit = -float(special.stdtrit(count - 2, 0.5 * RARE / max(count * size, 1)))
     for j in range(count):
         others = np.delete(deviations, j, axis=0)
-        sd = np.maximum(others.std(axis=0, ddof=1), 1e-12)
+        known = np.mean(np.delete(sds, j, axis=0) ** 2, axis=0)
+        spread = np.maximum(others.var(axis=0, ddof=1), np.maximum(known, 1e-24))
+        sd = np.sqrt(spread * (1.0 + 1.0 / (count - 1)) + np.maximum(sds[j] ** 2 - known, 0.0))
         away = np.abs(deviations[j] - others.mean(axis=0)) / sd
-        for i in np.flatnonzero(away / np.sqrt(1.0 + 1.0 / (count - 1)) > limit).tolist():
+        for i in np.flatnonzero(away > limit).tolist():
             yield j, i, float(away[i])
 
 
-def _places(run: Run) -> tuple[Array, Array]:
-    """Each test's shared coordinates, and those that laws and effects give it, (J, d) each."""
+def _places(run: Run) -> tuple[Array, Array, Array]:
+    """Each test's own coordinates, those of laws and effects, and its own sds, (J, d) each."""
     population, design = run.population, run.population.design
     d, rng = len(design.names), np.random.default_rng(0)
     index = rng.choice(population.size, size=min(DRAWS, population.size))
-    places, medians = [], []
+    places, medians, sds = [], [], []
     for name, setting in zip(run.tests, design.settings, strict=True):
-        places.append(design.coordinates.of(run.sequence.pooled(name)).mean(axis=0)[:d])
+        drawn = design.coordinates.of(run.tests[name].stored.values())[:, :d]
+        places.append(drawn.mean(axis=0))
+        sds.append(drawn.std(axis=0))
         medians.append(_coordinates(run, setting, index, rng).mean(axis=0))
     centre, spread = design.coordinates.centre[:d], design.spread
-    return centre + spread * np.array(places), centre + spread * np.array(medians)
+    scaled = (centre + spread * np.array(x) for x in (places, medians))
+    return *scaled, spread * np.array(sds)
+
+
+MUCH = 2.0
+"""Median of a scatter, in sds of its half-normal prior, that is a sign: its probability is 5 %."""
+
+
+def scatter_checks(run: Run) -> list[Check]:
+    """A warning where slip force or gap scatters between tests more than the priors expect.
+
+    A mistake in a test that no other check saw, such as an exchanged actuation, makes a scatter of
+    what is much the same in all tests.
+    """
+    if len(run.tests) < FEWEST:
+        return []
+    named = {*run.model.slip_forces, *(("d2", "gap") if run.model.standard_names else ())}
+    checks, scatters = [], run.population.scatters
+    for (name, draws), sd in zip(scatters.items(), run.population.scatter_scales, strict=False):
+        scatter = float(np.median(draws))
+        if name in named and scatter > MUCH * sd:
+            shown = _WORDS.get(name, name) if run.model.standard_names else name
+            figures = "population", SCATTER, shown, scatter, float(sd)
+            checks.append(Check(*figures, Verdict.WARNING))
+    return checks
 
 
 def _coordinates(

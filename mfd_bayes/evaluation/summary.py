@@ -28,6 +28,7 @@ from mfd_bayes.evaluation.checks import (
     convergence_checks,
     exponent_checks,
     outlying_tests,
+    scatter_checks,
     uncommon_device_values,
 )
 from mfd_bayes.evaluation.crossvalidate import left_out_view
@@ -54,6 +55,7 @@ from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     REPORT,
     SAMPLING,
+    SCATTER,
     CampaignView,
     Check,
     Judgement,
@@ -103,6 +105,7 @@ def assess(run: Run, jobs: int = 1) -> CampaignView:
         *(check for view in tests for check in view.checks),
         *convergence_checks("population", table, manifest.effort),
         *exponent_checks(manifest.free_exponents),
+        *scatter_checks(run),
         *(Check(*key, 0.0, 1.0, Verdict.FAIL) for key in missing),
     )
     warnings = (
@@ -582,6 +585,17 @@ def verdict_sentences(
     if bent:
         what = ", ".join(f"{c.feature}: exponent {c.observed:.2f}" for c in bent)
         text = f"The proportional law is not supported ({what}, not 1): do not extrapolate with it."
+        sentences.append(Message(text))
+    scattered = [c for c in checks if c.check == SCATTER]
+    if scattered:
+        what = ", ".join(
+            f"{c.feature}: {c.observed:.0%}, the priors expect about {c.expected:.0%}"
+            for c in scattered
+        )
+        text = (
+            f"Tests at one actuation scatter more than expected ({what}): the actuation, a unit or "
+            "the file of a test may be wrong, or the law does not hold."
+        )
         sentences.append(Message(text))
     return tuple(sentences)
 

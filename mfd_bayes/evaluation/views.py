@@ -41,6 +41,7 @@ Row = dict[str, Any]
 Rows = tuple[Row, ...]
 
 FREE_EXPONENT = "exponent if the law were a power law"
+SCATTER = "scatter between tests"
 CONTRACTION = "prior variance removed"
 DIRECTIONS = "directions informed"
 PREDICTIVE = "posterior predictive"

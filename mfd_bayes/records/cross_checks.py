@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import ClassVar
 
@@ -34,20 +34,26 @@ QUANTITIES = {
     "build_up_slope": ("build-up", "kip/in"),
     "slip": ("slip force", "kip"),
 }
-# Of the logarithm of each quantity: sd between tests of one device, and mean and sd of its exponent
-# over the actuation.
-SCATTER, EXPONENT, BEND = np.array([[0.08, 0.25, 0.15], [0.0, 0.0, 0.5], [0.3, 0.5, 0.7]])
-FEWEST, FAR = 2, 3.3  # fewest tests of a law, and sds at which a test is odd
-CLOSE, OUTSIDE = 2.0, 4.0  # sds at which a test loses weight in a law, and counts for none
+# Of the logarithm of each quantity, and last of the actuation itself: sd between tests of one
+# device, and mean and sd of its exponent over the actuation.
+SCATTER, EXPONENT, BEND = np.array(
+    [[0.08, 0.25, 0.15, 0.7], [0.0, 0.0, 0.5, 0.0], [0.3, 0.5, 0.7, 1e-3]]
+)
+FREEDOM = 8.0  # tests that `SCATTER` is worth
+FALLING = 0.05  # probability that the slip force of a device falls with its actuation
+FEWEST = 2  # fewest tests of a law
+# log prior odds of a mistake: another unit or power of ten, any factor, another device, an exchange
+UNIT, FACTOR, ANYTHING, EXCHANGED = -5.0, -9.0, -13.0, -5.0
+LEAST = 0.2  # least logarithm of a factor that is a mistake
+ANY_FACTOR = np.array([s * a for a in np.arange(LEAST, np.log(3000.0), 0.1) for s in (1.0, -1.0)])
+WITHIN = 2.5  # sds of the laws within which an exchange must bring both tests
+CLEAR = 1.0  # log odds by which a mistake must be more probable than any in other tests
+WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0, 1.0])}
 UNITS = {
     "displacement": ("in", "mm", "cm", "m"),
     "force": ("kip", "lbf", "kN", "N", "MN", "kgf"),
 }
 """Units that a column may be in instead of the one that it was read in."""
-FREE, ANYTHING = 4.0, 14.0  # penalties of a cause with a free factor, and of another device
-SAME_LEVEL = 0.05  # actuations that differ by less than this share are one level
-UNLIKE = 1.6  # slip forces at one level differ by less than this factor
-FAR_LEVEL = 4.0  # an actuation so many times the nearest one changes the slip force by `UNLIKE`
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,137 +237,237 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
                 yield test.id, Fault.of("both signs", both)
 
 
-# Tests whose gap, build-up or slip force does not follow the others, and the likely cause.
+# --- mistakes that the laws of gap, build-up and slip force over the actuation show
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """What may be wrong with a test, or with two, and how it is put right in the laws' data.
+
+    `logs` (3,) are added to the logarithms of its `QUANTITIES`, `level` to that of its actuation;
+    where `left_out`, the test is taken out of the laws instead. Two tests exchange their levels.
+    """
+
+    tests: tuple[int, ...]
+    name: str
+    logs: Array = field(default_factory=lambda: np.zeros(3))
+    level: float = 0.0
+    log_prior: float = 0.0
+    left_out: bool = False
+    why: str = ""
 
 
 def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
-    """Tests whose gap, build-up or slip force is not that of the others."""
+    """Tests that follow the laws of the others only if a mistake is put right.
+
+    Each step puts right the mistake that makes the data of all laws most probable (its Bayes
+    factor times its prior), until none is worth it, or two tests may be the wrong one.
+    """
     steady = [t for t in tests if t.steady and t.work > 0.0]
     values = np.array([[t.features[name] for name in QUANTITIES] for t in steady])
-    away, sds, exponents = deviations(values.reshape(-1, 3), np.array([t.level for t in steady]))
-    far = np.nanmax(np.abs(away) / sds, axis=1, initial=0.0)
-    odd = [int(j) for j in np.argsort(-far, kind="stable") if far[j] > FAR]
-    rest = [t for j, t in enumerate(steady) if j not in odd]
-    for j in odd:
-        test = steady[j]
-        name, why = _cause(test, away[j], sds[j], exponents[j], rest)
-        k = int(np.nanargmax(np.abs(away[j]) / sds[j]))
-        words, unit = list(QUANTITIES.values())[k]
-        yield (
-            test.id,
-            Fault.of(
-                name,
-                f"its loop has a {words} of {{value}}, where the other tests suggest {{expected}}: "
-                "{why}",
-                value=(float(values[j, k]), unit),
-                expected=(float(values[j, k] / np.exp(away[j, k])), unit),
-                why=why,
-            ),
-        )
-    yield from _unlike(rest)
+    levels = np.array([t.level for t in steady])
+    x, y = _logarithms(values.reshape(-1, 3), levels)
+    wrong: set[int] = set()
+    while len(steady) - len(wrong) > FEWEST:
+        mistake = _likeliest(steady, x, y, wrong)
+        if mistake is None:
+            return
+        wrong.update(mistake.tests)
+        if len(mistake.tests) > 1:
+            yield from _exchanged(*(steady[j] for j in mistake.tests))
+            pair = list(mistake.tests)
+            x[pair] = x[pair[::-1]]
+            continue
+        (j,) = mistake.tests
+        law = np.delete(_sums(x, y), j, axis=0).sum(axis=0)
+        yield steady[j].id, _explained(mistake, steady[j], x[j], y[j], law)
+        x[j] += mistake.level
+        y[j] = np.nan if mistake.left_out else y[j] + mistake.logs
 
 
-def deviations(values: Array, levels: Array) -> tuple[Array, Array, Array]:
-    """Deviations of J tests from the laws of the others, their sds and exponents, (J, 3) each.
+def _logarithms(values: Array, levels: Array) -> tuple[Array, Array]:
+    """Logarithms of actuations (J,) and of `QUANTITIES` (J, 3), NaN where one tells nothing.
 
-    `values` (J, 3) are the `QUANTITIES`, NaN where one is not known, `levels` (J,) the actuations.
-    A deviation is a logarithm, NaN where there is no law: a line over the logarithm of the level
-    with a prior on its slope. Tests far from a robust line through all are left out of the laws.
-    A test at 0 is not compared; where the level is not known, slip forces are not.
+    A test at 0 is not compared. Where the level is not known, slip forces are not; gap and build-up
+    are, as at the mean level.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        logs = np.log(np.where((values > 0.0) & (levels != 0.0)[:, None], values, np.nan))
-        place = np.log(np.where(levels > 0.0, levels, np.nan))
-    logs[np.isnan(levels), 2] = np.nan
-    place = np.where(np.isnan(place), np.nanmean(place) if np.any(levels > 0.0) else 0.0, place)
-    rest = np.column_stack([_rest(place, logs[:, k], k) for k in range(3)])
-    sound = ~np.any(np.abs(rest) > OUTSIDE * SCATTER, axis=1)
-    away, sds = np.full(values.shape, np.nan), np.full(values.shape, np.inf)
-    exponents = np.tile(EXPONENT, (len(values), 1))
-    for j, k in np.argwhere(np.isfinite(logs)):
-        law = sound & np.isfinite(logs[:, k])
-        law[j] = False
-        if np.count_nonzero(law) >= FEWEST:
-            x, y = place[law], logs[law, k]
-            slope, information = _slope(x, y, np.ones(y.size), k)
-            left = y - y.mean() - slope * (x - x.mean())
-            spread = (left @ left + 2.0 * SCATTER[k] ** 2) / (y.size + 1.0)
-            spread = max(spread, SCATTER[k] ** 2)
-            at = place[j] - x.mean()
-            away[j, k], exponents[j, k] = logs[j, k] - y.mean() - slope * at, slope
-            sds[j, k] = np.sqrt(spread * (1.0 + 1.0 / y.size) + at**2 / information)
-    return away, sds, exponents
+        y = np.log(np.where((values > 0.0) & (levels != 0.0)[:, None], values, np.nan))
+        x = np.log(np.where(levels > 0.0, levels, np.nan))
+    y[np.isnan(levels), 2] = np.nan
+    mean = float(np.nanmean(x)) if np.any(levels > 0.0) else 0.0
+    return np.where(np.isnan(x), mean, x) - mean, y
 
 
-def _rest(x: Array, y: Array, k: int) -> Array:
-    """What a robust line leaves of a quantity k, (J,); the weights are Welsch's."""
-    known = np.isfinite(y)
-    rest = y - EXPONENT[k] * x
-    rest = rest - np.nanmedian(rest) if known.any() else rest
-    for _ in range(30 if np.count_nonzero(known) > FEWEST else 0):
-        weights = np.exp(-0.5 * (rest[known] / (CLOSE * SCATTER[k])) ** 2)
-        slope, _ = _slope(x[known], y[known], weights, k)
-        rest = y - slope * x
-        rest = rest - np.average(rest[known], weights=weights)
-    return np.asarray(rest)
+def _sums(x: Array, y: Array) -> Array:
+    """Count and sums of x, y, x², xy, y² that a test adds to each law, (..., 4, 6); 0 for NaN.
+
+    `x` (...) are logarithms of actuations, `y` (..., 3) those of `QUANTITIES`.
+    """
+    x, y = np.broadcast_arrays(x[..., None], y)
+    compared = np.isfinite(y).any(axis=-1, keepdims=True)
+    y = np.concatenate([y, np.where(compared, x[..., :1], np.nan)], axis=-1)
+    x = np.broadcast_to(x[..., :1], y.shape)
+    terms = np.stack(np.broadcast_arrays(1.0, x, y, x * x, x * y, y * y), axis=-1)
+    return np.where(np.isfinite(y)[..., None], terms, 0.0)
 
 
-def _slope(x: Array, y: Array, weights: Array, k: int) -> tuple[float, float]:
-    """Exponent of a quantity k over the actuation, with its prior, and its information."""
-    x, y = x - np.average(x, weights=weights), y - np.average(y, weights=weights)
-    scaled = weights * x / SCATTER[k] ** 2
-    information = float(scaled @ x + BEND[k] ** -2)
-    return float(scaled @ y + EXPONENT[k] / BEND[k] ** 2) / information, information
+def _law(sums: Array) -> tuple[Array, Array, Array, Array]:
+    """Mean x, mean y, exponent, and its precision over that of one value, of each law (..., 4)."""
+    n = np.maximum(sums[..., 0], 1.0)
+    x, y = sums[..., 1] / n, sums[..., 2] / n
+    precision = sums[..., 3] - n * x * x + (SCATTER / BEND) ** 2
+    along = sums[..., 4] - n * x * y + EXPONENT * (SCATTER / BEND) ** 2
+    return x, y, along / precision, precision
 
 
-def _cause(
-    test: Tested, away: Array, sds: Array, exponents: Array, others: Sequence[Tested]
-) -> tuple[str, str]:
-    """The cause that explains a deviation best, and a sentence on it.
+def _variance(sums: Array) -> Array:
+    """Mean of the variance of a value about its law, and its degrees of freedom, (2, ..., 4)."""
+    n = np.maximum(sums[..., 0], 1.0)
+    _, y, exponent, precision = _law(sums)
+    ridge = (SCATTER / BEND) ** 2
+    squares = sums[..., 5] - n * y * y + EXPONENT**2 * ridge - exponent**2 * precision
+    freedom = FREEDOM + n - 1.0
+    return np.stack([(FREEDOM * SCATTER**2 + np.maximum(squares, 0.0)) / freedom, freedom])
+
+
+def _log_evidence(sums: Array) -> Array:
+    """Log of the probability of all values under their laws, (...), from sums (..., 4, 6).
+
+    A law is a line with a flat prior on its level, a normal one on its exponent, and an inverse
+    gamma one on its variance (Gelman et al., Bayesian Data Analysis, 3rd ed., section 14.2). The
+    exponent of a slip force is positive but for the probability `FALLING`.
+    """
+    from scipy.special import gammaln, stdtr
+
+    variance, freedom = _variance(sums)
+    _, _, exponent, precision = _law(sums)
+    slip = 2  # its place among the quantities
+    rising = stdtr(freedom, exponent / np.sqrt(variance / precision))[..., slip]
+    before = stdtr(FREEDOM, (EXPONENT / BEND)[slip])
+    sign = np.log(FALLING + (1.0 - FALLING) * rising / before)
+    n, start = np.maximum(sums[..., 0], 1.0), FREEDOM * SCATTER**2
+    logs = (
+        0.5 * np.log((SCATTER / BEND) ** 2 / precision / n)
+        - 0.5 * (n - 1.0) * np.log(np.pi)
+        + gammaln(0.5 * freedom)
+        - gammaln(0.5 * FREEDOM)
+        + 0.5 * FREEDOM * np.log(start)
+        - 0.5 * freedom * np.log(freedom * variance)
+    )
+    return np.asarray(np.where(sums[..., 0] > 0.0, logs, 0.0).sum(axis=-1) + sign)
+
+
+def _likeliest(
+    tests: Sequence[Tested], x: Array, y: Array, wrong: Collection[int]
+) -> Mistake | None:
+    """The mistake that the data call for, of tests that are not known to be `wrong`.
+
+    None where none is probable, or where a mistake in other tests explains the data about as well.
+    """
+    ranked = sorted(_scored(tests, x, y, wrong), key=lambda pair: -pair[0])
+    if not ranked or ranked[0][0] < 0.0:
+        return None
+    score, best = ranked[0]
+    rival = next((s for s, m in ranked if not {*m.tests} & {*best.tests}), -np.inf)
+    return best if score - rival > CLEAR else None
+
+
+def _scored(
+    tests: Sequence[Tested], x: Array, y: Array, wrong: Collection[int]
+) -> Iterator[tuple[float, Mistake]]:
+    """Log odds and mistake: the likeliest one of each test, and the exchange of each two."""
+    sums = _sums(x, y)
+    total = sums.sum(axis=0)
+    nothing = _log_evidence(total)
+    right = [j for j in range(len(tests)) if j not in wrong and np.isfinite(y[j]).any()]
+    for j in right:
+        mistakes = _mistakes(j, tests)
+        logs = y[j] + np.array([mistake.logs for mistake in mistakes])
+        logs[[mistake.left_out for mistake in mistakes]] = np.nan
+        levels = x[j] + np.array([mistake.level for mistake in mistakes])
+        changed = total - sums[j] + _sums(levels, logs)
+        odds = _log_evidence(changed) - nothing + [mistake.log_prior for mistake in mistakes]
+        best = int(np.argmax(odds))
+        yield float(odds[best]), mistakes[best]
+    for i in right:
+        later = np.array([j for j in right if j > i], dtype=np.intp)
+        moved = total - sums[i] - sums[later] + _sums(x[later], y[i]) + _sums(x[i], y[later])
+        odds = _log_evidence(moved) - nothing
+        odds += EXCHANGED - np.log(0.5 * len(right))
+        away = [_away(x[later], y[i], moved), _away(x[i], y[later], moved)]
+        restored = np.nanmax(np.abs(away), axis=(0, 2), initial=0.0) < WITHIN
+        for j in np.flatnonzero(restored & (x[later] != x[i])).tolist():
+            if tests[i].level > 0.0 and tests[later[j]].level > 0.0:
+                yield float(odds[j]), Mistake((i, int(later[j])), "exchange")
+
+
+def _away(x: Array, y: Array, law: Array) -> Array:
+    """Distance of a test's values y (..., 3) from laws, in predictive sds, (..., 3)."""
+    mean_x, mean_y, exponent, precision = _law(law)
+    variance, _ = _variance(law)
+    along = np.asarray(x)[..., None] - mean_x
+    sd = np.sqrt(variance * (1.0 + 1.0 / np.maximum(law[..., 0], 1.0) + along**2 / precision))
+    return np.asarray((y - (mean_y + exponent * along)[..., :3]) / sd[..., :3])
+
+
+def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
+    """What may be wrong with test j by itself.
 
     A length that is too large by f makes the gap f times as wide and the build-up f times less
     steep; a force that is too large by f makes build-up and slip force f times as large; an
-    actuation that is too large by f leaves the loop as it is and moves the law's value.
+    actuation that is too large by f leaves the loop as it is.
     """
-    values, weights = np.nan_to_num(away), np.where(np.isnan(away), 0.0, 1.0 / sds**2)
-    ways = {
-        "displacement": np.array([1.0, -1.0, 0.0]),
-        "force": np.array([0.0, 1.0, 1.0]),
-        "actuation": -exponents,
-    }
-    other = (
+    test = tests[j]
+    why = (
         "neither a unit nor the actuation explains it; is it the record of another device, or of "
         "another session?"
     )
-    causes = [(ANYTHING, "another device", other)]
-    for role, way in ways.items():
-        size = float(way**2 @ weights)
-        log = float((way * values) @ weights) / size if size > 0.0 else 0.0
-        much, size_word = float(np.exp(abs(log))), "large" if log > 0.0 else "small"
-        why = (
-            f"its {role} seems to be {much:.2g} times too {size_word}: check its unit and the "
-            "sensor's factor"
-        )
-        if role == "actuation":
-            why = _of_actuation(test, log, others)
-        causes.append((float((values - way * log) ** 2 @ weights) + FREE, role, why))
-        for unit in UNITS.get(role, ()):
+    mistakes = [Mistake((j,), "another device", log_prior=ANYTHING, left_out=True, why=why)]
+    for role, way in WAYS.items():
+        for unit in UNITS[role]:
             log = float(np.log(factor(test.units[role], role) / factor(unit, role)))
-            if abs(log) > 0.2:
+            if abs(log) > LEAST:
                 why = f"its {role} seems to be in {unit}, not in {test.units[role]}"
-                misfit = float((values - way * log) ** 2 @ weights)
-                causes.append((misfit, f"unit of {role}", why))
-    return min(causes, key=lambda cause: cause[0])[1:]
+                mistakes.append(Mistake((j,), f"unit of {role}", -log * way, 0.0, UNIT, why=why))
+        for log in ANY_FACTOR:
+            size = f"{np.exp(abs(log)):.2g} times too {'large' if log > 0.0 else 'small'}"
+            why = f"its {role} seems to be {size}: check its unit and the sensor's factor"
+            mistakes.append(Mistake((j,), role, -log * way, 0.0, FACTOR, why=why))
+    if test.level > 0.0:
+        number, _, unit = test.actuation.strip().partition(" ")
+        for other in {t.actuation.strip().partition(" ")[2] for t in tests} - {unit, ""}:
+            if unit:
+                log = float(np.log(actuation_factor(unit)[0] / actuation_factor(other)[0]))
+                why = f"the actuation is probably {number} {other}, not {test.actuation}"
+                mistakes.append(Mistake((j,), "actuation", level=-log, log_prior=UNIT, why=why))
+        for log in (np.log(10.0), -np.log(10.0)):
+            mistakes.append(Mistake((j,), "actuation", level=-log, log_prior=UNIT))
+        mistakes += [Mistake((j,), "actuation", level=-log, log_prior=FACTOR) for log in ANY_FACTOR]
+    return mistakes
 
 
-def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
-    """A wrong actuation, with the unit or the power of ten that would make it right."""
+def _explained(mistake: Mistake, test: Tested, x: float, y: Array, law: Array) -> Fault:
+    """A test's mistake, with the quantity that is farthest from the law of the others."""
+    mean_x, mean_y, exponent, _ = _law(law)
+    expected = mean_y + exponent * (x - mean_x)
+    k = int(np.nanargmax(np.abs(_away(np.asarray(x), y, law))))
+    words, unit = list(QUANTITIES.values())[k]
+    why = mistake.why
+    if mistake.name == "actuation":
+        why = why or _of_actuation(test, -mistake.level)
+    return Fault.of(
+        mistake.name,
+        f"its loop has a {words} of {{value}}, where the other tests suggest {{expected}}: {{why}}",
+        value=(float(np.exp(y[k])), unit),
+        expected=(float(np.exp(expected[k])), unit),
+        why=why,
+    )
+
+
+def _of_actuation(test: Tested, away: float) -> str:
+    """A wrong actuation, too large by the exponential of `away`, and the one that it may be."""
     number, _, unit = test.actuation.strip().partition(" ")
-    for other in dict.fromkeys(t.actuation.strip().partition(" ")[2] for t in others):
-        if other and unit and other != unit:
-            wrong = float(np.log(actuation_factor(unit)[0] / actuation_factor(other)[0]))
-            if abs(wrong - away) < 0.5 * abs(away):
-                return f"the actuation is probably {number} {other}, not {test.actuation}"
     hint = ", by a factor of ten" if abs(abs(away) - np.log(10.0)) < 1.0 else ""
     given, about = test.actuation, ""
     if number and unit:
@@ -372,36 +478,16 @@ def _of_actuation(test: Tested, away: float, others: Sequence[Tested]) -> str:
     )
 
 
-def _unlike(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
-    """Tests whose slip force is that of a far actuation, or not that of others at their own."""
-    loaded = [t for t in tests if t.level > 0.0 and t.features["slip"] > 0.0]
-    for test in loaded if len(loaded) > 2 else ():
-        others = [t for t in loaded if t is not test]
-        levels = np.log([test.level / t.level for t in others])
-        forces = np.log([test.features["slip"] / t.features["slip"] for t in others])
-        near, like = int(np.argmin(np.abs(levels))), int(np.argmin(np.abs(forces)))
-        far = abs(levels[near]) > max(np.log(FAR_LEVEL), np.ptp(levels))
-        if far and abs(forces[like]) < np.log(UNLIKE):
-            much = f"{np.exp(abs(levels[near])):.3g} times"
-            fault = Fault.of(
+def _exchanged(first: Tested, second: Tested) -> Iterator[tuple[str, Fault]]:
+    """Two tests that follow the law of the others once their actuations are exchanged."""
+    for test, other in ((first, second), (second, first)):
+        given = f" ({test.actuation} and {other.actuation})" if test.actuation else ""
+        yield (
+            test.id,
+            Fault.of(
                 "actuation",
-                f"its actuation is {much} {'that' if levels[near] > 0 else 'less than that'} "
-                "of the nearest test, {near}, but its slip force, {slip}, is about the same: "
-                "{why}",
-                near=others[near].id,
-                slip=(test.features["slip"], "kip"),
-                why=_of_actuation(test, float(levels[like]), others),
-            )
-            yield test.id, fault
-            continue
-        same = forces[np.abs(levels) < SAME_LEVEL]
-        if same.size >= FEWEST and abs(ratio := float(np.median(same))) > np.log(UNLIKE):
-            fault = Fault.of(
-                "force",
-                f"its slip force, {{slip}}, is {np.exp(ratio):.2g} times the one of about "
-                "{expected} of the tests at its actuation: its load cell or its actuation is "
-                "probably wrong, or the file is that of another test",
-                slip=(test.features["slip"], "kip"),
-                expected=(test.features["slip"] / float(np.exp(ratio)), "kip"),
-            )
-            yield test.id, fault
+                f"its actuation and that of {{other}}{given} are probably exchanged, or their "
+                "files are: exchanged, both loops follow the law of the other tests",
+                other=other.id,
+            ),
+        )
