@@ -79,7 +79,7 @@ def init(
             say("look next: mfd-bayes respond --help")
             return
         if folder.suffix == ".toml":
-            written, named = pipeline.init_priors(folder, force=force)
+            written, named = pipeline.init_priors(folder, model, force=force)
             say(f"{written} written: read each prior, and replace what you know better")
             if not named:
                 say(f'to use it, write priors = "{written.name}" in [campaign] of {folder}')
@@ -93,7 +93,7 @@ def init(
             say(f"unsure: {doubt}")
         for gap in missing:
             say(f"FIXME: {gap}")
-        if draft.own:
+        if draft.own and wrote_priors:
             say("priors: priors.toml was written; its sizes are guesses, from those of the records")
         elif wrote_priors:
             say(

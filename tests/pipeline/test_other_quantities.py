@@ -151,6 +151,8 @@ FAULTS = [
     ("all.toml", 'file = "bar1', 'actuation = "5 psi"\nfile = "bar1', ("bar2", "in all tests")),
     ("steel.py", "rate_independent = True", "", ("bar1.csv", "no column for time", "rate")),
     ("steel.py", '"stress, MPa"', '"tension"', ("steel.py", "Steel", "response", "unit")),
+    ("steel.py", '"stress, MPa"', '"force, N"', ("class Steel", "in kip", "such as 'load, N'")),
+    ("steel.py", '"strain"', '"displacement, mm"', ("Steel", "in in", "such as 'travel, mm'")),
     ("own.toml", '"1 MPa"', '"1 kip"', ("own.toml", "offset", "'kip'")),
 ]  # fmt: skip
 

@@ -1,6 +1,7 @@
 """A campaign with a model of the user's own, from its file to what is predicted with it."""
 
 import shutil
+import tomllib
 
 import numpy as np
 import pandas as pd
@@ -158,6 +159,34 @@ def test_every_command_takes_its_run(finished, tmp_path):
     building = ("--building", tmp_path / "b.toml", "--ground", tmp_path / "g.csv")
     words = said("respond", out, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "r")
     assert "storey drift" in words
+
+
+def test_init_drafts_its_priors_once_the_units_are_known(tmp_path):
+    (tmp_path / "my_damper.py").write_text(VISCOUS)
+    for name, frequency in {"25mm0x25Hz0x5A.txt": 0.25, "25mm0x5Hz1x0A.txt": 0.5}.items():
+        time, x, speed = motion(frequency)
+        newtons = 800.0 * np.tanh(10 * speed)
+        np.savetxt(tmp_path / name, np.column_stack([time, 25.0 * x, newtons]))
+    own = ("--model", "my_damper.py:Viscous")
+    words = said("init", tmp_path, *own)
+    assert "the unit of force is unknown" in words
+    assert "Hz, but" not in words  # an x between digits is a decimal point
+    assert "init" in words.partition("then:")[2]
+    assert not (tmp_path / "priors.toml").exists()
+    campaign = tmp_path / "campaign.toml"
+    text = campaign.read_text()
+    assert 'actuation = "0.5 A"' in text
+    assert 'actuation = "1 A"' in text
+    text = text.replace("{ column = 2 }", '{ column = 2, unit = "mm" }')
+    campaign.write_text(text.replace("{ column = 3 }", '{ column = 3, unit = "N" }'))
+    for model in ((), own):
+        said("init", campaign, *model, "--force")
+        drafted = tomllib.loads((tmp_path / "priors.toml").read_text())
+        assert set(drafted["parameters"]) == {*TRUTH, "offset", "noise_sd", "noise_time"}
+        assert abs(float(drafted["parameters"]["c"]["median"].split()[0]) - 0.18) < 0.01  # kip
+        groups = [group["parameters"] for group in drafted["scatter"].values()]
+        assert sorted(groups) == sorted([name] for name in drafted["parameters"])
+    said("calibrate", campaign, "-o", tmp_path / "out", "--dry-run")
 
 
 FAULTS = [
