@@ -80,9 +80,6 @@ MAX_PLOTTED_DRAWS = 2000
 
 HELD_OUT_DRAWS = 800
 
-FAR_APART = 0.25
-"""A median alone and one in the joint posterior that differ by less, a share, do not disagree."""
-
 _CORNER = (
     *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
     *("k_fwd", "k_bwd", "gap", "n", "ell"),
@@ -358,7 +355,7 @@ def _parameters(
 def with_joint(run: Run, view: TestView) -> TestView:
     """A fitted test with each parameter's interval in the joint posterior of all tests.
 
-    Alone and together disagree where the intervals do not overlap and the medians are far apart.
+    Alone and together disagree where the intervals do not overlap.
     """
     if not view.rows or not run.sequence.pooled(view.id):
         return view
@@ -371,9 +368,7 @@ def with_joint(run: Run, view: TestView) -> TestView:
             rows.append(row)
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
-        of_device = name in (*model.parameters, "ell") and row["contraction"] >= INFORMED
-        apart = of_device and (low > row["upper"] or high < row["lower"])
-        apart = apart and abs(middle - row["median"]) > FAR_APART * abs(row["median"])
+        apart = name in (*model.parameters, "ell") and (low > row["upper"] or high < row["lower"])
         together = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
         rows.append(row | together | {"disagrees": bool(apart)})
     return replace(view, rows=tuple(rows))
