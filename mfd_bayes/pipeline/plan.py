@@ -110,7 +110,7 @@ def findings_together(
 ) -> list[tuple[str, Fault]]:
     """What the comparison of tests with each other, and with the priors of a model, shows."""
     gap = priors.gap if model.has_gap else None
-    found = compare_tests(tests)
+    found = compare_tests(tests, same_motion=not model.standard_names)
     named = {name for name, fault in found if fault.name != "duplicate"}
     if not model.standard_names:  # its parameters may have the names of others
         return found
