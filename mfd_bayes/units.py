@@ -484,7 +484,8 @@ class Axes:
         """What stands for each word of a damper."""
         motion, response = self.motion.name, self.response.name
         many = f"{response}es" if response.endswith("s") else f"{response}s"
-        names = {"offset of the load cell": f"offset of the {response}"}
+        names = {"offset of the load cell": f"offset of the {response}", "load cell": "sensor"}
+        names |= {"of the damper": "of the device", "spikes at build-up": "spikes"}
         if self.response != DAMPER.response:
             names |= {"force": response, "forces": many}
             names |= {"slip force": response, "slip force and gap": response}

@@ -403,6 +403,9 @@ def predict(
         str,
         Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several."),
     ] = "",
+    session: Annotated[
+        str, Option(help="A session of the campaign; else a new one, if several.")
+    ] = "",
     date: options.Date = "",
     cycles: options.Cycles = None,
     temperature: options.Temperature = "",
@@ -489,7 +492,8 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     if answer.design:
         console.print_design(answer.design, band.probability)
     if not quiet:
-        console.print_derived(answer.derived, band.probability)
+        title = answer.system.text("Derived quantities, of the damper without offset and noise")
+        console.print_derived(answer.derived, band.probability, title)
         console.say(f"look next at {question.beside('derived.csv')}")
 
 
@@ -820,8 +824,9 @@ def export(
 
     quofem: a column per variable without a header, grouped so that correlations are
     kept, and dakotaTab.out. opensees: a material fitted to predicted loops, with its
-    misfit. csv: one table with names and units. All are in kip, in and ksi. Outside of
-    the tested actuations it warns, far outside it refuses.
+    misfit. csv: one table with names and units. All are in kip, in and ksi, those of a
+    model of your own in its units, which about.json has. Outside of the tested
+    actuations it warns, far outside it refuses.
 
     Example:
       mfd-bayes export out --to quofem --actuation "1000 psi" -o samples

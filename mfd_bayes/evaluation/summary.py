@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import (
-    Effort,
     contraction,
     identify,
     log_if_positive,
@@ -567,7 +566,7 @@ def verdict_sentences(
         sentences.append(Message(f"{which} reproduced within tolerance."))
     lost = {check.test for check in failed if check.check == CALIBRATION}
     advice = "correct what is wrong first" if wrong else "give a larger --effort"
-    sentences.append(_of_sampling(failed, manifest.effort, len(judged) - len(lost), advice))
+    sentences.append(_of_sampling(failed, manifest, len(judged) - len(lost), advice))
     if len(judged) > 1 and judged[0].use != Use.USABLE:
         worst, second = judged[:2]
         alone = "" if second.misfit < worst.misfit else " (as little as {second})"
@@ -581,8 +580,11 @@ def verdict_sentences(
     return tuple(sentences)
 
 
-def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advice: str) -> Message:
+def _of_sampling(
+    failed: Sequence[Check], manifest: Manifest, calibrated: int, advice: str
+) -> Message:
     """Whether the sampling reached its targets, and what to do where it did not."""
+    effort, laws = manifest.effort, "laws" if manifest.axes.actuated else "population"
     limits = f"R-hat <= {effort.r_hat:g}, bulk and tail ESS >= {effort.ess:g}"
     where: dict[str, list[str]] = {}
     for c in failed:
@@ -590,7 +592,7 @@ def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advic
             where.setdefault(c.test, []).append(f"{c.check} of {c.feature}")
     if not where:
         tests = "The calibrated test" if calibrated == 1 else f"All {calibrated} calibrated tests"
-        return Message(f"{tests} and the laws converged ({limits}).")
+        return Message(f"{tests} and the {laws} converged ({limits}).")
     names = ", ".join(
         f"{test} ({first}{f' and {len(more)} more' if more else ''})"
         for test, (first, *more) in sorted(where.items())

@@ -569,8 +569,8 @@ NUMBER = (
     r"|(?!(?<=\d,)\d{3}(?!\d))"  # no part of 1,200
     r"(?:(?:\d+[.p]\d+|0x\d+|\d+x\d{1,2})(?!\d)|\d+(?!\d|[.p]\d)))"
 )  # whole: Python 3.11.2 misreads (\d++)?+
-"""Number in a name: ``0.5``, ``0p5``, ``0x5``, ``0,5``. Of ``1,200`` it is not known which it is, and
-commas may stand between words too, as in ``2022,36lb,0.25Hz``.
+"""Number in a name: ``0.5``, ``0p5``, ``0x5``, ``0,5``. Of ``1,200`` it is not known which it is,
+and commas may stand between words too, as in ``2022,36lb,0.25Hz``.
 """
 
 _ALONE = rf"(?<![A-Za-z]){NUMBER}"
