@@ -484,7 +484,8 @@ class Axes:
         """What stands for each word of a damper."""
         motion, response = self.motion.name, self.response.name
         many = f"{response}es" if response.endswith("s") else f"{response}s"
-        names = {"offset of the load cell": f"offset of the {response}"}
+        names = {"offset of the load cell": f"offset of the {response}", "load cell": "sensor"}
+        names |= {"of the damper": "of the device", "spikes at build-up": "spikes"}
         if self.response != DAMPER.response:
             names |= {"force": response, "forces": many}
             names |= {"slip force": response, "slip force and gap": response}
@@ -504,6 +505,9 @@ DAMPER = Axes()
 """Displacement in in and force in kip, over time."""
 
 
+_OTHER_NAMES = {"displacement": "travel, mm", "force": "load, N"}
+
+
 def axis_of(given: object, default: Axis) -> Axis:
     """Axis of "stress, MPa", ("stress", "MPa"), or of a quantity of `UNITS` alone, "stress"."""
     parts = given if isinstance(given, tuple | list) else str(given).split(",", 1)
@@ -517,7 +521,11 @@ def axis_of(given: object, default: Axis) -> Axis:
     if name in ("displacement", "force"):
         own = Axis(name, {"displacement": "in", "force": "kip"}[name])
         if own != default or unit not in ([], [own.unit]):
-            raise UnitError(f"a {name} is in {own.unit} here, got {given!r:.60}")
+            raise UnitError(
+                "a model gets its displacement in in and gives its force in kip, whatever the "
+                f"units of the records, got {given!r:.60}: leave the unit out, or use another name "
+                f"than {name}, such as '{_OTHER_NAMES[name]}'"
+            )
         return own
     if not unit and name not in UNITS:
         raise UnitError(f"{name!r} needs a unit, such as '{name}, kN*m'; 1 is that of a ratio")

@@ -26,7 +26,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from mfd_bayes.errors import FitError, PriorError, UnitError, whole_number
-from mfd_bayes.friction.model import Model, Quantity, columns_in_order, named_columns, named_vectors
+from mfd_bayes.friction.model import (
+    BESIDE,
+    Model,
+    Quantity,
+    columns_in_order,
+    named_columns,
+    named_vectors,
+)
 from mfd_bayes.friction.models import MODELS, find_model
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.store.cards import card, counted
@@ -753,8 +760,10 @@ class Posterior:
             trace=trace, model=chosen, noise=kind, priors=own, names=names, first=first
         )
         if chosen.own:  # a user's model that cannot be used is refused before it is sampled
-            typical = {name: np.array([prior.typical]) for name, prior in own.items()}
-            chosen.force(chosen.theta(typical), trace)
+            drawn = self.draw_prior(np.random.default_rng(0), 1)
+            values = {name: np.append(own[name].typical, drawn[name]) for name in own}
+            beside = values | {name: values[name] * (1.0 - BESIDE) for name in names}
+            chosen.check_force(chosen.theta(values), chosen.theta(beside), trace)
 
     def _repr_html_(self) -> str:
         trace = self.trace

@@ -69,7 +69,7 @@ class TestDraft:
     source: str  # where the actuation stands, or which columns might hold it
     doubts: tuple[str, ...]  # about the actuation and the file's name
     scales: Scales | None  # of a damper's loops; None where a unit is unknown
-    ranges: tuple[float, float]  # of motion and response, in the model's units
+    ranges: tuple[float, float] | None  # of motion and response; None where a unit is unknown
 
     @property
     def earthquake(self) -> bool:
@@ -87,7 +87,13 @@ class Draft:
     unit: ActuationUnit | None  # of the actuations, "ksi" of pressures; None if unknown
     axes: Axes = DAMPER
     model: str = "three_stage"
-    own: Model | None = None  # a model of the user's own
+    own: Model | None = None  # a model with parameters of the user's own
+
+    @property
+    def ranges(self) -> list[tuple[float, float]]:
+        """Motion and response of every test, in the model's units; empty where one is unknown."""
+        ranges = [test.ranges for test in self.tests if test.ranges is not None]
+        return ranges if len(ranges) == len(self.tests) else []
 
     @property
     def scales(self) -> dict[str, Scales]:
@@ -102,8 +108,8 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
         paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
     except OSError as error:
         raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
-    own = find_model(model, folder) if model else None
-    axes = replace(own.axes, actuated=bool(own.actuated)) if own else DAMPER
+    chosen = find_model(model, folder) if model else None
+    axes = replace(chosen.axes, actuated=bool(chosen.actuated)) if chosen else DAMPER
     files: list[TestFile] = []
     tests: list[TestDraft] = []
     left_out: list[tuple[str, str]] = []
@@ -132,6 +138,7 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
             f"{folder} holds no test, a file with {', '.join(roles)} and {axes.response.name}"
             + (f": {reasons}" if reasons else f" and one of the suffixes {', '.join(SUFFIXES)}")
         )
+    own = chosen if chosen and has_own_parameters(chosen) else None
     return Draft(folder, tuple(tests), tuple(left_out), unit, axes, model or Draft.model, own)
 
 
@@ -180,7 +187,9 @@ def _draft_test(
     """Draft of a file; raises where the file cannot be read with the guessed columns."""
     actuation, source, doubts = (None, "", ()) if not axes.actuated else actuation_of(file, unit)
     roles, scales = dict(file.columns), None
-    record = _read_record(file.path, roles, actuation, axes)
+    record, ranges = _read_record(file.path, roles, actuation, axes), None
+    if all(roles[role].unit is not None for role in ("displacement", "force")):
+        ranges = ranges_of(record)
     if axes.of_damper and axes.timed:
         if runs_backward(record.trace()):
             doubt = (
@@ -199,7 +208,7 @@ def _draft_test(
             scales = scales_of(record.trace())
     return TestDraft(
         *(new_id(file.path.stem, taken), file.path.name, roles, actuation, source, doubts, scales),
-        (float(np.ptp(record.displacement)), float(np.ptp(np.asarray(record.force)))),
+        ranges,
     )
 
 
@@ -290,8 +299,10 @@ def campaign_text(draft: Draft) -> str:
 
 def _priors_of(draft: Draft) -> tuple[str, str]:
     """Shipped priors that know such a device, else those read off the records; and why these."""
+    later = "FIXME: once the units are complete, write it by: mfd-bayes init campaign.toml"
     if draft.own:
-        return WRITTEN, "wide, of the sizes of the records: replace each by what you know"
+        wide = "wide, of the sizes of the records: replace each by what you know"
+        return WRITTEN, wide if draft.ranges else later
     name, why = _PRIORS.get(draft.unit, _OTHER)
     if draft.scales:
         if knows(name, draft.scales):
@@ -299,18 +310,18 @@ def _priors_of(draft: Draft) -> tuple[str, str]:
         return WRITTEN, "scales read off the records: no shipped file knows such a device"
     if all(guess.unit is not None for test in draft.tests for guess in test.columns.values()):
         return name, why
-    return WRITTEN, "FIXME: once the units are complete, write it by: mfd-bayes init campaign.toml"
+    return WRITTEN, later
 
 
 def lacks_priors(draft: Draft) -> bool:
     """Whether priors are to be read off the records, and cannot yet for want of units."""
-    return _priors_of(draft)[0] == WRITTEN and not (draft.scales or draft.own)
+    return _priors_of(draft)[0] == WRITTEN and not (draft.ranges if draft.own else draft.scales)
 
 
 def own_priors(draft: Draft) -> str | None:
     """Text of the prior file of a draft that needs one of its own, and whose units are known."""
     if draft.own:
-        return priors_of_model(draft.own, [test.ranges for test in draft.tests])
+        return priors_of_model(draft.own, draft.ranges) if draft.ranges else None
     if _priors_of(draft)[0] != WRITTEN or not draft.scales:
         return None
     force, length = (
@@ -527,7 +538,19 @@ _HEAD_OWN = """\
 # units of the response, the motion or their ratio have the size of the records, all others 0.3.
 # For a motion without a unit, such as strain, a stiffness looks like a response: give its size.
 # A spread of 1.5 is a factor of 4.5 both ways. Replace each by what you know, and say why.
+# The parameters of one group under [scatter] share one spread between tests, one between sessions
+# and one between levels: each has a group of its own here.
 """
+
+
+def has_own_parameters(model: Model) -> bool:
+    """Whether a model has parameters that no model of the package has, and no prior file of it."""
+    return not model.standard_names.issuperset(q.name for q in model.quantities)
+
+
+def ranges_of(record: Record) -> tuple[float, float]:
+    """Ranges of motion and response of a record, in the model's units."""
+    return float(np.ptp(record.displacement)), float(np.ptp(np.asarray(record.force)))
 
 
 def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
@@ -538,8 +561,7 @@ def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
     known = {f: response, x: motion, f"({f})/({x})": ratio, f"({x})/s": motion}
     known[f"({f})*s/({x})"] = ratio
     lines = [_HEAD_OWN, f"title = {quoted(f'{model.name}, drafted')}\n", "[parameters]"]
-    logs: list[str] = []
-    scatter: list[tuple[str, list[str], str]] = []
+    scatter: dict[str, str] = {}
     for quantity in model.quantities:
         name, unit = quantity.name, quantity.unit
         alike = next((u for u in known if unit != "1" and measures(u, unit)), "")
@@ -548,9 +570,9 @@ def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
             prior = (
                 f'family = "normal", mean = {_with_unit(0.0, unit)}, sd = {_with_unit(size, unit)}'
             )
-            scatter.append((name, [name], _with_unit(0.1 * size, unit)))
+            scatter[name] = _with_unit(0.1 * size, unit)
         else:
-            logs.append(name)
+            scatter[name] = "0.2"
             prior = f'family = "lognormal", median = {_with_unit(size, unit)}, spread = 1.5'
             if quantity.most == 1.0:
                 prior = 'family = "beta", a = 2, b = 2'
@@ -564,11 +586,10 @@ def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
         "noise_time": f'family = "lognormal", median = {memory}, spread = 1.0, reason = "FIXME"',
     }
     lines += [*(f"{name} = {{ {prior} }}" for name, prior in more.items()), "\n[scatter]"]
-    scatter += [("parameters", logs, "0.2")] if logs else []
-    scatter += [("noise", ["noise_sd", "noise_time"], "0.3"), ("offset_group", ["offset"], offset)]
+    scatter |= {"offset": offset, "noise_sd": "0.3", "noise_time": "0.3"}
     why = commented("from test to test: replace it by what you know")
-    for name, names, sd in scatter:
-        lines.append(f"{name} = {{ parameters = {_toml(names)}, sd = {sd} }}  {why}")
+    for name, sd in scatter.items():
+        lines.append(f"{name} = {{ parameters = {_toml([name])}, sd = {sd} }}  {why}")
     return "\n".join(lines) + "\n"
 
 

@@ -13,7 +13,13 @@ from unicodedata import normalize
 import numpy as np
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError
-from mfd_bayes.records.data_quality import NUMBER, SLOW_PERIOD, SLOW_RATE, level_text
+from mfd_bayes.records.data_quality import (
+    NUMBER,
+    SLOW_PERIOD,
+    SLOW_RATE,
+    is_product,
+    level_text,
+)
 from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.record import Source, step_of
 from mfd_bayes.records.table import (
@@ -355,7 +361,9 @@ IDLE = "no actuation: only laws with an intercept learn from it, affine and resi
 _UNITS = r"psi|ksi|kpa|mpa|bar|kn|n|lbf|lbs|lb|kips|kip"
 _DRIVES = r"ma|amps?|a|mv|volts?|v|turns?|clicks?|nm"
 _WITH_UNIT = re.compile(rf"{NUMBER}[ _-]?({_UNITS})(?![a-z])", re.IGNORECASE)
-_DRIVEN = re.compile(rf"(?<![A-Za-z]){NUMBER}[ _-]?({_DRIVES})(?![a-z])", re.IGNORECASE)
+_DRIVEN = re.compile(
+    rf"(?:(?<![a-z])|(?<=\dhz)|(?<=\dmm)){NUMBER}[ _-]?({_DRIVES})(?![a-z])", re.IGNORECASE
+)
 # what follows a number may not make another of it, or be its unit
 _ENDS = r"(?![\d.]*[a-z]|,\d{3}(?!\d)|,\d{1,2}(?![\d.,a-z]))"
 _PRESSURE = re.compile(rf"(?<![a-z])(?:p|press|pressure)[ _=-]?{NUMBER}{_ENDS}", re.I)
@@ -412,6 +420,7 @@ class Level:
 
 def _level(number: str, unit: str, place: str, doubt: str = "") -> Level:
     text = level_text(number, unit)
+    doubt = doubt or (f"{number} is taken for {text}" if is_product(number) else "")
     return Level(text, *parse_actuation(text), place, doubt)
 
 

@@ -79,7 +79,7 @@ def init(
             say("look next: mfd-bayes respond --help")
             return
         if folder.suffix == ".toml":
-            written, named = pipeline.init_priors(folder, force=force)
+            written, named = pipeline.init_priors(folder, model, force=force)
             say(f"{written} written: read each prior, and replace what you know better")
             if not named:
                 say(f'to use it, write priors = "{written.name}" in [campaign] of {folder}')
@@ -93,7 +93,7 @@ def init(
             say(f"unsure: {doubt}")
         for gap in missing:
             say(f"FIXME: {gap}")
-        if draft.own:
+        if draft.own and wrote_priors:
             say("priors: priors.toml was written; its sizes are guesses, from those of the records")
         elif wrote_priors:
             say(
@@ -408,6 +408,9 @@ def predict(
         str,
         Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several."),
     ] = "",
+    session: Annotated[
+        str, Option(help="A session of the campaign; else a new one, if several.")
+    ] = "",
     date: options.Date = "",
     cycles: options.Cycles = None,
     temperature: options.Temperature = "",
@@ -495,7 +498,8 @@ def _print_answer(answer: Answer, question: Question, *, quiet: bool) -> None:
     if answer.design:
         console.print_design(answer.design, band.probability)
     if not quiet:
-        console.print_derived(answer.derived, band.probability)
+        title = answer.system.text("Derived quantities, of the damper without offset and noise")
+        console.print_derived(answer.derived, band.probability, title)
         console.say(f"look next at {question.beside('derived.csv')}")
 
 
@@ -830,8 +834,9 @@ def export(
 
     quofem: a column per variable without a header, grouped so that correlations are
     kept, and dakotaTab.out. opensees: a material fitted to predicted loops, with its
-    misfit. csv: one table with names and units. All are in kip, in and ksi. Outside of
-    the tested actuations it warns, far outside it refuses.
+    misfit. csv: one table with names and units. All are in kip, in and ksi, those of a
+    model of your own in its units, which about.json has. Outside of the tested
+    actuations it warns, far outside it refuses.
 
     Example:
       mfd-bayes export out --to quofem --actuation "1000 psi" -o samples

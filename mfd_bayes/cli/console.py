@@ -156,12 +156,12 @@ def print_truth(view: CampaignView, *, quiet: bool = False) -> None:
     )
 
 
-def print_derived(rows: Rows, probability: float) -> None:
+def print_derived(rows: Rows, probability: float, title: str) -> None:
     """Print the derived quantities of a prediction."""
     low, high = (f"{percent(0.5 * (1 + side * probability))} %" for side in (-1, 1))
     keys = ("mean", "sd", "lower", "median", "upper", "measured")
     print_rows(
-        "Derived quantities, of the damper without offset and noise",
+        title,
         ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured"),
         [(r["name"], r["unit"], *_figures(r[key] for key in keys)) for r in rows],
         folded=0,

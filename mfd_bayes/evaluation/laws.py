@@ -65,6 +65,11 @@ def law_rows(run: Run) -> Rows:
             rows.append(_row(name, kinds[name], draws, f"{law} law; at {at}", **converged))
         shapes = dict(zip(("share", "exponent"), population.shapes(name), strict=True))
         drawn |= {f"{shape}_{name}": shapes[shape] for shape in shapes if shape in shapes_of(law)}
+    if not run.model.standard_names:
+        for name in (n for n in design.names if n in run.model.parameters and n not in design.laws):
+            draws = population.median(name, [design.reference])[..., 0]
+            converged = _converged(draws, population.walkers)
+            rows.append(_row(name, kinds[name], draws, "median over the tests", **converged))
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
     drawn |= spreads | {f"dependence_{name}": b for name, b in population.dependences.items()}

@@ -243,19 +243,20 @@ def predicted_rows(
     after: str = "",
     given: Trace | None = None,
     device: str = "",
+    session: str = "",
 ) -> Rows:
     """Properties of a prediction, with intervals of the band's probability.
 
     Those of a band of kind "observation" have offset and noise, as a measured record has them. The
     measured values of a `record` stand beside them. `after` is the test that the motion follows
-    without a reset, `given` the trace with the force of the part that was given, `device` the one
-    that was predicted.
+    without a reset, `given` the trace with the force of the part that was given, `device` and
+    `session` those that were predicted.
     """
     test = band
     if band.kind == "observation":
         window = band.given.window if band.given else None
         how: dict[str, Any] = {"given": window, "after": after, "draws": len(band.draws)}
-        how |= {"device": device} if device else {}
+        how |= {"session": session} | ({"device": device} if device else {})
         test = source.predict(given or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):
         first = source.runs[0]

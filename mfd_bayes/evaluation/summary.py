@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import (
-    Effort,
     contraction,
     identify,
     log_if_positive,
@@ -81,9 +80,6 @@ MAX_PLOTTED_DRAWS = 2000
 """Most draws of a quantity in figures."""
 
 HELD_OUT_DRAWS = 800
-
-FAR_APART = 0.25
-"""A median alone and one in the joint posterior that differ by less, a share, do not disagree."""
 
 _CORNER = (
     *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
@@ -361,7 +357,7 @@ def _parameters(
 def with_joint(run: Run, view: TestView) -> TestView:
     """A fitted test with each parameter's interval in the joint posterior of all tests.
 
-    Alone and together disagree where the intervals do not overlap and the medians are far apart.
+    Alone and together disagree where the intervals do not overlap.
     """
     if not view.rows or not run.sequence.pooled(view.id):
         return view
@@ -374,9 +370,7 @@ def with_joint(run: Run, view: TestView) -> TestView:
             rows.append(row)
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
-        of_device = name in (*model.parameters, "ell") and row["contraction"] >= INFORMED
-        apart = of_device and (low > row["upper"] or high < row["lower"])
-        apart = apart and abs(middle - row["median"]) > FAR_APART * abs(row["median"])
+        apart = name in (*model.parameters, "ell") and (low > row["upper"] or high < row["lower"])
         together = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
         rows.append(row | together | {"disagrees": bool(apart)})
     return replace(view, rows=tuple(rows))
@@ -575,7 +569,7 @@ def verdict_sentences(
         sentences.append(Message(f"{which} reproduced within tolerance."))
     lost = {check.test for check in failed if check.check == CALIBRATION}
     advice = "correct what is wrong first" if wrong else "give a larger --effort"
-    sentences.append(_of_sampling(failed, manifest.effort, len(judged) - len(lost), advice))
+    sentences.append(_of_sampling(failed, manifest, len(judged) - len(lost), advice))
     if len(judged) > 1 and judged[0].use != Use.USABLE:
         worst, second = judged[:2]
         alone = "" if second.misfit < worst.misfit else " (as little as {second})"
@@ -600,8 +594,11 @@ def verdict_sentences(
     return tuple(sentences)
 
 
-def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advice: str) -> Message:
+def _of_sampling(
+    failed: Sequence[Check], manifest: Manifest, calibrated: int, advice: str
+) -> Message:
     """Whether the sampling reached its targets, and what to do where it did not."""
+    effort, laws = manifest.effort, "laws" if manifest.axes.actuated else "population"
     limits = f"R-hat <= {effort.r_hat:g}, bulk and tail ESS >= {effort.ess:g}"
     where: dict[str, list[str]] = {}
     for c in failed:
@@ -609,7 +606,7 @@ def _of_sampling(failed: Sequence[Check], effort: Effort, calibrated: int, advic
             where.setdefault(c.test, []).append(f"{c.check} of {c.feature}")
     if not where:
         tests = "The calibrated test" if calibrated == 1 else f"All {calibrated} calibrated tests"
-        return Message(f"{tests} and the laws converged ({limits}).")
+        return Message(f"{tests} and the {laws} converged ({limits}).")
     names = ", ".join(
         f"{test} ({first}{f' and {len(more)} more' if more else ''})"
         for test, (first, *more) in sorted(where.items())

@@ -108,7 +108,7 @@ class Check:
             has_unit = self.unit not in ("1", "dimensionless")
             values[name] = Quantity.of(value, unit=self.unit) if has_unit else f"{value:.3g}"
         if self.check == PREDICTIVE:
-            return Message("{feature} {observed} where {expected} is expected", values)
+            return Message(f"{self.feature} {{observed}} where {{expected}} is expected", values)
         return Message(f"{self.check} of {{feature}}: {{observed}} ({self.limit})", values)
 
 

@@ -243,6 +243,11 @@ Scales = Mapping[str, ArrayLike] | None
 
 PIECE = 1 << 15  # size of a piece's arrays, in numbers: they stay in the cache
 
+REPEATED, ROWS = 1e-9, 1e-4
+"""Shares of a force by which it may differ once more, and where other rows stand beside it."""
+BESIDE, STEPPED = 1e-4, 0.05
+"""A change of all parameters, and the least share of the forces that must change with it."""
+
 _NONE: Mapping[str, str] = MappingProxyType({})
 OTHERS = MappingProxyType({"in": "inch", "kip": "klbf"})
 _FORCE = " force"  # where the memory of a user's own model keeps it; no name of theirs begins so
@@ -403,6 +408,55 @@ class Model:
             When a shape, a name or a value does not fit, or the force is too large for a number.
         """
         return self._finite("force", theta, trace, start, scales)
+
+    def check_force(self, theta: Array, beside: Array, trace: Trace) -> None:
+        """Refuse a force that is no smooth function of one parameter vector alone.
+
+        Parameters
+        ----------
+        theta : (n, p)
+            Different vectors; that of the first must give finite numbers.
+        beside : (n, p)
+            The same, a little changed.
+        trace : Trace
+
+        Raises
+        ------
+        FitError
+            When the same vectors give another force once more, in another order or alone, or those
+            beside them the same.
+        """
+        self.force(theta[:1], trace)
+
+        def force(rows: Array) -> Array:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                return self.force_unbounded(rows, trace)
+
+        first, again = force(theta), force(theta)
+        turned, alone = (
+            force(theta[::-1])[::-1],
+            np.concatenate([force(row[None]) for row in theta]),
+        )
+        size = np.max(np.abs(first), axis=1, keepdims=True, where=np.isfinite(first), initial=0.0)
+        state = "for the same parameters: it must not keep a state or draw random numbers"
+        row = "every row of theta must be computed by itself"
+        for other, share, wrong in (
+            (again, REPEATED, state),
+            (turned, ROWS, f"where the rows of theta stand in another order: {row}"),
+            (alone, ROWS, f"where a row of theta stands alone: {row}"),
+            (force(theta), REPEATED, state),
+        ):
+            if not np.all(np.isclose(other, first, 0.0, share * size, equal_nan=True)):
+                raise FitError(f"{self.where} gives another force {wrong}")
+        ends = (f(first, axis=1, keepdims=True) for f in (np.min, np.max))
+        between = np.all([first != end for end in (0.0, *ends)], axis=0)  # a limit may be fixed
+        masks = between, first != 0.0, np.ones(first.shape, dtype=bool)
+        telling = next(mask for mask in masks if mask.any())
+        if np.mean((force(beside) != first)[telling]) < STEPPED:
+            raise FitError(
+                f"{self.where} gives the same force for parameters that differ by "
+                f"{BESIDE:.2%}: it must not round, or cast to whole numbers"
+            )
 
     def force_unbounded(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None, scales: Scales = None
@@ -733,6 +787,10 @@ class Model:
     def _checked(self, name: str, values: Any, shape: tuple[int, ...]) -> Array:
         """Numbers of a shape that a function of a user's own class has given."""
         numbers = real_numbers(f"the {name} of {self.where}", values, FitError)
+        if (kind := np.asarray(values).dtype).kind in "biu":
+            raise FitError(
+                f"the {name} of {self.where} must give floats, got values of type {kind}"
+            )
         if numbers.shape != shape:
             raise FitError(
                 f"the {name} of {self.where} must give an array of shape {shape}, one force for "
@@ -747,7 +805,8 @@ class Model:
         checked = {}
         for key, values in memory.items():
             what = f"{key} in the state of {self.where}"
-            checked[str(key)] = numbers = real_numbers(what, values, FitError)
+            checked[str(key)] = numbers = real_numbers(what, values, FitError).view()
+            numbers.flags.writeable = False  # a step leaves the old state as it is
             if numbers.shape[-1:] != (n,):
                 raise FitError(
                     f"{what} must have {n} values on its last axis, one for each damper; got the "

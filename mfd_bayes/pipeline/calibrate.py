@@ -260,7 +260,7 @@ def _infer_population(
 ) -> Manifest:
     """Infer the population from the stored posteriors, and store it."""
     began, options, model = time.perf_counter(), plan.options, plan.campaign.force_model
-    observe(Step("population", "comparing laws"))
+    observe(Step("population", "comparing laws" if model.laws else "the joint fit"))
     inference = infer_population(
         results,
         plan.priors,

@@ -64,17 +64,21 @@ def export(out: Path, request: Export) -> tuple[list[str], list[str]]:
     check_folder(folder, force=request.force)
     run = open_run(out, trust=request.trust_model)
     level = float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
+    actuated = run.manifest.axes.actuated
     if request.actuation:
+        if not actuated:
+            raise CampaignError("--actuation: the campaign's tests have none; leave it out")
         level = run.level_of(request.actuation)
-    outside = departures(run.tested, [Span("actuation", run.actuation_unit, level, level)])
+    reach = [Span("actuation", run.actuation_unit, level, level)] if actuated else []
+    outside = departures(run.tested, reach)
     far = far_sentences(outside, run.system)
     if far and not request.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to export it all the same")
     remarks = [departure.sentence(run.system) for departure in outside]
     units, samples = _samples(run, level, request)
-    about = {
+    about: dict[str, object] = {
         "made_by": _MADE_BY,
-        "actuation": {"value": level, "unit": run.actuation_unit},
+        **({"actuation": {"value": level, "unit": run.actuation_unit}} if actuated else {}),
         "variables": units,
         "draws": request.draws,
         "seed": request.seed,
@@ -93,7 +97,7 @@ def export(out: Path, request: Export) -> tuple[list[str], list[str]]:
 
 
 def _samples(run: Run, level: float, request: Export) -> tuple[dict[str, str], Array]:
-    """Units of a new device's parameters and start, by name, and their draws (n, p + 1)."""
+    """Units of a new device's parameters, and start in its gap, by name, and their draws (n, m)."""
     model = next(iter(run.tests.values())).posterior.model
     matrix, vector = np.ones((1, 1)), np.ones(1)
     building = Building(
@@ -103,8 +107,10 @@ def _samples(run: Run, level: float, request: Export) -> tuple[dict[str, str], A
     )
     dampers = draw_dampers(run.population, model, building, draws=request.draws, seed=request.seed)
     known = {q.name: q.unit for q in model.quantities}
-    units = {name: known.get(name, "1") for name in model.parameters} | {"start": "1"}
-    return units, np.column_stack([dampers.theta[:, 0], dampers.start[:, 0]])
+    units = {name: known.get(name, "1") for name in model.parameters}
+    if not model.has_gap:
+        return units, dampers.theta[:, 0]
+    return units | {"start": "1"}, np.column_stack([dampers.theta[:, 0], dampers.start[:, 0]])
 
 
 def _without_others(folder: Path, about: dict[str, object]) -> dict[str, object]:
@@ -171,7 +177,8 @@ def _write_opensees(folder: Path, run: Run, samples: Array, about: dict[str, obj
     """Materials fitted to each draw's loops; their misfits are added to `about`."""
     model = next(iter(run.tests.values())).posterior.model
     stroke = max((s.highest for s in run.tested if s.name == "stroke"), default=2.0)
-    fits = equivalents(model, samples[:, :-1], samples[:, -1], 0.5 * stroke)
+    theta, start = samples[:, : len(model.parameters)], samples[:, -1]
+    fits = equivalents(model, theta, start, 0.5 * stroke)
     sentences = []
     for name, (commands, misfit) in fits.items():
         lines = [f"# {name} fitted to the predicted loops of draw i; kip, in, s", *commands]

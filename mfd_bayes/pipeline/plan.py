@@ -23,7 +23,16 @@ from mfd_bayes.calibration.diagnostics import find_effort
 from mfd_bayes.calibration.posterior import WRITTEN, Posterior, PriorFile, load_priors
 from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
-from mfd_bayes.campaign.draft import Draft, campaign_text, draft_campaign, own_priors, priors_text
+from mfd_bayes.campaign.draft import (
+    Draft,
+    campaign_text,
+    draft_campaign,
+    has_own_parameters,
+    own_priors,
+    priors_of_model,
+    priors_text,
+    ranges_of,
+)
 from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError, MfdError, RecordError, hash_file
 from mfd_bayes.evaluation.summary import zero_pressure_sentences
@@ -101,7 +110,7 @@ def findings_together(
 ) -> list[tuple[str, Fault]]:
     """What the comparison of tests with each other, and with the priors of a model, shows."""
     gap = priors.gap if model.has_gap else None
-    found = compare_tests(tests)
+    found = compare_tests(tests, same_motion=not model.standard_names)
     named = {name for name, fault in found if fault.name != "duplicate"}
     if not model.standard_names:  # its parameters may have the names of others
         return found
@@ -627,8 +636,8 @@ def _misfits(priors: PriorFile, scales: Scales, names: frozenset[str]) -> Iterat
 def init(folder: Path, model: str = "", *, force: bool = False) -> tuple[Path, Draft, bool]:
     """Path and content of a first campaign.toml, written for the test files in a folder.
 
-    Also returns whether priors.toml was written too: always for a user's own model,
-    "file.py:Class", else where no shipped file knows such a device.
+    Also returns whether priors.toml was written too: where the units are known, for a user's own
+    model, "file.py:Class", and for a device that no shipped file knows.
     """
     path, priors = folder / "campaign.toml", folder / WRITTEN
     _check_new([path], force=force)
@@ -641,21 +650,26 @@ def init(folder: Path, model: str = "", *, force: bool = False) -> tuple[Path, D
     return path, draft, text is not None
 
 
-def init_priors(path: Path, *, force: bool = False) -> tuple[Path, bool]:
+def init_priors(path: Path, model: str = "", *, force: bool = False) -> tuple[Path, bool]:
     """Path of a prior file beside a campaign, its scales read off the campaign's records.
 
-    Also returns whether the campaign names it already.
+    It is for the campaign's model, or another one. Also returns whether the campaign names it
+    already.
     """
-    campaign = load_campaign(path)
+    campaign = load_campaign(path, model or None)
     written = campaign.folder / WRITTEN
     _check_new([written], force=force)
     records = {test.id: test.read() for test in campaign.tests if test.role == "calibrate"}
-    scales = {name: scales_of(record.trace()) for name, record in records.items()}
-    known = {name: scale for name, scale in scales.items() if scale is not None}
-    if not known:
-        raise CampaignError(f"no test of {path} has a force, so it shows no scales of priors")
-    force_unit, length = (_usual_unit(records.values(), r) for r in ("force", "displacement"))
-    write_text(written, priors_text(known, force_unit, length))
+    if has_own_parameters(campaign.force_model) and records:
+        text = priors_of_model(campaign.force_model, [ranges_of(r) for r in records.values()])
+    else:
+        scales = {name: scales_of(record.trace()) for name, record in records.items()}
+        known = {name: scale for name, scale in scales.items() if scale is not None}
+        if not known:
+            raise CampaignError(f"no test of {path} has a force, so it shows no scales of priors")
+        force_unit, length = (_usual_unit(records.values(), r) for r in ("force", "displacement"))
+        text = priors_text(known, force_unit, length)
+    write_text(written, text)
     return written, campaign.priors == WRITTEN
 
 

@@ -83,6 +83,7 @@ class Question:
     after: str = ""
     others: tuple[Path, ...] = ()
     device: str = ""
+    session: str = ""
     date: str = ""
     cycles: float | None = None
     temperature: str = ""
@@ -155,6 +156,7 @@ def predict(out: Path, question: Question) -> Answer:
         "whole": question.whole,
         "given": question.window,
         "after": question.after,
+        "session": question.session,
     }
     if not others:
         how |= {"test": question.test, "device": question.device}
@@ -162,7 +164,7 @@ def predict(out: Path, question: Question) -> Answer:
         how["draws"] = max(n_draws(places_of(run)), DRAWS) if question.design else DRAWS
     band = source.predict(*asked, **how)
     compared_with = record if question.compare else None
-    about = question.after, measured, question.device
+    about = question.after, measured, question.device, question.session
     rows = predicted_rows(source, trace, band, compared_with, *about)
     if question.design:
         remarks += design_warnings(run)
@@ -194,6 +196,7 @@ def check_question(question: Question) -> None:
     for option, value, which in (
         ("--given", question.window, "the one whose first part is given"),
         ("--after", question.after, "one that follows another"),
+        ("--session", question.session, "one of a session"),
     ):
         if value and question.design:
             raise CampaignError(

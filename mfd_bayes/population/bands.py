@@ -248,7 +248,8 @@ class Predictor:
         rng = np.random.default_rng(forecast.seed)
         drawn = self.draw(trace, forecast, rng)
         scatter = "" if forecast.kind == "device" else " with scatter"
-        return self.finish(trace, forecast, drawn, rng, f"population laws{scatter}")
+        laws = "laws" if self.population.design.laws else "medians"
+        return self.finish(trace, forecast, drawn, rng, f"population {laws}{scatter}")
 
     def repeat(self, trace: Trace, forecast: Forecast, own: Mapping[str, Array]) -> Band:
         """Band of the force of one calibrated test under a motion: the kind `this_test`.

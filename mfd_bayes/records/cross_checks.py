@@ -29,6 +29,9 @@ SAME, NOISE, QUIET = 0.025, 1.2, 1e-3
 forces by less than so many sds of their noise (repeated tests differ by 1.4), which is at least the
 last share of the sd of the force."""
 
+SAME_MOTION = 0.1
+"""Strokes, and times of a cycle, that differ by less than this share are the same."""
+
 QUANTITIES = {
     "gap": ("gap", "in"),
     "build_up_slope": ("build-up", "kip/in"),
@@ -97,9 +100,25 @@ class Tested:
         return self.trace.reference_actuation
 
 
-def compare_tests(tests: Sequence[Tested]) -> list[tuple[str, Fault]]:
-    """Faults by test: duplicates, then clocks, signs, units, actuations and other devices."""
-    return [*_duplicates(tests), *_clocks(tests), *_signs(tests), *_odd(tests)]
+def compare_tests(tests: Sequence[Tested], *, same_motion: bool = False) -> list[tuple[str, Fault]]:
+    """Faults by test: duplicates, then clocks, signs, units, actuations and other devices.
+
+    Gap, build-up and slip force are those of a friction damper whatever its motion. Of another
+    device, whose loops may grow with it, only tests of the `same_motion` are compared.
+    """
+    groups = _of_same_motion(tests) if same_motion else [tests]
+    odd = [fault for group in groups for fault in _odd(group)]
+    return [*_duplicates(tests), *_clocks(tests), *_signs(tests), *odd]
+
+
+def _of_same_motion(tests: Sequence[Tested]) -> list[list[Tested]]:
+    """Tests in groups of about one stroke and one time of a cycle."""
+    groups: dict[tuple[float, float], list[Tested]] = {}
+    for test in tests:
+        motion = float(np.ptp(test.trace.displacement)), test.cycle
+        alike = (m for m in groups if np.allclose(m, motion, rtol=SAME_MOTION, atol=0.0))
+        groups.setdefault(next(alike, motion), []).append(test)
+    return [*groups.values()]
 
 
 def _duplicates(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:

@@ -572,10 +572,10 @@ NUMBER = (
     r"(?<![\d.])(?<!\d[eE])(?<![A-Za-z]\d,)"  # no part of 1.5e3, nor of "seal3,5bar"
     r"(0,\d+(?![\d.,])|(?<![A-Za-z])\d{1,3},\d{1,2}(?![\d.,])"
     r"|(?!(?<=\d,)\d{3}(?!\d))"  # no part of 1,200
-    r"(?:\d+[.p]\d+(?!\d)|\d+(?!\d|[.p]\d)))"  # whole: Python 3.11.2 misreads (\d++)?+
-)
-"""Number in a name: ``0.5``, ``0p5``, ``0,5``. Of ``1,200`` it is not known which it is, and commas
-may stand between words too, as in ``2022,36lb,0.25Hz``.
+    r"(?:(?:\d+[.p]\d+|0x\d+|\d+x\d{1,2})(?!\d)|\d+(?!\d|[.p]\d)))"
+)  # whole: Python 3.11.2 misreads (\d++)?+
+"""Number in a name: ``0.5``, ``0p5``, ``0x5``, ``0,5``. Of ``1,200`` it is not known which it is,
+and commas may stand between words too, as in ``2022,36lb,0.25Hz``.
 """
 
 _ALONE = rf"(?<![A-Za-z]){NUMBER}"
@@ -673,7 +673,7 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
         compared.append((_lengths(name), (size, 2 * size), text, shown))
     if loops.period.size and "time" in roles:
         rate = float(1.0 / np.median(loops.period[loops.strong]))
-        rates = {m[0]: number_in(m[1]) for m in _FREQUENCY.finditer(name)}
+        rates = {words: number for words, number, _ in _figures(_FREQUENCY, name)}
         compared.append((rates, (rate, record.rate), f"the record's motion has {rate:.3g} Hz", {}))
     if record.actuation is not None:
         declared, level = {}, float(np.mean(record.actuation))
@@ -697,7 +697,16 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
 
 def _lengths(name: str) -> dict[str, float]:
     """Lengths in a file's name, in, by their words: amplitudes or whole strokes."""
-    return {m[0]: number_in(m[1]) * factor(m[2], "displacement") for m in _LENGTH.finditer(name)}
+    return {w: number * factor(m[2], "displacement") for w, number, m in _figures(_LENGTH, name)}
+
+
+def _figures(pattern: re.Pattern[str], name: str) -> Iterator[tuple[str, float, re.Match[str]]]:
+    """Words of a name and their numbers; ``3x5mm`` may be 3.5 mm, or three cycles of 5 mm."""
+    for match in pattern.finditer(name):
+        yield match[0], number_in(match[1]), match
+        if is_product(match[1]):
+            times = match[1].lower().index("x") + 1
+            yield match[0][times:], float(match[1][times:]), match
 
 
 def length_in_name(record: Record) -> tuple[str, str] | None:
@@ -722,7 +731,12 @@ def length_in_name(record: Record) -> tuple[str, str] | None:
 
 def number_in(text: str) -> float:
     """Number that `NUMBER` has found."""
-    return float(text.lower().replace("p", ".").replace(",", "."))
+    return float(re.sub("[px,]", ".", text.lower()))
+
+
+def is_product(text: str) -> bool:
+    """Whether a number that `NUMBER` has found may be two, as ``2x35``; ``0x35`` cannot."""
+    return re.match("0*[1-9][0-9]*x", text.lower()) is not None
 
 
 def level_text(number: str, unit: str) -> str:

@@ -342,7 +342,10 @@ def _sheet(
     heads: Mapping[str, str],
     symbols: Symbols,
 ) -> Sheet:
-    """Sheet of posteriors: the median, below it the interval and the values under other noises."""
+    """Sheet of posteriors: the median, below it the interval and the values under other noises.
+
+    Where there is a joint posterior of all tests, it comes first.
+    """
     under: dict[tuple[str, str], list[Line]] = {}
     for row in noises:
         name = row["other"].replace("{", "{{").replace("}", "}}")
@@ -351,10 +354,12 @@ def _sheet(
         under.setdefault((row["test"], row["name"]), []).append(line)
     cells: dict[tuple[str, str], dict[str, Cell]] = {}
     for row in rows:
-        lines = [Line("{}", (row["median"],)), Line("[{}, {}]", (row["lower"], row["upper"]))]
+        alone = row["median"], row["lower"], row["upper"]
+        joint = tuple(row.get(f"joint_{key}", math.nan) for key in ("median", "lower", "upper"))
+        middle, *ends = joint if math.isfinite(joint[0]) else alone
+        lines = [Line("{}", (middle,)), Line("[{}, {}]", tuple(ends))]
         if row.get("disagrees", False):
-            joint = tuple(row[f"joint_{key}"] for key in ("median", "lower", "upper"))
-            lines.append(Line("with the others: {} [{}, {}]", joint, marked=True))
+            lines.append(Line("alone: {} [{}, {}]", alone, marked=True))
         lines += under.get((row["test"], row["name"]), [])
         of_quantity = cells.setdefault((row["name"], row["unit"]), {})
         of_quantity[row["test"]] = Cell(tuple(lines), row["note"])

@@ -55,6 +55,7 @@ from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predic
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.population import Ending, Population
+from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.response.analysis import Response, response_of
 from mfd_bayes.response.building import (
@@ -482,7 +483,7 @@ class Run:
         Parameters
         ----------
         trace : Trace
-            With its actuation, in `actuation_unit`.
+            With its actuation, in `actuation_unit`, if the tests have one.
         kind : {"new_test", "device", "observation", "this_test"}
             What the band is about. "device": the mean property, with the uncertainty of the laws
             and of the level's effect. "new_test": this device tested again, also with test-to-test
@@ -521,6 +522,8 @@ class Run:
             has no force in the given window.
         """
         check_trace("trace", trace, FitError)
+        if not self.manifest.axes.actuated:
+            trace = replace(trace, actuation=self.level_of(NO_ACTUATION))
         if given is not None and (test or after):
             other = f"a calibrated test ({test!r})" if test else f"after ({after!r})"
             raise FitError(

@@ -96,6 +96,8 @@ LEVELS = {
     "P1500-2": "1500 psi",
     "2022_35lb_0.50Hz_1.0in": "35 lbf",
     "0p5kN": "0.5 kN",
+    "0x5kN": "0.5 kN",
+    "25mm0x25Hz0x75A": "0.75 A",
     "120 kPa": "120 kPa",
     "tension30": "30 lbf",
     "seal_0,5MPa": "0.5 MPa",

@@ -20,13 +20,16 @@ from mfd_bayes.evaluation.checks import (
     standing_out,
     uncommon_device_values,
 )
-from mfd_bayes.evaluation.summary import noise_rows, views_of_tests
+from mfd_bayes.evaluation.summary import assess, noise_rows, views_of_tests
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
 from mfd_bayes.population.design import Setting
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.reporting.symbols import Symbols
+from mfd_bayes.reporting.tables import paper_sheets
 from mfd_bayes.runs.run import open_run
+from mfd_bayes.store.netcdf import StoredTest
 from tests.population.made import THREE_STAGE, make_population
 
 
@@ -173,3 +176,19 @@ def test_a_start_far_from_the_end_of_the_test_before_is_a_question(made_run):
     for start, first in ((1.0, 1.0), (0.0, -1.0), (0.88, 1.0)):
         assert contradicted_order(run_of(made_run, start, first)) == []
     assert contradicted_order(run_of(made_run, 0.2, after="")) == []
+
+
+def test_intervals_alone_and_together_that_do_not_overlap_disagree(monkeypatch):
+    run, values = open_run(DATA), StoredTest.values
+
+    def higher(stored):  # jointly 0.829 [0.789, 0.868] kip in the first test
+        return (drawn := values(stored)) | {"Fc_bwd": 0.9 + 0.01 * np.tanh(drawn["Fc_bwd"])}
+
+    monkeypatch.setattr(StoredTest, "values", higher)
+    view = assess(run)
+    assert [row["name"] for row in view.tests[0].rows if row["disagrees"]] == ["Fc_bwd"]
+    table, _ = paper_sheets(view, Symbols(run.model))
+    middle, ends, other = next(r.cells[0].lines for r in table.rows if r.name == "Fc_bwd")
+    assert [middle.text(), ends.text()] == ["0.829", "[0.789, 0.868]"]
+    assert other.marked
+    assert other.text().startswith("alone: 0.90")

@@ -168,6 +168,7 @@ def test_what_is_not_there_is_named(folder):
         assert words in str(caught.value)
 
 
+NEXT = "\n        return c * np.sign(trace"
 WRONG = [
     # as a class
     ('"kip"', '"kipp"', "'kipp'"),
@@ -190,8 +191,20 @@ WRONG = [
     ("** alpha\n", "** exit()\n", "SystemExit"),
     ("return c * np.sign(trace", "return 'f' or np.sign(trace", "real"),
     ("trace, scales):", "trace):\n        scales = {'c': 1}", "the actuation changes"),
+    ("** alpha\n", "** alpha * np.random.default_rng().normal()\n", "draw random numbers"),
+    (
+        "return c * np.sign(trace",
+        f"self.n = n = getattr(self, 'n', 0) + c[0, 0]; c = c * n{NEXT}",
+        "a state",
+    ),
+    ("return c * np.sign(trace", f"c = c / c.max(){NEXT}", "where a row of theta stands alone"),
+    ("return c * np.sign(trace", f"c = np.cumsum(c, axis=0){NEXT}", "another order"),
+    ("return c * np.sign(trace", f"c = c.astype(int){NEXT}", "whole numbers"),
+    ("** alpha\n", "** alpha // 0.1 * 0.1\n", "must not round"),
+    ("return c * np.sign(trace", f"return (theta[:, :1] * trace.time).astype(int){NEXT}", "floats"),
     # by its step
     ('return {"c"', 'return [] and {"c"', "dict of arrays"),
+    ('c = state["c"]', 'state["c"] += 1; c = state["c"]', "read-only"),
     ('theta[:, 0], "alpha"', 'theta[0, 0], "alpha"', "2 values on its last axis"),
     ('state["alpha"], state', 'state["alpha"]', "the force and the new state"),
     ('state["alpha"], state', "state.alpha, state", "AttributeError"),

@@ -1,5 +1,6 @@
 """Models of stress over strain, moment over rotation, pressure over flow; with and without time."""
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -95,7 +96,7 @@ def test_a_record_without_time_is_fitted_and_the_truth_is_inside(finished):
         assert abs(middle - 200.0) < 2.0 * (high - low)
         assert not test.trace.timed
     strain = 0.012 * np.sin(np.linspace(0, 10, 300))
-    band = run.predict(mb.Trace.from_arrays(None, strain, 100.0), draws=200)
+    band = run.predict(mb.Trace.from_arrays(None, strain), draws=200)
     truth = 420 * np.tanh(200e3 * strain / 420)
     assert np.mean((band.lower <= truth) & (truth <= band.upper)) > 0.9
 
@@ -117,6 +118,8 @@ def test_tables_and_pages_speak_of_stress_in_the_unit_of_the_records(finished):
         assert not re.search(r"(?i)\b(forces?|displacement|kip|kN|Hz|velocity)\b", page)
     derived = set(pd.read_csv(out / "derived.csv")["quantity"])
     assert {"peak_fwd", "energy_per_cycle"} <= derived
+    medians = pd.read_csv(out / "laws.csv").set_index("constant")["q50"]
+    assert abs(medians["E"] - 200.0) < 20.0  # GPa, of the population
     assert not derived & {"slip_fwd", "c_eq", "gap", "build_up_slope"}
 
 
@@ -126,8 +129,17 @@ def test_every_command_takes_it(finished, tmp_path):
     assert "strain: eps [%], stress: sig_ksi [ksi]" in look
     assert not re.search(NOT_ITS_WORDS, look)
     said("check", out)
+    said("export", out, "--to", "quofem", "-o", tmp_path / "samples")
+    about = json.loads((tmp_path / "samples" / "about.json").read_text())
+    assert "actuation" not in about
+    assert about["variables"] == {"E": "GPa", "strength": "MPa"}
+    assert not (tmp_path / "samples" / "start.txt").exists()
     plain = ("--no-figures", "-o", tmp_path / "sine.csv", "--force")
     sine = ("predict", out, "--sine", "1 %, 3 cycles", *plain)
+    words = said(*sine, "--session", "other")
+    assert "of the device without offset" in words
+    assert "session 'other' is taken for a new one" in words
+    assert not re.search(r"\b(damper|laws|load cell)\b", words)
     assert "peak_fwd" in said(*sine, "--design")
     assert "sample,strain_%,lower_ksi" in (tmp_path / "sine.csv").read_text()
     assert "ksi" in said("predict", out, "--motion", folder / "bar3.csv", "--compare", *plain)
@@ -151,6 +163,8 @@ FAULTS = [
     ("all.toml", 'file = "bar1', 'actuation = "5 psi"\nfile = "bar1', ("bar2", "in all tests")),
     ("steel.py", "rate_independent = True", "", ("bar1.csv", "no column for time", "rate")),
     ("steel.py", '"stress, MPa"', '"tension"', ("steel.py", "Steel", "response", "unit")),
+    ("steel.py", '"stress, MPa"', '"force, N"', ("class Steel", "in kip", "such as 'load, N'")),
+    ("steel.py", '"strain"', '"displacement, mm"', ("Steel", "in in", "such as 'travel, mm'")),
     ("own.toml", '"1 MPa"', '"1 kip"', ("own.toml", "offset", "'kip'")),
 ]  # fmt: skip
 

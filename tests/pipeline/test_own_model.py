@@ -4,6 +4,7 @@ import importlib.util
 import json
 import py_compile
 import shutil
+import tomllib
 from hashlib import sha256
 from pathlib import Path
 
@@ -164,6 +165,55 @@ def test_every_command_takes_its_run(finished, tmp_path):
     building = ("--building", tmp_path / "b.toml", "--ground", tmp_path / "g.csv")
     words = said("respond", out, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "r")
     assert "storey drift" in words
+
+
+def test_a_loop_that_grows_with_its_stroke_is_no_fault(tmp_path):
+    """With the control: one of three tests of the same motion has its force in kip, not in kN."""
+    folder = written(tmp_path / "campaign")
+    text = CAMPAIGN.replace('[laws]\nc = "affine"\n', "")
+    for number, size in enumerate((0.4, 1.0, 2.0, 0.6, 0.96, 1.04)):
+        time, x, speed = motion(0.5)
+        rng = np.random.default_rng(number)
+        forces = force(AT, size * speed) * np.exp(0.05 * rng.normal()) + 0.05 * rng.normal(
+            size=x.size
+        )
+        columns = time, size * x, forces
+        write_csv(folder / f"s{number}.csv", *columns, names=("time_s", "x_in", "f_kip"))
+        text += f'\n[[test]]\nid = "s{number}"\nfile = "s{number}.csv"\nactuation = "750 psi"\n'
+    (folder / "all.toml").write_text(text)
+    dry = ("calibrate", folder / "all.toml", "-o", tmp_path / "out", "--dry-run")
+    assert "warning" not in said(*dry)
+    wrong = np.loadtxt(folder / "s4.csv", delimiter=",", skiprows=1).T * [[1.0], [1.0], [4.448]]
+    write_csv(folder / "s4.csv", *wrong, names=("time_s", "x_in", "f_kip"))
+    assert "s4: " in said(*dry)
+
+
+def test_init_drafts_its_priors_once_the_units_are_known(tmp_path):
+    (tmp_path / "my_damper.py").write_text(VISCOUS)
+    for name, frequency in {"25mm0x25Hz0x5A.txt": 0.25, "25mm0x5Hz1x0A.txt": 0.5}.items():
+        time, x, speed = motion(frequency)
+        newtons = 800.0 * np.tanh(10 * speed)
+        np.savetxt(tmp_path / name, np.column_stack([time, 25.0 * x, newtons]))
+    own = ("--model", "my_damper.py:Viscous")
+    words = said("init", tmp_path, *own)
+    assert "the unit of force is unknown" in words
+    assert "Hz, but" not in words  # an x between digits is a decimal point
+    assert "init" in words.partition("then:")[2]
+    assert not (tmp_path / "priors.toml").exists()
+    campaign = tmp_path / "campaign.toml"
+    text = campaign.read_text()
+    assert 'actuation = "0.5 A"' in text
+    assert 'actuation = "1 A"' in text
+    text = text.replace("{ column = 2 }", '{ column = 2, unit = "mm" }')
+    campaign.write_text(text.replace("{ column = 3 }", '{ column = 3, unit = "N" }'))
+    for model in ((), own):
+        said("init", campaign, *model, "--force")
+        drafted = tomllib.loads((tmp_path / "priors.toml").read_text())
+        assert set(drafted["parameters"]) == {*TRUTH, "offset", "noise_sd", "noise_time"}
+        assert abs(float(drafted["parameters"]["c"]["median"].split()[0]) - 0.18) < 0.01  # kip
+        groups = [group["parameters"] for group in drafted["scatter"].values()]
+        assert sorted(groups) == sorted([name] for name in drafted["parameters"])
+    said("calibrate", campaign, "-o", tmp_path / "out", "--dry-run")
 
 
 FAULTS = [
