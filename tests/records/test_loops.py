@@ -167,7 +167,7 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
     ],
 )
 def test_a_slip_force_is_a_mean_about_zero_displacement(tmp_path, chatter, zero, said):
-    """Chatter to a fifth of the plateau leaves the mean; a sensor's zero is not always the device's."""
+    """Chatter to a fifth leaves the mean; a sensor's zero is not always the device's."""
     trace = drawn_loop(8)
     slipping = np.isin(np.abs(trace.force), (FORWARD, BACKWARD))
     waves = 1.0 - chatter * np.cos(2.0 * np.pi * trace.displacement / 0.11) * slipping
