@@ -167,10 +167,10 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
     ],
 )
 def test_a_slip_force_is_a_mean_about_zero_displacement(tmp_path, chatter, zero, said):
-    """Of chatter the mean remains; the sensor's zero is that of the device where it can be."""
+    """Chatter to a fifth leaves the mean; a sensor's zero is not always the device's."""
     trace = drawn_loop(8)
     slipping = np.isin(np.abs(trace.force), (FORWARD, BACKWARD))
-    waves = 1.0 + chatter * np.cos(2.0 * np.pi * trace.time / 0.137 + np.pi) * slipping
+    waves = 1.0 - chatter * np.cos(2.0 * np.pi * trace.displacement / 0.11) * slipping
     path = tmp_path / "test.csv"
     columns = np.column_stack([trace.time, trace.displacement + zero, waves * trace.force])
     names = "time_s,displacement_in,force_kip"
@@ -182,7 +182,7 @@ def test_a_slip_force_is_a_mean_about_zero_displacement(tmp_path, chatter, zero,
     slips = [float(n) for n in re.findall(r"([\d.]+) kip (?:forward|backward)", line)]
     assert slips == pytest.approx((FORWARD, BACKWARD), rel=0.1 if chatter else 1e-3)
     errors = re.search(r"standard errors ([\d.e-]+) kip and ([\d.e-]+) kip", line).groups()
-    assert 0.002 < max(map(float, errors)) < 0.2 if chatter else errors == ("0", "0")
+    assert max(map(float, errors)) < 0.05
 
 
 TITLES = {
