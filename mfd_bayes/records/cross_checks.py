@@ -47,6 +47,7 @@ FALLING = 0.05  # probability that the slip force of a device falls with its act
 FEWEST = 2  # fewest tests of a law
 # log prior odds of a mistake: another unit or power of ten, any factor, another device, an exchange
 UNIT, FACTOR, ANYTHING, EXCHANGED = -5.0, -9.0, -13.0, -5.0
+INSIDE = 2.5  # and more for any factor between the levels of others: a law extrapolates less well
 LEAST = 0.2  # least logarithm of a factor that is a mistake
 ANY_FACTOR = np.array([s * a for a in np.arange(LEAST, np.log(3000.0), 0.1) for s in (1.0, -1.0)])
 WITHIN = 2.5  # sds of the laws within which an exchange must bring both tests
@@ -443,6 +444,9 @@ def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
         "another session?"
     )
     mistakes = [Mistake((j,), "another device", log_prior=ANYTHING, left_out=True, why=why)]
+    levels = [t.level for i, t in enumerate(tests) if i != j and t.level > 0.0]
+    inside = bool(levels) and min(levels) <= test.level <= max(levels)
+    any_factor = FACTOR + INSIDE if inside else FACTOR
     for role, way in WAYS.items():
         for unit in UNITS[role]:
             log = float(np.log(factor(test.units[role], role) / factor(unit, role)))
@@ -452,7 +456,7 @@ def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
         for log in ANY_FACTOR:
             size = f"{np.exp(abs(log)):.2g} times too {'large' if log > 0.0 else 'small'}"
             why = f"its {role} seems to be {size}: check its unit and the sensor's factor"
-            mistakes.append(Mistake((j,), role, -log * way, 0.0, FACTOR, why=why))
+            mistakes.append(Mistake((j,), role, -log * way, 0.0, any_factor, why=why))
     if test.level > 0.0:
         number, _, unit = test.actuation.strip().partition(" ")
         for other in {t.actuation.strip().partition(" ")[2] for t in tests} - {unit, ""}:

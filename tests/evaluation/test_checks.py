@@ -16,11 +16,12 @@ from mfd_bayes.evaluation.checks import (
     contradicted_order,
     convergence_checks,
     length_check,
+    scatter_checks,
     slip_checks,
     standing_out,
     uncommon_device_values,
 )
-from mfd_bayes.evaluation.summary import assess, noise_rows, views_of_tests
+from mfd_bayes.evaluation.summary import assess, noise_rows, verdict_sentences, views_of_tests
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
 from mfd_bayes.population.design import Setting
@@ -86,7 +87,7 @@ def test_a_gap_half_as_large_again_stands_apart_and_no_other_does(count):
     deviations[2, 2] += np.log(1.5)
     if count == 5:  # with four others, only what is far beyond all doubt
         deviations[2, 2] += np.log(2.0)
-    ((test, quantity, away),) = standing_out(deviations)
+    ((test, quantity, away),) = standing_out(deviations, np.zeros_like(deviations))
     assert (test, quantity) == (2, 2)
     assert away > 8.0
 
@@ -94,8 +95,34 @@ def test_a_gap_half_as_large_again_stands_apart_and_no_other_does(count):
 def test_tests_stand_apart_by_chance_as_rarely_as_stated():
     rng = np.random.default_rng(2)
     campaigns = rng.normal(size=(2000, 8, 4))
-    share = np.mean([any(True for _ in standing_out(one)) for one in campaigns])
+    share = np.mean([any(True for _ in standing_out(one, 0.1 * np.abs(one))) for one in campaigns])
     assert share < 0.02
+
+
+def test_a_distance_is_counted_in_sds_of_the_tests_own_posteriors():
+    pooled = np.log([0.1594, 0.1714, 0.1579, 0.1592, 0.1580, 0.1592])[:, None]  # of one device
+    gaps = np.log([0.1629, 0.1682, 0.1601, 0.1571, 0.1613, 0.1549])[:, None]
+    sds = np.array([0.0008, 0.0014, 0.0012, 0.0019, 0.0013, 0.0023])[:, None] / 0.16
+    assert list(standing_out(pooled, 0.0 * sds))  # shrunken values scatter too little
+    assert not list(standing_out(gaps, sds))
+    gaps[1] += np.log(1.5)
+    assert [test for test, *_ in standing_out(gaps, sds)] == [1]
+
+
+def test_a_scatter_beyond_that_of_the_priors_is_a_warning_of_the_verdict():
+    def checks(scatter):
+        scatters = {"sigma0": np.full((4, 9), 0.5), "Fc_fwd": np.full((4, 9), scatter)}
+        population = SimpleNamespace(scatters=scatters, scatter_scales=np.array([0.3, 0.1]))
+        run = SimpleNamespace(tests=range(6), model=ThreeStage(), population=population)
+        return scatter_checks(run)
+
+    assert checks(0.1) == []
+    ((check),) = checks(0.29)
+    assert (check.test, check.status) == ("population", "warning")
+    sentences = verdict_sentences(
+        SimpleNamespace(effort=Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000)), [check], []
+    )
+    assert "forward slip force: 29%, the priors expect about 10%" in " ".join(map(str, sentences))
 
 
 # --- views of many tests

@@ -16,6 +16,7 @@ from mfd_bayes.cli.commands import app
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import contradictions, find_faults, inspect_record
+from mfd_bayes.units import actuation_factor
 
 GAP = 0.15  # in
 
@@ -415,6 +416,52 @@ def test_an_actuation_that_is_wrong_by_ten_or_in_another_unit_is_named():
     ((test, _, sentence),) = compared(tests)
     assert test == "t35"
     assert "35 lbf, not 35 kN" in sentence
+
+
+@pytest.mark.parametrize(("i", "j"), [(0, 4), (1, 3), (0, 3)])
+def test_two_exchanged_actuations_are_named_both(i, j):
+    levels = dict(enumerate(LEVELS)) | {i: LEVELS[j], j: LEVELS[i]}
+    pairs = enumerate(LEVELS)
+    tests = [put(f"r{n}", trace_of(at, n, actuation=levels[n] / at)) for n, at in pairs]
+    said = compared(tests)
+    assert [(name, kind) for name, kind, _ in said] == [(f"r{k}", "actuation") for k in (i, j)]
+    assert f"its actuation and that of r{j}" in said[0][2]
+    assert all("probably exchanged" in sentence for *_, sentence in said)
+
+
+def test_an_exchange_that_nothing_tells_is_not_named():
+    for levels in ((20, 35), (35, 20, 60), (20, 30, 35, 60, 80), (35, 35, 35, 35)):
+        loads = sorted(levels)  # of the loops
+        pairs = enumerate(zip(levels, loads, strict=True))
+        tests = [put(f"r{n}", trace_of(at, n, actuation=to / at)) for n, (to, at) in pairs]
+        assert compared(tests) == []
+
+
+SESSION = ((20, 0.97), (25, 1.62), (35, 2.06), (70, 2.48), (80, 2.86))
+"""Tension, lbf, and slip force, kip, of five tests of a real session, which follow no law well."""
+
+
+@pytest.mark.parametrize(
+    ("k", "actuation", "force", "words"),
+    [
+        (0, "", 1.0, ""),
+        (2, "35 kN", 1.0, "35 lbf, not 35 kN"),
+        (4, "8 lbf", 1.0, "by a factor of ten"),
+        (2, "", 4.448, "in kN, not in kip"),
+        (4, "", 4.448, "in kN, not in kip"),
+    ],
+)
+def test_a_mistake_among_five_scattered_tests_is_named(k, actuation, force, words):
+    tests = []
+    for n, (level, slip) in enumerate(SESSION):
+        given = actuation if n == k and actuation else f"{level} lbf"
+        number, unit = given.split()
+        by = float(number) * actuation_factor(unit)[0] * 1000.0 / level
+        size = slip / (0.4 * level**0.5) * (force if n == k else 1.0)
+        tests.append(put(f"t{n}", trace_of(level, n, force=size, actuation=by), given))
+    said = compared(tests)
+    assert [name for name, *_ in said] == ([f"t{k}"] if words else [])
+    assert all(words in sentence for *_, sentence in said)
 
 
 def test_a_test_with_half_of_its_neighbours_force_is_named():
