@@ -36,7 +36,7 @@ UNSTATED = 2.0  # largest peak of numbers that are in g because nothing states t
 SAME_PEAK = 1.2  # quotient of a peak in the header and that of the values: filters change it
 LONGEST_STEP = 0.2  # that a file may have unless it is stated, s: it may be in ms
 SAME_STEP = 5e-3  # share by which two steps of one motion may differ: files round them
-LARGEST_MEAN = 0.1  # of the accelerations, as a share of their peak
+LARGEST_MEAN, MANY = 0.1, 100  # mean of so many accelerations or more, as a share of their peak
 HEAD = 50  # lines in which a header may say the step
 UNEVEN = 0.1  # largest departure of times from even ones, in steps
 
@@ -511,7 +511,8 @@ def _read_rows(
 def _refuse_one_side(path: Path, values: Array) -> None:
     """Refuse values of one sign, or with a mean that would leave the ground at a great speed."""
     mean, peak = float(np.mean(values)), float(np.max(np.abs(values)))
-    if abs(mean) > LARGEST_MEAN * peak or (peak and not values.min() < 0.0 < values.max()):
+    has_offset = values.size >= MANY and abs(mean) > LARGEST_MEAN * peak
+    if has_offset or (peak and not values.min() < 0.0 < values.max()):
         raise BuildingError(
             f"{path}: ground moves to both sides, and the mean of these values is "
             f"{100.0 * mean / peak:.2g} % of their peak: expected accelerations over time, not a "
