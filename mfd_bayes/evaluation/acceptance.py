@@ -129,10 +129,10 @@ def accept(
     """
     if not isinstance(run, Run):
         raise CampaignError(f"run must be a Run, as open_run returns it, got {run!r}")
-    records = list(records) if isinstance(records, list | tuple) else [records]
-    if not records:
+    measured: list[Any] = [*records] if isinstance(records, list | tuple) else [records]
+    if not measured:
         raise CampaignError("accept needs one record or more")
-    for record in records:
+    for record in measured:
         if not isinstance(record, Record):
             raise CampaignError(
                 "records must be one Record or several, as read_record returns them, got "
@@ -143,10 +143,10 @@ def accept(
         raise CampaignError(f"device must be a name, or one of each record, got {device!r}")
     if limits is not None and not isinstance(limits, Mapping):
         raise CampaignError(f"limits must be shares by name, such as all=0.15, got {limits!r}")
-    names = [device or r.path.stem for r in records] if isinstance(device, str) else [*devices]
-    if len(names) != len(records):
+    names = [device or r.path.stem for r in measured] if isinstance(device, str) else [*devices]
+    if len(names) != len(measured):
         raise CampaignError(
-            f"give one device for all records, or one for each: there are {len(records)} records "
+            f"give one device for all records, or one for each: there are {len(measured)} records "
             f"and {len(names)} devices"
         )
     allowed = complete_limits(limits or run.manifest.settings.limits or DEFAULT_LIMITS)
@@ -159,7 +159,7 @@ def accept(
     ratios = birge_ratios(run)
     how: dict[str, Any] = {"ratios": ratios, "draws": draws, "seed": seed}
     how["place"] = {"session": session, "conditions": conditions}
-    for name, record in zip(names, records, strict=True):
+    for name, record in zip(names, measured, strict=True):
         trace = trace_of(run, record)
         expected = expect(run, trace, name, rate=record.rate, **how)
         groups.setdefault(name, []).append(compare_record(record, trace, expected))

@@ -36,7 +36,6 @@ UNSTATED = 2.0  # largest peak of numbers that are in g because nothing states t
 SAME_PEAK = 1.2  # quotient of a peak in the header and that of the values: filters change it
 LONGEST_STEP = 0.2  # that a file may have unless it is stated, s: it may be in ms
 SAME_STEP = 5e-3  # share by which two steps of one motion may differ: files round them
-LARGEST_MEAN = 0.1  # of the accelerations, as a share of their peak
 HEAD = 50  # lines in which a header may say the step
 UNEVEN = 0.1  # largest departure of times from even ones, in steps
 
@@ -289,7 +288,7 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float, 
         columns = table.columns([*moves, *times])
     except MfdError as error:
         raise BuildingError(str(error)) from error
-    _refuse_one_side(path, columns[moves[0]])
+    _refuse_one_sign(path, columns[moves[0]])
     own = _column_unit(table, moves[0]) or unit
     if not own:
         raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
@@ -469,7 +468,7 @@ def _read_rows(
         )
     if points is None:
         _refuse_blocks(path, rows)
-    _refuse_one_side(path, values)
+    _refuse_one_sign(path, values)
     scale, own, said = _scale(path, header)
     for other, place in _units(header):
         a, b = _factor(own), _factor(other)
@@ -508,14 +507,12 @@ def _read_rows(
     return acceleration, step, bool(said or unit)
 
 
-def _refuse_one_side(path: Path, values: Array) -> None:
-    """Refuse values of one sign, or with a mean that would leave the ground at a great speed."""
-    mean, peak = float(np.mean(values)), float(np.max(np.abs(values)))
-    if abs(mean) > LARGEST_MEAN * peak or (peak and not values.min() < 0.0 < values.max()):
+def _refuse_one_sign(path: Path, values: Array) -> None:
+    """Refuse values that are never below zero, or never above."""
+    if np.any(values) and (np.all(values >= 0.0) or np.all(values <= 0.0)):
         raise BuildingError(
-            f"{path}: ground moves to both sides, and the mean of these values is "
-            f"{100.0 * mean / peak:.2g} % of their peak: expected accelerations over time, not a "
-            "spectrum, a table of peaks, or values with an offset"
+            f"{path}: ground moves to both sides, and all its values are of one sign: expected "
+            "accelerations over time, not a spectrum, a table of peaks, or values with an offset"
         )
 
 

@@ -173,7 +173,7 @@ def test_a_mistake_is_one_sentence(run, respond, path, tmp_path):
         (["--by", "q90"], "--sweep"),
         (["--sweep", "actuation=800 psi to 900 psi", *by], "limits.acceleration"),
         (["--draws", 10**30], "'--draws'"),
-        (["--scale", "1e9", "--quiet"], "every draw diverged under quake.csv"),
+        (["--peak", "5e8 g", "--quiet"], "every draw diverged under quake.csv"),
     ):
         done = respond(*words)
         assert done.exit_code == 2
