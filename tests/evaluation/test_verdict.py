@@ -11,8 +11,11 @@ from mfd_bayes.evaluation.views import LOOP_ESTIMATE, MODES, Check
 from mfd_bayes.messages import Message, join
 from mfd_bayes.runs.folder import Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SI
+from mfd_bayes.units import DAMPER
 
-MANIFEST = SimpleNamespace(effort=Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000))
+MANIFEST = SimpleNamespace(
+    effort=Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000), axes=DAMPER
+)
 
 
 def missed(test, feature, observed, expected, p_value=0.0, tolerance=0.05, unit="kip"):
