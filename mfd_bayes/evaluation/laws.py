@@ -290,7 +290,7 @@ def law_label(law: str, weights: Mapping[str, float], scores: Rows = ()) -> str:
     campaign's law, the label says so, as the sentence of `law_choices` does.
     """
     if law != COMPARE:
-        trusted = [row for row in scores if row["pareto_k"] <= LARGEST_K]
+        trusted = [row for row in scores if not row["pareto_k"] > LARGEST_K]
         near = [r["law"] for r in trusted if -r["difference"] <= r["difference_se"]]
         best = next((row["law"] for row in trusted), law)
         return law if law in (best, *near) else f"{law}, the campaign's; {best} predicts best"

@@ -6,10 +6,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.evaluation.laws import FEWEST, law_choices, law_score_rows, mixed_rows
+from mfd_bayes.evaluation.laws import (
+    FEWEST,
+    law_choices,
+    law_label,
+    law_score_rows,
+    law_views,
+    mixed_rows,
+)
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.design import LAW_NAMES
 from mfd_bayes.population.mixed_model import LawScore
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.tested_range import FAR
 from mfd_bayes.runs.unit_system import US
 
 REFERENCE = 2.0  # ksi
@@ -102,3 +111,26 @@ def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
     assert "the score of power (Pareto k 0.93) cannot be trusted" in sentence
     _, control = choice([replace(s, pareto_k=0.6) for s in found], "compare")
     assert "trusted" not in control  # the control
+
+
+@pytest.mark.parametrize(
+    ("chosen", "pareto_k", "label"),
+    [
+        ("affine", 0.84, "affine, the campaign's; constant predicts best"),
+        ("affine", 0.2, "affine, the campaign's; constant predicts best"),
+        ("constant", 0.2, "constant"),
+        ("power", 0.2, "power"),  # within the standard error
+    ],
+)
+def test_the_figure_says_what_the_sentence_says(chosen, pareto_k, label):
+    terms = {"constant": [2.0, 3.0, 1.5], "power": [2.1, 2.8, 1.5], "affine": [1.0, 2.0, 0.0]}
+    found = scores(**terms)
+    found[2] = replace(found[2], pareto_k=pareto_k)
+    rows = law_score_rows(found, {"Fc_fwd": chosen})
+    assert law_label(chosen, {chosen: 1.0}, rows) == label
+
+
+def test_the_figure_ends_where_predictions_are_refused(made_run):
+    (view, *_) = law_views(open_run(made_run))
+    lowest = min(at for _, at, *_ in view.tested)
+    assert view.actuation[0] == pytest.approx(lowest / FAR)

@@ -8,10 +8,14 @@ from mfd_bayes.runs.tested_range import (
     conditions_of,
     departures,
     far_sentences,
+    kind_sentence,
     range_of,
     reach_of,
 )
 from mfd_bayes.runs.unit_system import SI, US
+from tests.command_line import said, write_csv
+
+SINE = "1 in, 1 Hz, 3 cycles"
 
 
 def sine(amplitude=1.0, frequency=0.5, actuation=1.0, cycles=4):
@@ -76,3 +80,37 @@ def test_a_history_reaches_from_its_least_to_its_largest_actuation():
         assert departure.reached.words(US) == words
         assert departure.times == pytest.approx(times)
         assert departure.far
+
+
+def quake(seconds=20.0):
+    """A motion within the tested range that turns back before a full cycle at most turns, in."""
+    time = np.arange(0.0, seconds, 0.02)
+    pulse = 0.8 * np.exp(-(((time - 8.0) / 0.7) ** 2))
+    return time, 0.15 * np.sin(2 * np.pi * 0.9 * time) * np.sin(0.5 * time) + pulse
+
+
+def test_a_motion_of_another_kind_is_said_and_has_no_properties_of_cycles(made_run, tmp_path):
+    write_csv(tmp_path / "quake.csv", *quake())
+    for motion, other in ((("--motion", tmp_path / "quake.csv"), True), (("--sine", SINE), False)):
+        bands = tmp_path / f"{other}.csv"
+        how = ("--actuation", "700 psi", "--no-figures", "--extrapolate")
+        words = said("predict", made_run, *motion, *how, "-o", bands)
+        assert ("most strokes of this motion are partial" in words) == other
+        derived = (tmp_path / f"{other}_derived.csv").read_text()
+        for name in ("slip_fwd", "effective_stiffness", "energy_per_cycle"):
+            assert (name not in derived) == other
+        assert "energy_in_all" in derived
+        assert "peak_fwd" in derived
+
+
+@pytest.mark.parametrize(
+    "amplitudes", [[1.0] * 4, [0.3, 0.6, 1.0, 1.0, 0.6], [0.25, 0.25, 0.5, 0.5, 0.75, 1.0, 1.0]]
+)
+def test_full_cycles_are_of_the_tests_kind(amplitudes):
+    time = np.linspace(0.0, 2.0 * len(amplitudes), 200 * len(amplitudes), endpoint=False)
+    motion = np.repeat(amplitudes, 200) * np.sin(np.pi * time)
+    tests = [conditions_of(sine())]
+    assert kind_sentence(tests, Trace.from_arrays(time, motion, 1.0)) == ""
+    trace = Trace.from_arrays(*quake(), 1.0)
+    assert "another kind" in kind_sentence(tests, trace)  # the control
+    assert kind_sentence([conditions_of(trace)], trace) == ""
