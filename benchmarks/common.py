@@ -189,8 +189,14 @@ def without(run: Run, kept: Collection[str], effort: str, seed: tuple[int, ...])
     """The run as if only some of its tests had been made."""
     settings, tests = run.manifest.settings, {name: run.tests[name] for name in kept}
     inference = infer_population(tests, run.priors, settings.inference(effort, seed))
-    others = replace(run, tests=tests)
+    others = replace(run, tests=tests, manifest=run.manifest.changed(peak_factors={}))
+
+    def pooled(name: str) -> dict[str, np.ndarray]:
+        values = inference.values(list(tests).index(name))
+        return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
+
     vars(others)["population"] = inference.population  # instead of the one that is stored
+    vars(others)["sequence"] = replace(others.sequence, pooled=pooled)
     return others
 
 

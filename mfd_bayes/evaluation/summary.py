@@ -35,6 +35,7 @@ from mfd_bayes.evaluation.laws import drift_rows, law_choices, law_rows, law_sco
 from mfd_bayes.evaluation.properties import (
     Peaks,
     device_properties,
+    excused_factors,
     kept,
     measured_of,
     measured_properties,
@@ -149,7 +150,8 @@ def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, s
 
     Several processes make those of calibrated tests.
     """
-    make = partial(_attempt, partial(calibrated_view, run.manifest, peaks_of(run)))
+    peaks = excused_factors(peaks_of(run))
+    make = partial(_attempt, partial(calibrated_view, run.manifest, peaks))
     views = [make] * len(run.tests)
     # each test is sent by itself: the records of all need not be held in every process
     tests = enumerate(replace(test, extras=None) for test in run.tests.values())
@@ -232,7 +234,7 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
 
 
 def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestView:
-    """A test that was fitted; `peaks` are the factors of the run."""
+    """A test that was fitted; `peaks` are the factors that may excuse its peaks."""
     posterior, stored, trace = test.posterior, test.stored, test.trace
     values, facts, settings = stored.values(), stored.facts, manifest.settings
     replicas = replicate(posterior, values, np.random.default_rng(0))

@@ -439,6 +439,8 @@ def equilibrium(
     buildings are in equilibrium, (n,).
     """
     (force, slope), own, last = begin, np.abs(flexibility.diagonal()), begin
+    # I − K A stays regular down to here, for dampers side by side too, which share their travel
+    softest = -0.5 / np.abs(flexibility).sum(axis=1)
     low, high = np.full_like(force, -np.inf), np.full_like(force, np.inf)
     for iteration in range(most):
         travel, velocity = motion(force)
@@ -450,7 +452,7 @@ def equilibrium(
             usable = np.abs(way) > 0.1 * tolerance * own
             secant = (after.force - last[1]) / np.where(usable, way, 1.0)
             usable &= np.isfinite(secant)
-            slope = np.where(usable, np.clip(secant, -0.5 / own, 1e4 / own), slope)
+            slope = np.where(usable, np.clip(secant, softest, 1e4 / own), slope)
         if not far.any():
             break
         last = travel, after.force
