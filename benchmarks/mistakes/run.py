@@ -98,9 +98,9 @@ def named(said: Said, test: str, cause: str) -> bool:
     )
 
 
-def try_out(source: Path, mistake: str, names: str, place: tuple[str, int]) -> tuple[bool, Said]:
+def try_out(case: tuple[Path, str, str, tuple[str, int]]) -> tuple[bool, Said]:
     """Whether a mistake in a place is named, under names "own" or "neutral", and all warnings."""
-    session, k = place
+    source, mistake, names, (session, k) = case
     tests, wrong = plant(mistake, load_session(source, session), k)
     if names == "neutral":
         renamed = neutral(tests)
@@ -134,7 +134,7 @@ def main() -> None:
     cases = [(options.data, *c) for c in product(chosen, NAMED, PLACES)]
     print(f"{'mistake':32s}" + "".join(f"{names:>10s}" for names in NAMED))
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        results = zip(cases, pool.starmap(try_out, cases, chunksize=6), strict=True)
+        results = zip(cases, pool.imap(try_out, cases), strict=True)
         alarms = pool.apply_async(false_alarms, (options.data,)) if chosen == [*MISTAKES] else None
         for mistake, of_mistake in groupby(results, key=lambda result: result[0][1]):
             counts: Counter[str] = Counter()
