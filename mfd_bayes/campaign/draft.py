@@ -26,6 +26,7 @@ from mfd_bayes.campaign.guesses import (
     levels_in,
     prevailing_unit,
     without_shared_levels,
+    writes_decimals,
 )
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
@@ -113,9 +114,10 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
         name, why = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
         left_out.append((name, why))
 
+    joined = writes_decimals([path.stem for path in paths])
     for path in sorted(paths, key=_natural):
         try:
-            files.append(_read_file(path, folder, axes))
+            files.append(_read_file(path, folder, axes, joined=joined))
         except MfdError as error:
             leave_out(path, error)
     files = without_shared_levels(files)
@@ -141,7 +143,7 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], path.name
 
 
-def _read_file(path: Path, folder: Path, axes: Axes) -> TestFile:
+def _read_file(path: Path, folder: Path, axes: Axes, *, joined: bool) -> TestFile:
     """Guessed columns and actuations of a file; raises where it cannot be a test."""
     _check_utf8(path.name, "its name")
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -161,7 +163,7 @@ def _read_file(path: Path, folder: Path, axes: Axes) -> TestFile:
             f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}"
             + "".join(f"; {note}" for note in (*notes, *table.notes))
         )
-    levels = (*level_in_header(table.head, table.names), *levels_in(path.stem))
+    levels = (*level_in_header(table.head, table.names), *levels_in(path.stem, joined=joined))
     if column and column.unit and actuation_factor(column.unit)[1] not in ("ksi", "kip") and levels:
         column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
     return TestFile(

@@ -49,6 +49,7 @@ from mfd_bayes.records.table import (
     check_names,
     find_table,
     gives_units,
+    is_grouped,
     is_stamp,
     kinds,
     labels,
@@ -57,15 +58,21 @@ from mfd_bayes.records.table import (
 from mfd_bayes.units import factor, measure
 
 SIZE, LINE = 256, 2**17  # largest file, MB, and most characters of a line
+LINES, EMPTY = 10_000_000, 2_000_000  # most lines of a text, and most empty cells of it
 JSON_SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
 """Largest .json file, MB, most lists and objects of it, and most cells of rows of objects."""
 BLANKS = " "
 _BEFORE_NAME = r"\s+(?![\[(])"  # no name begins with a bracket: "Time (s) Force (N)"
-SEPARATORS = (",", "\t", ";", BLANKS)
+SEPARATORS = (",", "\t", ";", "|", BLANKS)
 
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _COMMENT = re.compile(r"\s*#(?!N/A|VALUE!|REF!|DIV/0!|NUM!|NAME\?|NULL!)")  # no error of Excel
 _COMMENTS = "#%/;!"  # signs before names, from programs of all kinds
+_WRAPPED = re.compile(  # a number as Python shows it: np.float64(0.5)
+    r"\b(?:(?:np|numpy|jnp)\.\w+|Decimal|array|tensor|float\d*)\(\s*['\"]?([-+\d.,eE]+|nan|inf)['\"]?"
+    r"(?:, dtype=[\w.]+)?\)"
+)
+_SIGN = re.compile(r"([+\-−])\s+(?=[.,]?\d)")  # of a logger that writes it in a column of its own
 _OPEN = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')
 
 
@@ -120,7 +127,7 @@ def read_text(path: Path) -> Table:
 
 
 def _decode(path: Path) -> str:
-    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan."""
+    """Text of a file in UTF-8, UTF-16 or UTF-32, or of Windows or Japan."""
     size = path.stat().st_size / 2**20
     if size > SIZE:
         raise RecordError(
@@ -129,8 +136,8 @@ def _decode(path: Path) -> str:
         )
     content = path.read_bytes()
     encodings: tuple[str, ...] = ("utf-8-sig", "cp1252", "cp932", "latin-1")
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        encodings = ("utf-16",)
+    if wide := _wide(content[:4000]):
+        encodings = (wide,)
     elif b"\x1b$" in content:
         encodings = ("iso2022_jp",)
     for encoding in encodings:
@@ -138,11 +145,15 @@ def _decode(path: Path) -> str:
             text = content.decode(encoding)
         except UnicodeError:
             continue
-        if encoding == "utf-8-sig" or not _CONTROL.search(text):
+        text = text.rstrip("\0")  # of a logger that laid out more than it wrote
+        if "\0" not in text and (encoding == "utf-8-sig" or not _CONTROL.search(text)):
             break
     else:
         raise RecordError(f"{path} is not UTF-8 text, as a {path.suffix} file must be")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if (count := text.count("\n")) > LINES:
+        raise RecordError(f"{path} has {count:,} lines; at most {LINES:,} are read")
+    text = _WRAPPED.sub(r"\1", text) if "(" in text else text
     if long := re.search(rf"[^\n]{{{LINE + 1}}}", text):
         raise RecordError(
             f"line {text.count(chr(10), 0, long.start()) + 1} of {path} is longer than {LINE:,} "
@@ -151,11 +162,37 @@ def _decode(path: Path) -> str:
     return text
 
 
+def _wide(head: bytes) -> str:
+    """Encoding of a text with two or four bytes for a character; empty of others.
+
+    By its byte order mark, or where every second byte is NUL, or three of four.
+    """
+    if head[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
+        return "utf-32"
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    size = len(head) // 4
+    shares = [head[at::4].count(0) / max(size, 1) for at in range(4)]
+    for encoding, letters in (
+        ("utf-32-le", "x000"),
+        ("utf-32-be", "000x"),
+        ("utf-16-le", "x0x0"),
+        ("utf-16-be", "0x0x"),
+    ):
+        if all(
+            (share > 0.7) == (letter == "0") for share, letter in zip(shares, letters, strict=True)
+        ):
+            return encoding
+    return ""
+
+
 def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
     """Separator whose table weighs most, with names before one without, its rows and its layout."""
     candidates: list[tuple[str, list[Row], Layout]] = []
     for separator in SEPARATORS:
         if separator != BLANKS and not any(separator in line for line in lines):
+            continue
+        if separator == BLANKS and any(map(_has_thousands, lines)):
             continue
         rows: list[Row] = [_split(line, separator) for line in lines]
         if separator != BLANKS:
@@ -178,11 +215,21 @@ def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
     return separator, [_split(line, separator) for line in lines], Layout(0, None, 1, 0.0, 0)
 
 
+def _has_thousands(line: str) -> bool:
+    """Whether a cell between tabs or semicolons is one number with blanks in it: 7 586,5."""
+    sign = next((sign for sign in "\t;|" if sign in line), "")
+    return bool(sign) and any(is_grouped(cell) for cell in _split(line, sign))
+
+
 def _split(line: str, separator: str) -> list[str]:
     if '"' not in line:
-        return line.split() if separator == BLANKS else [c.strip() for c in line.split(separator)]
-    line = " ".join(line.split()) if separator == BLANKS else line
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+        if separator == BLANKS:
+            return line.split()
+        cells = [cell.strip() for cell in line.split(separator)]
+    else:
+        line = " ".join(line.split()) if separator == BLANKS else line
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+    return [_SIGN.sub(r"\1", c) if c[:1] in "+-−" and _SIGN.match(c) else c for c in cells]
 
 
 def _columns(body: list[str], separator: str, width: int) -> list[Array] | None:
