@@ -5,6 +5,7 @@ A comment stands wherever a guess is not certain.
 
 from __future__ import annotations
 
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -48,6 +49,7 @@ from mfd_bayes.units import (
     measures,
 )
 
+_ONE = "; columns are separated by commas, tabs, semicolons, | or blanks"
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip"}
 _BANDS = {"lower", "median", "upper"}  # first words of columns of a prediction
 _EARTHQUAKE = re.compile(
@@ -100,14 +102,18 @@ class Draft:
 def draft_campaign(folder: Path, model: str = "") -> Draft:
     """Campaign of the test files in a folder, perhaps of a user's own model, "file.py:Class"."""
     try:
-        paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
+        paths = [p for p in folder.iterdir() if _may_be_test(p)]
+        below = _tests_below(folder)
     except OSError as error:
         raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
     own = find_model(model, folder) if model else None
     axes = replace(own.axes, actuated=bool(own.actuated)) if own else DAMPER
     files: list[TestFile] = []
     tests: list[TestDraft] = []
-    left_out: list[tuple[str, str]] = []
+    left_out: list[tuple[str, str]] = [
+        (name, f"a folder with {count} of such files, which are not read: move them up, or give it")
+        for name, count in below.items()
+    ]
 
     def leave_out(path: Path, error: MfdError) -> None:
         texts = path.name, str(error).replace(str(path), path.name)
@@ -137,6 +143,33 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
     return Draft(folder, tuple(tests), tuple(left_out), unit, axes, model or Draft.model, own)
 
 
+def _may_be_test(path: Path) -> bool:
+    """Whether a path is a file that can be read, and no shadow of one by macOS or Excel."""
+    is_shadow = path.name.startswith(("._", "~$"))
+    return path.suffix.lower() in SUFFIXES and not is_shadow and path.is_file()
+
+
+_MOST_BELOW = 10_000  # files and folders that are looked at
+
+
+def _tests_below(folder: Path) -> dict[str, int]:
+    """Folders below, but for hidden ones and runs, to the number of files that may be tests."""
+    counts: dict[str, int] = {}
+    seen = 0
+    for place, folders, names in os.walk(folder):
+        path = Path(place)
+        seen += len(folders) + len(names)
+        if "manifest.json" in names or seen > _MOST_BELOW:
+            folders.clear()
+            continue
+        folders[:] = sorted(name for name in folders if not name.startswith((".", "__")))
+        count = sum(_may_be_test(path / name) for name in names if name != "manifest.csv")
+        if path != folder and count:
+            name = path.relative_to(folder).as_posix().encode("utf-8", "backslashreplace").decode()
+            counts[name] = count
+    return counts
+
+
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     """Key of sorting, with p500 before p1000."""
     parts = re.split(r"([0-9]+)", path.name.lower())
@@ -162,6 +195,7 @@ def _read_file(path: Path, folder: Path, axes: Axes, *, joined: bool) -> TestFil
         raise RecordError(
             f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}"
             + "".join(f"; {note}" for note in (*notes, *table.notes))
+            + _ONE * (len(table.names) == 1)
         )
     levels = (*level_in_header(table.head, table.names), *levels_in(path.stem, joined=joined))
     if column and column.unit and actuation_factor(column.unit)[1] not in ("ksi", "kip") and levels:

@@ -42,6 +42,9 @@ from mfd_bayes.units import (
     check_unit,
     factor,
     force_meant,
+    has_angle,
+    measure,
+    measures,
     parse_actuation,
 )
 
@@ -119,6 +122,13 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
         if named is not None:
             guesses[role] = named
     missing = [role for role in roles if role not in {*guesses, *own, "actuation"}]
+    torque, angle = (rotational(table, taken) for taken in ("N*m", "rad"))
+    if not own and torque and angle and {"displacement", "force"} & set(missing):
+        raise RecordError(
+            f"no column for {' and '.join(r for r in missing if r != 'time')}: {torque!r} is a "
+            f"torque and {angle!r} an angle; a device that turns needs a model of your own, as "
+            "--model my_model.py:Brake"
+        )
     if missing:
         guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
     for role, guess in guesses.items():
@@ -142,6 +152,19 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
     return guesses
 
 
+def rotational(table: Table, like: str) -> str:
+    """The first column whose unit is one of a torque, "N*m", or has an angle, "rad"; or ""."""
+    for name in table.names:
+        own = normalize("NFKC", own_name(name))
+        texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
+        for unit in filter(None, (table.units.get(name), *texts)):
+            unit = {"nm": "N*m", "rpm": "rad/s", "rev/min": "rad/s"}.get(unit.lower(), unit)
+            unit = re.sub(r"(?<=N)[. ·](?=m)", "*", unit)
+            if measure(unit) and (has_angle(unit) if like == "rad" else measures(unit, like)):
+                return name
+    return ""
+
+
 def _of_axis(table: Table, axis: Axis) -> Guess | None:
     """The first column that is called as a user's own axis, with its unit."""
     for name in table.names:
@@ -162,8 +185,15 @@ def unit_of(table: Table, name: str, role: str) -> str | None:
     own = normalize("NFKC", own_name(name))
     texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
     inside = stated_unit(name) or ""  # "Force (N)[1]"
+    is_length = any(
+        word in ROLE_WORDS["displacement"] for word in re.findall(r"[a-z]+", own.lower())
+    )
     for text in (*texts, table.units.get(name, ""), own.strip(), inside):
         for unit in (text.replace("_per_", "/"), text.lower().replace("_per_", "/")):
+            if unit != text and measure(text):  # Nm is no nanometre
+                continue
+            if role == "displacement" and text.lower() == "nm" and not (is_length and text == "nm"):
+                continue
             if _fits(unit, role):
                 return unit
     return None

@@ -537,7 +537,7 @@ def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
     filled = [len(k) - k.count("-") for k in kind]
     tables: list[Layout] = []
     for at in range(len(rows) - 1):
-        if numbers[at] or filled[at] < 2:
+        if numbers[at] or filled[at] < 2 or any(map(_is_date, rows[at])):
             continue
         has_units = not numbers[at + 1] and gives_units(rows[at + 1], rows[at])
         data = at + 1 + has_units
@@ -558,6 +558,14 @@ def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
             count = sum(numbers[i] for i in block)
             blocks.append(Layout(None, None, block[0], count / (width * len(block)), count))
     return max(blocks, key=lambda block: block.count, default=None)
+
+
+def _is_date(cell: Cell) -> bool:
+    """Whether a cell is a date or a clock time, as in a remark: 05.03.2024, 10:00."""
+    pattern = r"\d{1,4}([-/.:])\d{1,2}(?:\1\d{1,4})?"
+    return (
+        isinstance(cell, str) and not NUMBER.fullmatch(cell) and bool(re.fullmatch(pattern, cell))
+    )
 
 
 def gives_units(row: Row, names: Row) -> bool:
