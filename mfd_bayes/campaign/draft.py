@@ -111,7 +111,7 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
     files: list[TestFile] = []
     tests: list[TestDraft] = []
     left_out: list[tuple[str, str]] = [
-        (name, f"a folder with {count} of such files, which are not read: move them up, or give it")
+        (name, f"folders below are not read; this one has {count} that may be tests: init it alone")
         for name, count in below.items()
     ]
 

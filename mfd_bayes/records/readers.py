@@ -663,7 +663,7 @@ def _matlab(path: Path) -> Content:
 
 
 def _v5(path: Path, units: dict[str, str]) -> Arrays:
-    """Name and numbers of each array of numbers in a file of version 5; `units` gets their units."""
+    """Name and numbers of each array of numbers in a file of version 5; `units` gets the units."""
     from scipy.io import loadmat
 
     for name, value in loadmat(path, struct_as_record=True).items():

@@ -250,7 +250,7 @@ def test_files_that_are_no_tests_are_left_out_with_the_reason(tmp_path):
     columns = {"time_s": TIME, "displacement_in": MOTION, "force \ud800 (kip)": FORCE}
     (folder / "800psi.json").write_text(json.dumps({k: v.tolist() for k, v in columns.items()}))
     expected = {
-        "sub": "a folder with 1",
+        "sub": "this one has 1",
         "link.csv": "link",
         "still_500psi.csv": "constant",
         "bands.csv": "written by mfd-bayes",
