@@ -151,6 +151,8 @@ def why_invalid(error: Exception) -> str:
     text = str(error)
     if "set_int_max_str_digits" in text:
         return "it holds a number of thousands of digits"
+    if "hex value" in text or "backslash" in text or "Unescaped '\\'" in text:
+        text += "; in a path write / in place of \\, or single quotes about it"
     return text[:200]
 
 

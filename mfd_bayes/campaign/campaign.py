@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -229,7 +230,9 @@ def _find_file(path: Path, folder: Path, entry: TestTable) -> Path:
         if file is None:
             raise CampaignError(f"{where} lies outside the campaign's folder")
         if not file.is_file():
-            raise CampaignError(f"{where} does not exist")
+            is_windows = re.search(r"[\\\x00-\x1f]", entry.file)
+            hint = "; write / in place of \\" if is_windows else ""
+            raise CampaignError(f"{where} does not exist{hint}")
     except (OSError, RuntimeError, ValueError) as error:
         raise CampaignError(f"{where} cannot be found: {error}") from error
     return file

@@ -5,6 +5,7 @@ A comment stands wherever a guess is not certain.
 
 from __future__ import annotations
 
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -26,6 +27,7 @@ from mfd_bayes.campaign.guesses import (
     levels_in,
     prevailing_unit,
     without_shared_levels,
+    writes_decimals,
 )
 from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
@@ -47,6 +49,7 @@ from mfd_bayes.units import (
     measures,
 )
 
+_ONE = "; columns are separated by commas, tabs, semicolons, | or blanks"
 _INTERNAL = {"time": "s", "displacement": "in", "force": "kip"}
 _BANDS = {"lower", "median", "upper"}  # first words of columns of a prediction
 _EARTHQUAKE = re.compile(
@@ -105,23 +108,28 @@ class Draft:
 def draft_campaign(folder: Path, model: str = "") -> Draft:
     """Campaign of the test files in a folder, perhaps of a user's own model, "file.py:Class"."""
     try:
-        paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
+        paths = [p for p in folder.iterdir() if _may_be_test(p)]
+        below = _tests_below(folder)
     except OSError as error:
         raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
     chosen = find_model(model, folder) if model else None
     axes = replace(chosen.axes, actuated=bool(chosen.actuated)) if chosen else DAMPER
     files: list[TestFile] = []
     tests: list[TestDraft] = []
-    left_out: list[tuple[str, str]] = []
+    left_out: list[tuple[str, str]] = [
+        (name, f"folders below are not read; this one has {count} that may be tests: init it alone")
+        for name, count in below.items()
+    ]
 
     def leave_out(path: Path, error: MfdError) -> None:
         texts = path.name, str(error).replace(str(path), path.name)
         name, why = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
         left_out.append((name, why))
 
+    joined = writes_decimals([path.stem for path in paths])
     for path in sorted(paths, key=_natural):
         try:
-            files.append(_read_file(path, folder, axes))
+            files.append(_read_file(path, folder, axes, joined=joined))
         except MfdError as error:
             leave_out(path, error)
     files = without_shared_levels(files)
@@ -142,13 +150,40 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
     return Draft(folder, tuple(tests), tuple(left_out), unit, axes, model or Draft.model, own)
 
 
+def _may_be_test(path: Path) -> bool:
+    """Whether a path is a file that can be read, and no shadow of one by macOS or Excel."""
+    is_shadow = path.name.startswith(("._", "~$"))
+    return path.suffix.lower() in SUFFIXES and not is_shadow and path.is_file()
+
+
+_MOST_BELOW = 10_000  # files and folders that are looked at
+
+
+def _tests_below(folder: Path) -> dict[str, int]:
+    """Folders below, but for hidden ones and runs, to the number of files that may be tests."""
+    counts: dict[str, int] = {}
+    seen = 0
+    for place, folders, names in os.walk(folder):
+        path = Path(place)
+        seen += len(folders) + len(names)
+        if "manifest.json" in names or seen > _MOST_BELOW:
+            folders.clear()
+            continue
+        folders[:] = sorted(name for name in folders if not name.startswith((".", "__")))
+        count = sum(_may_be_test(path / name) for name in names if name != "manifest.csv")
+        if path != folder and count:
+            name = path.relative_to(folder).as_posix().encode("utf-8", "backslashreplace").decode()
+            counts[name] = count
+    return counts
+
+
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     """Key of sorting, with p500 before p1000."""
     parts = re.split(r"([0-9]+)", path.name.lower())
     return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], path.name
 
 
-def _read_file(path: Path, folder: Path, axes: Axes) -> TestFile:
+def _read_file(path: Path, folder: Path, axes: Axes, *, joined: bool) -> TestFile:
     """Guessed columns and actuations of a file; raises where it cannot be a test."""
     _check_utf8(path.name, "its name")
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -167,8 +202,9 @@ def _read_file(path: Path, folder: Path, axes: Axes) -> TestFile:
         raise RecordError(
             f"no column for {' and '.join(missing)} among {', '.join(table.names[:12])}"
             + "".join(f"; {note}" for note in (*notes, *table.notes))
+            + _ONE * (len(table.names) == 1)
         )
-    levels = (*level_in_header(table.head, table.names), *levels_in(path.stem))
+    levels = (*level_in_header(table.head, table.names), *levels_in(path.stem, joined=joined))
     if column and column.unit and actuation_factor(column.unit)[1] not in ("ksi", "kip") and levels:
         column = None  # a current or a voltage, of a sensor perhaps, where the level is stated
     return TestFile(

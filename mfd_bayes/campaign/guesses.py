@@ -17,8 +17,8 @@ from mfd_bayes.records.data_quality import (
     NUMBER,
     SLOW_PERIOD,
     SLOW_RATE,
-    is_product,
     level_text,
+    readings,
 )
 from mfd_bayes.records.loops import follows, roughness
 from mfd_bayes.records.record import Source, step_of
@@ -30,6 +30,7 @@ from mfd_bayes.records.table import (
     listed,
     own_name,
     stated_unit,
+    ungrouped,
 )
 from mfd_bayes.records.trace import Array, check_magnitude, cycle_turns
 from mfd_bayes.units import (
@@ -41,6 +42,9 @@ from mfd_bayes.units import (
     check_unit,
     factor,
     force_meant,
+    has_angle,
+    measure,
+    measures,
     parse_actuation,
 )
 
@@ -118,6 +122,13 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
         if named is not None:
             guesses[role] = named
     missing = [role for role in roles if role not in {*guesses, *own, "actuation"}]
+    torque, angle = (rotational(table, taken) for taken in ("N*m", "rad"))
+    if not own and torque and angle and {"displacement", "force"} & set(missing):
+        raise RecordError(
+            f"no column for {' and '.join(r for r in missing if r != 'time')}: {torque!r} is a "
+            f"torque and {angle!r} an angle; a device that turns needs a model of your own, as "
+            "--model my_model.py:Brake"
+        )
     if missing:
         guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
     for role, guess in guesses.items():
@@ -141,6 +152,19 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
     return guesses
 
 
+def rotational(table: Table, like: str) -> str:
+    """The first column whose unit is one of a torque, "N*m", or has an angle, "rad"; or ""."""
+    for name in table.names:
+        own = normalize("NFKC", own_name(name))
+        texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
+        for unit in filter(None, (table.units.get(name), *texts)):
+            unit = {"nm": "N*m", "rpm": "rad/s", "rev/min": "rad/s"}.get(unit.lower(), unit)
+            unit = re.sub(r"(?<=N)[. ·](?=m)", "*", unit)
+            if measure(unit) and (has_angle(unit) if like == "rad" else measures(unit, like)):
+                return name
+    return ""
+
+
 def _of_axis(table: Table, axis: Axis) -> Guess | None:
     """The first column that is called as a user's own axis, with its unit."""
     for name in table.names:
@@ -161,8 +185,15 @@ def unit_of(table: Table, name: str, role: str) -> str | None:
     own = normalize("NFKC", own_name(name))
     texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
     inside = stated_unit(name) or ""  # "Force (N)[1]"
+    is_length = any(
+        word in ROLE_WORDS["displacement"] for word in re.findall(r"[a-z]+", own.lower())
+    )
     for text in (*texts, table.units.get(name, ""), own.strip(), inside):
         for unit in (text.replace("_per_", "/"), text.lower().replace("_per_", "/")):
+            if unit != text and measure(text):  # Nm is no nanometre
+                continue
+            if role == "displacement" and text.lower() == "nm" and not (is_length and text == "nm"):
+                continue
             if _fits(unit, role):
                 return unit
     return None
@@ -418,24 +449,62 @@ class Level:
     doubt: str = ""  # what was assumed
 
 
-def _level(number: str, unit: str, place: str, doubt: str = "") -> Level:
-    text = level_text(number, unit)
-    doubt = doubt or (f"{number} is taken for {text}" if is_product(number) else "")
-    return Level(text, *parse_actuation(text), place, doubt)
+def _level(
+    name: str, match: re.Match[str], place: str, doubt: str = "", *, unit: str = "", joined: bool
+) -> Level:
+    """Level of a number and its unit; where the number may be another, with that doubt.
+
+    Of ``1_5bar`` the last part counts, unless numbers are `joined`.
+    """
+    unit = unit or match[2]
+    words, numbers = readings(name, match)
+    after = re.match(r"[_-](\d{1,3})(?![\da-z])", name[match.end() :], re.IGNORECASE)
+    if match.re in (_PRESSURE, _TENSION) and after and re.fullmatch(r"\d\d?", match[1]):
+        words, numbers = words + after[0], (numbers[0], float(f"{match[1]}.{after[1]}"))
+    if joined and len(numbers) > 1 and "x" not in match[1].lower():
+        numbers = (*numbers[1:], numbers[0])
+    first, *others = (level_text(number, unit) for number in numbers)
+    if others:
+        doubt += f"{'; ' if doubt else ''}{words} may be {_or((first, *others))}"
+    return Level(first, *parse_actuation(first), place, doubt)
 
 
-def levels_in(name: str) -> tuple[Level, ...]:
-    """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is assumed to be psi."""
-    found = [(m[1], m[2], "") for m in _WITH_UNIT.finditer(name)]
-    if not found:
-        found = [(n, "psi", "psi is assumed; it may be kPa") for n in _PRESSURE.findall(name)]
-        found += [(n, "lbf", "lbf is assumed; it may be N") for n in _TENSION.findall(name)]
-    if not found:
-        for match in _DRIVEN.finditer(name):  # a single letter may be a label as well
-            is_label = len(match[2]) == 1 and match[1].isdigit()
-            doubt = f"{match[0]} is taken for {match[2].upper()}" if is_label else ""
-            found.append((match[1], match[2], doubt))
-    levels = (_level(number, unit, NAMED, doubt) for number, unit, doubt in found)
+_PARTS = re.compile(
+    rf"(?<![\d.,])(0|[1-9]\d{{0,2}})([ _-])(\d+)[ _-]?"
+    rf"(?:{_UNITS}|{_DRIVES}|hz|mm|in|inch)(?![a-z])",
+    re.IGNORECASE,
+)
+_BARE_ZERO = re.compile(r"(?<![a-z])(?:p|press|pressure|tension|preload)[ _=-]?0[_-]\d", re.I)
+
+
+def writes_decimals(names: Sequence[str]) -> bool:
+    """Whether names have ``_``, ``-`` or a blank for a decimal point, or between thousands.
+
+    They do where a number begins with 0_, or where the last parts are as long as one that is
+    nothing but zeros: ``1_0bar`` beside ``0_5bar``, ``2 000psi`` beside ``1 500psi``.
+    """
+    parts = [match.groups() for name in names for match in _PARTS.finditer(ungrouped(name))]
+    short = [last for whole, sign, last in parts if whole == "0" and (sign == "_" or len(last) < 3)]
+    lengths = {len(last) for *_, last in parts}
+    zeros = len(lengths) == 1 and any(not last.strip("0") for *_, last in parts)
+    return bool(short) or zeros or any(map(_BARE_ZERO.search, names))
+
+
+def levels_in(name: str, *, joined: bool = False) -> tuple[Level, ...]:
+    """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is assumed to be psi.
+
+    `joined` says that names write decimals as ``1_5bar``.
+    """
+    name = ungrouped(name)
+    levels = [_level(name, m, NAMED, joined=joined) for m in _WITH_UNIT.finditer(name)]
+    for pattern, unit, other in ((_PRESSURE, "psi", "kPa"), (_TENSION, "lbf", "N")):
+        doubt = f"{unit} is assumed; it may be {other}"
+        matches = () if levels else pattern.finditer(name)
+        levels += [_level(name, m, NAMED, doubt, unit=unit, joined=joined) for m in matches]
+    for match in () if levels else _DRIVEN.finditer(name):
+        is_label = len(match[2]) == 1 and match[1].isdigit()  # a single letter may be a label
+        doubt = f"{match[0]} is taken for {match[2].upper()}" if is_label else ""
+        levels.append(_level(name, match, NAMED, doubt, joined=joined))
     return tuple(dict.fromkeys(levels))
 
 
@@ -445,9 +514,12 @@ def level_in_header(lines: Sequence[str], names: Sequence[str]) -> tuple[Level, 
     A pressure without that word, as ``Brake at 500 psi``, gets a doubt.
     """
     lines = [*names, *(line for line in lines if re.search(r"[A-Za-z]{3}", line))]
+    lines = [ungrouped(line, heading=True) for line in lines]
     for pattern, doubt in ((_CALLED, ""), (_PRESSURE_UNIT, "it is a pressure in the header lines")):
-        for match in filter(None, map(pattern.search, lines)):
-            return (_level(match[1], match[2], "in the header", doubt),)
+        for line in lines:
+            if match := pattern.search(line):
+                joined = writes_decimals([line])
+                return (_level(line, match, "in the header", doubt, joined=joined),)
     return ()
 
 
@@ -457,7 +529,7 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
     ``"100 Hz"`` of ``Sample rate: 100 Hz``; empty where the lines state none, or several.
     """
     rates: dict[float, tuple[str, str]] = {}
-    for line in (normalize("NFKC", text) for text in lines):
+    for line in (normalize("NFKC", ungrouped(text, heading=True)) for text in lines):
         for pattern, usual in _RATES:
             for match in pattern.finditer(line):
                 number, unit = match[2].replace(",", "."), (match[1] or match[3] or "").lower()
@@ -465,8 +537,8 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
                     continue  # it is not known which number it is
                 if _OF_LOGGER.search(line[: match.start()]):
                     continue
-                if not unit and re.match(r"\s*[\[(]?[^\W\d_]", line[match.end() :]):
-                    continue  # a unit that is not read
+                if not unit and re.match(r"\s*[\[(]?[^\W\d_]|\d{3}(?!\d)", line[match.end() :]):
+                    continue  # a unit that is not read, or a part of a number
                 unit = re.sub(rf"^(k?)(?:s/s|sa/s|sps|1/s|{_EACH})$", r"\1Hz", unit)
                 unit = unit.replace("hz", "Hz").replace("μ", "µ")
                 text = f"{number} {unit or usual}"

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from mfd_bayes.campaign.guesses import guess_columns
 from mfd_bayes.campaign.schema import CampaignFile, TestTable
 from mfd_bayes.errors import CampaignError, MfdError, RecordError, StoreError, why_no_file
 from mfd_bayes.evaluation.acceptance import DRAWS as ACCEPTANCE_DRAWS
@@ -37,7 +38,7 @@ from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.given import NARROWING, Estimate, Forecaster, is_enough
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.record import NO_ACTUATION, Record, parse_window, read_record
+from mfd_bayes.records.record import NO_ACTUATION, Record, Source, parse_window, read_record
 from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.reporting.tables import (
     acceptance_table,
@@ -250,12 +251,10 @@ def _motion_of(
         if question.compare or question.rate or question.given:
             raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
         return parse_sine(question.sine, axes).trace(0.0), (), None
-    columns = None
-    if not axes.of_damper:  # units that the campaign states and the file does not
-        names = read_table(question.motion).names
-        stated = settings.columns.given.items()
-        columns = {role: c.source for role, c in stated if c.key in names or c.name is None} or None
+    columns = motion_columns(question.motion, settings, axes)
     record = read_record(question.motion, columns, actuation=question.actuation, axes=axes)
+    shown = ", ".join(f"{axes.name(role)}: {n} [{u}]" for role, (n, u) in record.columns.items())
+    read = (f"columns read from {question.motion.name}: {shown}",) if columns else ()
     given = f"--given {question.given!r}" if question.given else ""
     needs = "--compare" if question.compare else given
     if needs and record.force is None:
@@ -266,15 +265,39 @@ def _motion_of(
         raise CampaignError("--rate: samples are numbered, the model is rate-independent")
     if question.rate:
         rate = parse_quantity(question.rate, "rate", of="--rate")
-        return _thinned(record, rate, question.window), (), record
+        return _thinned(record, rate, question.window), read, record
     if record.time.size <= MOST:
-        return record.trace(), (), record
+        return record.trace(), read, record
     rate = record.rate * MOST / record.time.size
     remark = (
         f"the motion has {record.time.size} samples, more than the {MOST} that are predicted at "
         f"once: the band is given at {rate:.4g} Hz; --rate sets another"
     )
-    return _thinned(record, rate, question.window), (remark,), record
+    return _thinned(record, rate, question.window), (*read, remark), record
+
+
+def motion_columns(path: Path, settings: CampaignFile, axes: Axes) -> dict[str, Source] | None:
+    """The campaign's columns that a file has, else those that init would take; None by its names.
+
+    Of what init would only guess at from the numbers, or that lacks its unit, nothing is taken.
+    """
+    table = read_table(path)
+    timed = bool(table.called("time"))
+    stated = {r: c for r, c in settings.columns.given.items() if r != "actuation"}
+    columns = {r: c.source for r, c in stated.items() if c.key in table.names or c.name is None}
+    if not axes.of_damper:
+        return columns or None
+    if columns.keys() >= {"time", "displacement"} and not (columns["time"].rate and timed):
+        return columns
+    if {role for role in ("time", "displacement") if table.called(role)} == {
+        "time",
+        "displacement",
+    }:
+        return None
+    roles = ("time", "displacement", "force")
+    guesses = {r: g for r, g in guess_columns(table, axes).items() if r in roles}
+    sure = {r: g.source for r, g in guesses.items() if g.unit and not g.doubts}
+    return sure if sure.keys() >= {"time", "displacement"} else None
 
 
 def _thinned(record: Record, rate: float, window: tuple[float, float] | None) -> Trace:

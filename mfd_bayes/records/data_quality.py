@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -572,11 +573,13 @@ NUMBER = (
     r"(?<![\d.])(?<!\d[eE])(?<![A-Za-z]\d,)"  # no part of 1.5e3, nor of "seal3,5bar"
     r"(0,\d+(?![\d.,])|(?<![A-Za-z])\d{1,3},\d{1,2}(?![\d.,])"
     r"|(?!(?<=\d,)\d{3}(?!\d))"  # no part of 1,200
-    r"(?:(?:\d+[.p]\d+|0x\d+|\d+x\d{1,2})(?!\d)|\d+(?!\d|[.p]\d)))"
-)  # whole: Python 3.11.2 misreads (\d++)?+
+    r"(?:\d+[.px]\d+(?!\d)|\d+(?!\d|[.px]\d)))"  # whole: Python 3.11.2 misreads (\d++)?+
+)
 """Number in a name: ``0.5``, ``0p5``, ``0x5``, ``0,5``. Of ``1,200`` it is not known which it is,
 and commas may stand between words too, as in ``2022,36lb,0.25Hz``.
 """
+
+_BEFORE = re.compile(r"(?<![\d.,])(0|[1-9]\d{0,2})([ _-])$")  # what a number may go on from
 
 _ALONE = rf"(?<![A-Za-z]){NUMBER}"
 _FREQUENCY = re.compile(rf"{NUMBER}[ _-]?hz(?![a-z])", re.IGNORECASE)
@@ -665,7 +668,9 @@ def _of_time(record: Record, trace: Trace) -> Iterator[Fault]:
 def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
     """Amplitude, frequency and actuation that no figure in the file's name agrees with."""
     name, loops = record.path.stem, find_loops(trace)
-    compared: list[tuple[dict[str, float], tuple[float, ...], str, dict[str, str | Value]]] = []
+    compared: list[
+        tuple[dict[str, tuple[float, ...]], tuple[float, ...], str, dict[str, str | Value]]
+    ] = []
     if loops.period.size and "displacement" in roles:
         size = float(np.median(loops.amplitude[loops.strong]))
         text = "the record has an amplitude of {amplitude} (a stroke of {stroke})"
@@ -673,14 +678,15 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
         compared.append((_lengths(name), (size, 2 * size), text, shown))
     if loops.period.size and "time" in roles:
         rate = float(1.0 / np.median(loops.period[loops.strong]))
-        rates = {words: number for words, number, _ in _figures(_FREQUENCY, name)}
+        rates = dict(readings(name, m) for m in _FREQUENCY.finditer(name))
         compared.append((rates, (rate, record.rate), f"the record's motion has {rate:.3g} Hz", {}))
     if record.actuation is not None:
         declared, level = {}, float(np.mean(record.actuation))
         for match in _ACTUATION.finditer(name):
-            value, internal = parse_actuation(level_text(match[1], match[2]))
+            words, numbers = readings(name, match)
+            scale, internal = parse_actuation(level_text(1.0, match[2]))
             if internal == record.actuation_unit:
-                declared[match[0]] = value
+                declared[words] = tuple(scale * number for number in numbers)
         where = "the campaign"
         words = record.given_actuation or f"{level:.4g} {record.actuation_unit}"
         if "actuation" in record.columns:
@@ -689,24 +695,17 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
         text = f"{where} has an actuation of {{level}}"
         compared.append((declared, (level,), text, {"level": words}))
     for figures, measured, text, values in compared:
-        if figures and not any(_near(size, f) for f in figures.values() for size in measured):
+        stated = chain.from_iterable(figures.values())
+        if figures and not any(_near(s, f) for f, s in product(stated, measured)):
             said = f"the name of {{file}} says {{words}}, but {text}"
             words = " and ".join(figures)
             yield Fault.of("file name", said, file=record.path.name, words=words, **values)
 
 
-def _lengths(name: str) -> dict[str, float]:
+def _lengths(name: str) -> dict[str, tuple[float, ...]]:
     """Lengths in a file's name, in, by their words: amplitudes or whole strokes."""
-    return {w: number * factor(m[2], "displacement") for w, number, m in _figures(_LENGTH, name)}
-
-
-def _figures(pattern: re.Pattern[str], name: str) -> Iterator[tuple[str, float, re.Match[str]]]:
-    """Words of a name and their numbers; ``3x5mm`` may be 3.5 mm, or three cycles of 5 mm."""
-    for match in pattern.finditer(name):
-        yield match[0], number_in(match[1]), match
-        if is_product(match[1]):
-            times = match[1].lower().index("x") + 1
-            yield match[0][times:], float(match[1][times:]), match
+    read = [(readings(name, m), factor(m[2], "displacement")) for m in _LENGTH.finditer(name)]
+    return {words: tuple(by * number for number in numbers) for (words, numbers), by in read}
 
 
 def length_in_name(record: Record) -> tuple[str, str] | None:
@@ -719,8 +718,8 @@ def length_in_name(record: Record) -> tuple[str, str] | None:
     agree = {
         unit: words
         for unit, size in sizes.items()
-        for words, length in _lengths(record.path.stem).items()
-        if _near(size, length) or _near(2.0 * size, length)
+        for words, lengths in _lengths(record.path.stem).items()
+        if any(_near(size, length) or _near(2.0 * size, length) for length in lengths)
     }
     if len(agree) != 1:
         return None
@@ -729,19 +728,32 @@ def length_in_name(record: Record) -> tuple[str, str] | None:
     return unit, why
 
 
-def number_in(text: str) -> float:
-    """Number that `NUMBER` has found."""
-    return float(re.sub("[px,]", ".", text.lower()))
+def readings(name: str, match: re.Match[str]) -> tuple[str, tuple[float, ...]]:
+    """Words of a quantity that `NUMBER` has found in a name, and the numbers that it may be.
+
+    An x is a sign of decimals, or of times, as in ``2x500psi``. Behind digits and ``_``, ``-`` or
+    a blank the last part comes first, then both as one number: ``1_5bar`` is the first test at
+    5 bar, or 1.5 bar; ``1 500psi`` may be 1500 psi.
+    """
+    text, start = match[1].lower(), match.start(1)
+    numbers = [float(re.sub("[px,]", ".", text))]
+    whole, times, last = text.partition("x")
+    if times and whole != "0":
+        numbers.insert(0 if len(last) >= 3 else 1, float(last))
+    before = _BEFORE.search(name[:start])
+    if before and text.isdigit() and len(text) <= 3:
+        start = before.start()
+        grouped = len(text) == 3 and before[1] != "0"
+        if before[2] != " " or not grouped:
+            numbers.append(float(f"{before[1]}.{text}"))
+        if grouped:
+            numbers.append(float(before[1] + text))
+    return name[start : match.end()], tuple(dict.fromkeys(numbers))
 
 
-def is_product(text: str) -> bool:
-    """Whether a number that `NUMBER` has found may be two, as ``2x35``; ``0x35`` cannot."""
-    return re.match("0*[1-9][0-9]*x", text.lower()) is not None
-
-
-def level_text(number: str, unit: str) -> str:
-    """Quantity of a number that `NUMBER` has found and a unit in any case: "5 MPa"."""
-    return f"{number_in(number):g} {_SPELLED.get(unit.lower(), unit.lower())}"
+def level_text(number: float, unit: str) -> str:
+    """Quantity of a number and a unit in any case: "5 MPa"."""
+    return f"{number:.9g} {_SPELLED.get(unit.lower(), unit.lower())}"
 
 
 def _near(size: float, declared: float) -> bool:

@@ -49,6 +49,7 @@ from mfd_bayes.records.table import (
     check_names,
     find_table,
     gives_units,
+    is_grouped,
     is_stamp,
     kinds,
     labels,
@@ -57,15 +58,22 @@ from mfd_bayes.records.table import (
 from mfd_bayes.units import factor, measure
 
 SIZE, LINE = 256, 2**17  # largest file, MB, and most characters of a line
+LINES, EMPTY = 10_000_000, 200_000  # most lines, and most characters of those without a cell
 JSON_SIZE, LISTS, CELLS = 64, 1_000_000, 20_000_000
 """Largest .json file, MB, most lists and objects of it, and most cells of rows of objects."""
 BLANKS = " "
+_NO_CELL = ',;|" \t'
 _BEFORE_NAME = r"\s+(?![\[(])"  # no name begins with a bracket: "Time (s) Force (N)"
-SEPARATORS = (",", "\t", ";", BLANKS)
+SEPARATORS = (",", "\t", ";", "|", BLANKS)
 
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _COMMENT = re.compile(r"\s*#(?!N/A|VALUE!|REF!|DIV/0!|NUM!|NAME\?|NULL!)")  # no error of Excel
 _COMMENTS = "#%/;!"  # signs before names, from programs of all kinds
+_WRAPPED = re.compile(  # a number as Python shows it: np.float64(0.5)
+    r"\b(?:(?:np|numpy|jnp)\.\w+|Decimal|array|tensor|float\d*)\(\s*['\"]?([-+\d.,eE]+|nan|inf)['\"]?"
+    r"(?:, dtype=[\w.]+)?\)"
+)
+_SIGN = re.compile(r"([+\-−])\s+(?=[.,]?\d)")  # of a logger that writes it in a column of its own
 _OPEN = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')
 
 
@@ -75,9 +83,13 @@ def read_text(path: Path) -> Table:
     Columns without names are called "column 1", "column 2", …, or as in a comment right above the
     numbers. Blank lines and those that begin with # are skipped.
     """
-    lines = _decode(path).split("\n")
+    lines = _decode(path)
     comment = _COMMENT.match
     kept = [i for i, line in enumerate(lines) if line.strip() and not comment(line)]
+    while kept and not lines[kept[-1]].strip(_NO_CELL):
+        kept.pop()
+    if sum(len(lines[i]) for i in kept if not lines[i].strip(_NO_CELL)) > EMPTY:
+        raise RecordError(f"{path} is full of lines of separators alone; expected numbers in them")
     if not kept:
         raise RecordError(f"{path} is empty")
     separator, rows, layout = _layout(path, [lines[i] for i in kept[:SEARCHED]])
@@ -90,7 +102,7 @@ def read_text(path: Path) -> Table:
     columns = _columns(body, separator, width) if body else None
     if columns is None:  # line by line, for what stands between the numbers
         for at in kept[layout.data :]:
-            if _OPEN.search(lines[at]):
+            if '"' in lines[at] and _OPEN.search(lines[at]):
                 raise RecordError(
                     f"line {at + 1} of {path} has a quotation mark without its partner, which "
                     "would join it with the next lines"
@@ -119,8 +131,8 @@ def read_text(path: Path) -> Table:
     return table
 
 
-def _decode(path: Path) -> str:
-    """Text of a file in UTF-8, in UTF-16 with a byte order mark, or of Windows or Japan."""
+def _decode(path: Path) -> list[str]:
+    """Lines of a file in UTF-8, UTF-16 or UTF-32, or of Windows or Japan."""
     size = path.stat().st_size / 2**20
     if size > SIZE:
         raise RecordError(
@@ -129,8 +141,8 @@ def _decode(path: Path) -> str:
         )
     content = path.read_bytes()
     encodings: tuple[str, ...] = ("utf-8-sig", "cp1252", "cp932", "latin-1")
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        encodings = ("utf-16",)
+    if wide := _wide(content[:4000]):
+        encodings = (wide,)
     elif b"\x1b$" in content:
         encodings = ("iso2022_jp",)
     for encoding in encodings:
@@ -138,17 +150,46 @@ def _decode(path: Path) -> str:
             text = content.decode(encoding)
         except UnicodeError:
             continue
-        if encoding == "utf-8-sig" or not _CONTROL.search(text):
+        text = text.rstrip("\0")  # of a logger that laid out more than it wrote
+        if "\0" not in text and (encoding == "utf-8-sig" or not _CONTROL.search(text)):
             break
     else:
         raise RecordError(f"{path} is not UTF-8 text, as a {path.suffix} file must be")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if long := re.search(rf"[^\n]{{{LINE + 1}}}", text):
+    if (count := text.count("\n")) > LINES:
+        raise RecordError(f"{path} has {count:,} lines; at most {LINES:,} are read")
+    text = _WRAPPED.sub(r"\1", text) if "(" in text else text
+    lines = text.split("\n")
+    if long := next((number for number, line in enumerate(lines, 1) if len(line) > LINE), 0):
         raise RecordError(
-            f"line {text.count(chr(10), 0, long.start()) + 1} of {path} is longer than {LINE:,} "
-            "characters, the most that is read; expected a line for every sample"
+            f"line {long} of {path} is longer than {LINE:,} characters, the most that is read; "
+            "expected a line for every sample"
         )
-    return text
+    return lines
+
+
+def _wide(head: bytes) -> str:
+    """Encoding of a text with two or four bytes for a character; empty of others.
+
+    By its byte order mark, or where every second byte is NUL, or three of four.
+    """
+    if head[:4] in (b"\xff\xfe\0\0", b"\0\0\xfe\xff"):
+        return "utf-32"
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    size = len(head) // 4
+    shares = [head[at::4].count(0) / max(size, 1) for at in range(4)]
+    for encoding, letters in (
+        ("utf-32-le", "x000"),
+        ("utf-32-be", "000x"),
+        ("utf-16-le", "x0x0"),
+        ("utf-16-be", "0x0x"),
+    ):
+        if all(
+            (share > 0.7) == (letter == "0") for share, letter in zip(shares, letters, strict=True)
+        ):
+            return encoding
+    return ""
 
 
 def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
@@ -156,6 +197,8 @@ def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
     candidates: list[tuple[str, list[Row], Layout]] = []
     for separator in SEPARATORS:
         if separator != BLANKS and not any(separator in line for line in lines):
+            continue
+        if separator == BLANKS and any(map(_has_thousands, lines)):
             continue
         rows: list[Row] = [_split(line, separator) for line in lines]
         if separator != BLANKS:
@@ -178,11 +221,21 @@ def _layout(path: Path, lines: list[str]) -> tuple[str, list[Row], Layout]:
     return separator, [_split(line, separator) for line in lines], Layout(0, None, 1, 0.0, 0)
 
 
+def _has_thousands(line: str) -> bool:
+    """Whether a cell between tabs or semicolons is one number with blanks in it: 7 586,5."""
+    sign = next((sign for sign in "\t;|" if sign in line), "")
+    return bool(sign) and any(is_grouped(cell) for cell in _split(line, sign))
+
+
 def _split(line: str, separator: str) -> list[str]:
     if '"' not in line:
-        return line.split() if separator == BLANKS else [c.strip() for c in line.split(separator)]
-    line = " ".join(line.split()) if separator == BLANKS else line
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+        if separator == BLANKS:
+            return line.split()
+        cells = [cell.strip() for cell in line.split(separator)]
+    else:
+        line = " ".join(line.split()) if separator == BLANKS else line
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+    return [_SIGN.sub(r"\1", c) if c[:1] in "+-−" and _SIGN.match(c) else c for c in cells]
 
 
 def _columns(body: list[str], separator: str, width: int) -> list[Array] | None:
@@ -242,7 +295,7 @@ def _check_order(path: Path, lines: Sequence[str], names: Sequence[str], top: in
 def read_json(path: Path) -> Table:
     """Table of a .json file: an object of lists, a list of objects or of rows, or of pandas.
 
-    Numbers and texts beside the columns are its settings.
+    It may stand in an object, with names and units beside it; numbers and texts there are settings.
     """
     size = path.stat().st_size / 2**20
     if size > JSON_SIZE:
@@ -261,21 +314,40 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
-    headed = not (isinstance(content, list) and bool(content) and isinstance(content[0], list))
+    beside: dict[str, Any] = {}
+    while isinstance(content, dict) and (inner := _inner(content)):
+        beside |= content
+        content = beside.pop(inner)
     whole: dict[str, Any] = content if isinstance(content, dict) else {}
+    named, given = _beside(beside | whole, _UNITS)
+    names = _beside(beside, _TITLES)[1]
+    if isinstance(names, list) and all(isinstance(name, dict) for name in names):
+        given = given or [str(_beside(name, _UNITS)[1] or "") for name in names]
+        names = [_beside(name, ("name", "Name", "label", "id"))[1] for name in names]
+    headed = True
     match content:
+        case [[*cells], *_] if isinstance(names, list) and len(names) == len(cells):
+            columns = _of_rows(path, content, labels([str(name) for name in names]))
         case [[*cells], *_]:
-            columns = _of_rows(path, content, labels([""] * len(cells)))
+            headed, columns = False, _of_rows(path, content, labels([""] * len(cells)))
         case {"columns": [*names], "data": [*lines]}:
             columns = _of_rows(path, lines, [str(name) for name in names])
+        case [{}, *_] if all(_signal(each) is not None for each in content):
+            titles = [str(_beside(each, ("name", "Name", "label", "id"))[1]) for each in content]
+            columns = dict(zip(labels(titles), map(_signal, content), strict=True))
+            given = [str(_beside(each, _UNITS)[1] or "") for each in content]
         case [*lines]:
             columns = _of_rows(path, lines)
         case {}:
             columns = {k: v for k, v in whole.items() if isinstance(v, dict | list)}
+            signals = {k: _signal(v) for k, v in columns.items() if _signal(v) is not None}
+            if signals:
+                given = {k: str(_beside(columns[k], _UNITS)[1] or "") for k in signals}
+                columns = signals
         case _:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
-    named = next((key for key in ("units", "unit") if key in whole), "")
-    given = whole.get(named)
+    if isinstance(given, list) and len(given) == len(columns) and named not in columns:
+        given = dict(zip(columns, given, strict=True))
     if isinstance(given, dict) and all(isinstance(unit, str) for unit in given.values()):
         columns = {name: column for name, column in columns.items() if name != named}
     else:
@@ -292,8 +364,52 @@ def read_json(path: Path) -> Table:
     }
     units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
     units |= {name: "s" for name, cells in columns.items() if cells and is_stamp(cells[0])}
-    settings = tuple(f"{k}: {v}" for k, v in whole.items() if type(v) in (int, float, str))
-    return Table(path, columns, units=units, headed=headed, head=settings)
+    stated = beside | whole
+    stated |= {k: v for each in beside.values() if isinstance(each, dict) for k, v in each.items()}
+    settings = tuple(f"{k}: {v}" for k, v in stated.items() if type(v) in (int, float, str))
+    return Table(path, columns, units=units, headed=headed, decimals=(".", ","), head=settings)
+
+
+_UNITS = ("units", "unit", "Units", "Unit")
+_TITLES = ("columns", "names", "fields", "header", "headers", "channels", "variables", "labels")
+_VALUES = ("data", "values", "Data", "Values", "value", "samples")
+
+
+def _beside(content: Mapping[str, Any], keys: Sequence[str]) -> tuple[str, Any]:
+    """The first of these keys that an object has, and what stands there; "" and None without."""
+    key = next((key for key in keys if key in content), "")
+    return key, content.get(key)
+
+
+def _signal(content: Any) -> list[Any] | None:
+    """Numbers of an object of one signal, {"unit": "mm", "data": [0, 1]}; None of others."""
+    values = _beside(content, _VALUES)[1] if isinstance(content, dict) else None
+    flat = isinstance(values, list) and not any(isinstance(v, list | dict) for v in values[:1])
+    return values if flat else None
+
+
+def _inner(content: Mapping[str, Any]) -> str:
+    """Key of the one table in an object that is none itself; "" where there is none, or several."""
+    if {"columns", "data"} <= content.keys() or _signal(content) is not None:
+        return ""
+    lists = [v for v in content.values() if isinstance(v, list) and not isinstance(v[:1], dict)]
+    flat = [v for v in lists if len(v) >= SHORTEST and not isinstance(v[0], list | dict)]
+    if len(flat) >= 2:
+        return ""
+    tables = [key for key, value in content.items() if _is_table(value)]
+    return tables[0] if len(tables) == 1 else ""
+
+
+def _is_table(content: Any) -> bool:
+    """Whether a value is a list of rows, an object of two lists or more, or holds one of these."""
+    if isinstance(content, list):
+        rows = len(content) >= SHORTEST and isinstance(content[0], list | dict)
+        return rows or (len(content) > 1 and all(_signal(each) is not None for each in content))
+    if not isinstance(content, dict):
+        return False
+    lists = [v for v in content.values() if isinstance(v, list) or _signal(v) is not None]
+    long = [v for v in lists if isinstance(v, dict) or len(v) >= SHORTEST]
+    return len(long) >= 2 or any(_is_table(value) for value in content.values())
 
 
 def _of_rows(path: Path, rows: list[Any], names: Sequence[str] | None = None) -> dict[str, Any]:
@@ -463,7 +579,7 @@ def read_excel(path: Path) -> Table:
             doubts = (
                 f"{best.sheet} is read; not read, with the same columns: {', '.join(alike[:4])}",
             )
-    return best.table(layout, doubts=doubts)
+    return best.table(layout, doubts=doubts, decimals=(".", ","))
 
 
 def _sheets(path: Path) -> Content:
@@ -518,7 +634,8 @@ def read_matlab(path: Path) -> Table:
     columns = {
         name: arrays[str(k)].astype(np.float64, copy=False) for k, name in enumerate(facts["names"])
     }
-    return Table(path, columns, head=tuple(facts["settings"]))
+    units = {name: unit for name, unit in facts["units"].items() if name in columns}
+    return Table(path, columns, units=units, head=tuple(facts["settings"]))
 
 
 def _matlab(path: Path) -> Content:
@@ -528,7 +645,8 @@ def _matlab(path: Path) -> Content:
         head = file.read(512 + len(hdf5))
     signals: dict[str, NDArray[np.generic]] = {}
     settings = []
-    variables = _v73(path) if head.startswith(hdf5) or head.endswith(hdf5) else _v5(path)
+    units: dict[str, str] = {}
+    variables = _v73(path) if head.startswith(hdf5) or head.endswith(hdf5) else _v5(path, units)
     for name, array in variables:
         if array.size == 1:
             settings.append(f"{name}: {array.reshape(-1)[0]:.9g}")
@@ -541,20 +659,23 @@ def _matlab(path: Path) -> Content:
     if len(signals) > COLUMNS:
         signals = {name: array for name, array in signals.items() if not name.endswith(")")}
     arrays = {str(k): array for k, array in enumerate(signals.values())}
-    return {"names": list(signals), "settings": settings}, arrays
+    return {"names": list(signals), "settings": settings, "units": units}, arrays
 
 
-def _v5(path: Path) -> Arrays:
-    """Name and numbers of each array of numbers in a file of version 5."""
+def _v5(path: Path, units: dict[str, str]) -> Arrays:
+    """Name and numbers of each array of numbers in a file of version 5; `units` gets the units."""
     from scipy.io import loadmat
 
     for name, value in loadmat(path, struct_as_record=True).items():
         if not name.startswith("__"):
-            yield from _inside(name, value, 0)
+            yield from _inside(name, value, 0, units)
 
 
-def _inside(name: str, value: Any, depth: int) -> Arrays:
-    """A variable's numbers, or those of its fields; Simulink's label follows a signal's name."""
+def _inside(name: str, value: Any, depth: int, units: dict[str, str]) -> Arrays:
+    """A variable's numbers, or those of its fields; Simulink's label follows a signal's name.
+
+    A struct of Data with a Name and a Unit, as dSPACE writes, is a signal of that name.
+    """
     if not isinstance(value, np.ndarray):
         return
     if value.dtype.kind in "fiub":
@@ -567,8 +688,19 @@ def _inside(name: str, value: Any, depth: int) -> Arrays:
         label = np.asarray(fields.get("label", ""))
         text = label.dtype.kind == "U" and label.size == 1
         words = f" {label.reshape(-1)[0]}".rstrip() if text else ""
+        title, unit = (_word_of(fields, keys) for keys in (("Name", "name"), _UNITS))
         for field, content in fields.items():
-            yield from _inside(f"{place}.{field}{words * (field == 'values')}", content, depth + 1)
+            signal = f"{place}.{field}{words * (field == 'values')}"
+            if title and field in _VALUES:
+                signal = f"{place}.{title}" if title in units else title
+                units[signal] = bare_unit(unit)
+            yield from _inside(signal, content, depth + 1, units)
+
+
+def _word_of(fields: Mapping[str, Any], keys: Sequence[str]) -> str:
+    """Text of the first of these fields that is there; empty without one."""
+    word = np.asarray(_beside(fields, keys)[1])
+    return str(word.reshape(-1)[0]).strip() if word.dtype.kind == "U" and word.size == 1 else ""
 
 
 def _v73(path: Path) -> Arrays:

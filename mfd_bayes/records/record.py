@@ -572,20 +572,38 @@ def _times(table: Table, source: Source, raw: Mapping[str, Array]) -> Array:
 
 
 def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, float]) -> Table:
-    """The table, or the rows about a window, s, where cells outside it hold no numbers."""
+    """The table, or the rows about a window, s, where others have no numbers or times that go back.
+
+    Those are the rows that hold all times of the window; where there are none, or several, the
+    table is refused later, with the place of its first fault.
+    """
     raw = table.values(used_columns(table, sources), sources["time"].dates)
-    bad = np.flatnonzero(np.any([np.isnan(column) for column in raw.values()], axis=0))
+    bad = np.any([np.isnan(column) for column in raw.values()], axis=0)
     time = _times(table, sources["time"], raw)
-    inside = np.flatnonzero((time >= window[0]) & (time <= window[1]))
-    if not bad.size or not inside.size or np.any((bad >= inside[0]) & (bad <= inside[-1])):
-        return table  # whose columns are refused, with the place of the cell
-    first = int(np.max(bad[bad < inside[0]], initial=-1)) + 1
-    last = int(np.min(bad[bad > inside[-1]], initial=time.size))
+    back = np.append(False, np.diff(time) <= 0.0)
+    inside = time[(time >= window[0]) & (time <= window[1])]
+    if not np.any(bad | back) or not inside.size or any(map(back.__getitem__, table.blocks)):
+        return table
+    bounds = np.unique([0, *np.flatnonzero(bad | back), *np.flatnonzero(bad) + 1, time.size])
+    pieces = [
+        (int(first), int(last))
+        for first, last in pairwise(bounds)
+        if time[first] <= inside.min() and time[last - 1] >= inside.max()
+    ]
+    if len(pieces) != 1:
+        return table
+    ((first, last),) = pieces
+    faults = {"cells that hold no numbers": bad, "times that go back": back}
+    where = " and ".join(
+        f"{words}, the first at {table.place(int(np.argmax(rows)))},"
+        for words, rows in faults.items()
+        if np.any(rows)
+    )
     return table.part(
         first,
         last,
-        f"cells that hold no numbers, the first at {table.place(int(bad[0]))}, lie outside "
-        f"the window fit: {table.place(first)} to {table.place(last - 1)} are read",
+        f"{where} lie outside the window fit: {table.place(first)} to {table.place(last - 1)} "
+        "are read",
     )
 
 

@@ -29,12 +29,35 @@ NUMBER = re.compile(
 )
 """A number as programs write it, with a decimal point or a decimal comma."""
 # 1.234,5 · 1,234.5 · 1 234,5 · 1'234.5
-_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([ .,'’\u00a0\u202f])\d{3})+(?:(?!\1)[.,]\d*)?")
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([ .,'’\u00a0\u2009\u202f])\d{3})+(?:(?!\1)[.,]\d*)?")
+_THOUSANDS = re.compile(
+    r"(?<![\d.,])(\d{1,3}(?:(?:\.\d{3})+(?=,\d)|(?:,\d{3})+(?=\.\d)"
+    r"|(?:['’\u00a0\u2009\u202f]\d{3})+))(?:[.,](\d+))?(?!\d)"
+)
+_BEHIND_COLON = re.compile(r"(?<=[:=;\t])(\s*\d{1,3}(?: \d{3})+)(?!\d)")
+_DECIMAL_COMMA = re.compile(r"(?<![\d.,])(\d{4,}|\d+(?=,\d{4})),(\d+)(?![\d.,]*\d)")
 # 0,5 · ,5 · 1,25 · 1,2345 · 1234,5: the comma cannot be a thousands separator.
 SURELY_DECIMAL = re.compile(r"(?<![\d.])0*,\d|\d,\d{1,2}(?!\d)|,\d{4}|\d{4},\d|,\d{3}[eE]")
 _OVERFLOW = re.compile(r"[+-]?(inf\w*|over\w*|ovl\w*|ovf\w*|o\.?l\.?|1\.#\w*|#+)", re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[+-]?\d+,\d{3}(?!\d)")
 _LABEL = re.compile(r"column \d+(: )?(.*)", re.DOTALL)
+
+
+def is_grouped(cell: str) -> bool:
+    """Whether a cell is a number with thousands separators."""
+    return bool(_GROUPED.fullmatch(cell.strip()))
+
+
+def ungrouped(text: str, *, heading: bool = False) -> str:
+    """Text whose numbers have no thousands separators, where these are sure: 2.000,0 is 2000.0.
+
+    In a heading, a number behind a colon is one with blanks too, and in 1500,5 stands no 5.
+    """
+    text = _THOUSANDS.sub(lambda m: re.sub(r"\D", "", m[1]) + (f".{m[2]}" if m[2] else ""), text)
+    if heading:
+        text = _BEHIND_COLON.sub(lambda m: m[1].replace(" ", ""), text)
+        text = _DECIMAL_COMMA.sub(r"\1.\2", text)
+    return text
 
 
 def labels(names: Sequence[str], numbers: Sequence[int] | None = None) -> tuple[str, ...]:
@@ -514,7 +537,7 @@ def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
     filled = [len(k) - k.count("-") for k in kind]
     tables: list[Layout] = []
     for at in range(len(rows) - 1):
-        if numbers[at] or filled[at] < 2:
+        if numbers[at] or filled[at] < 2 or any(map(_is_date, rows[at])):
             continue
         has_units = not numbers[at + 1] and gives_units(rows[at + 1], rows[at])
         data = at + 1 + has_units
@@ -535,6 +558,14 @@ def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
             count = sum(numbers[i] for i in block)
             blocks.append(Layout(None, None, block[0], count / (width * len(block)), count))
     return max(blocks, key=lambda block: block.count, default=None)
+
+
+def _is_date(cell: Cell) -> bool:
+    """Whether a cell is a date or a clock time, as in a remark: 05.03.2024, 10:00."""
+    pattern = r"\d{1,4}([-/.:])\d{1,2}(?:\1\d{1,4})?"
+    return (
+        isinstance(cell, str) and not NUMBER.fullmatch(cell) and bool(re.fullmatch(pattern, cell))
+    )
 
 
 def gives_units(row: Row, names: Row) -> bool:

@@ -206,3 +206,13 @@ def test_the_demo_follows_the_papers_whole_matrix(tmp_path):
     assert calibrated == {f"p{p}_f{f}" for p in levels for f in ("0.05", "0.5")}
     assert [test.id for test in tests if test.role == "validate"] == ["p1000_f0.5"]
     assert set(truth["tests"]) == {test.id for test in tests}
+
+
+def test_a_backslash_in_a_path_is_told_what_to_write(folder):
+    for path, why in (
+        (r"data\runs.csv", "does not exist"),
+        (r"C:\Users\a.csv", "TOML"),
+        (r"x\y.csv", "TOML"),
+    ):
+        with pytest.raises(CampaignError, match=rf"{why}.*write / in place of"):
+            load(folder, TEST.replace("a.csv", path))

@@ -8,11 +8,13 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pytest
 from typer.testing import CliRunner
 
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.campaign.draft import campaign_text, doubts, draft_campaign, gaps, own_priors
 from mfd_bayes.cli.commands import app
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.records.record import Source
 
 HEADER = "time_s,displacement_in,force_kip"
@@ -119,6 +121,64 @@ def test_a_level_is_read_off_a_name(tmp_path):
     assert levels == {**LEVELS, "other": None}
 
 
+READINGS = {
+    ("damper_0_5bar", "damper_1_0bar", "damper_1_5bar"): ("0.5 bar", "1 bar", "1.5 bar"),
+    ("a_0-5kN", "a_1-25kN"): ("0.5 kN", "1.25 kN"),
+    ("1 500psi", "2 000psi"): ("1500 psi", "2000 psi"),
+    ("P1_25MPa", "P1_50MPa"): ("25 MPa", "50 MPa"),
+    ("1 500psi",): ("500 psi",),
+    ("run_1_5bar", "run_2_5bar"): ("5 bar", "5 bar"),
+    ("1x5bar",): ("1.5 bar",),
+}
+
+
+@pytest.mark.parametrize("names", READINGS)
+def test_a_number_in_a_name_that_may_be_another_is_a_doubt(tmp_path, names):
+    for name in names:
+        write(tmp_path / f"{name}.csv")
+    draft = draft_campaign(tmp_path)
+    assert tuple(test.actuation for test in draft.tests) == READINGS[names]
+    for test in draft.tests:
+        assert any(" may be " in doubt and " or " in doubt for doubt in test.doubts)
+
+
+@pytest.mark.parametrize(
+    ("line", "level"),
+    [
+        ("Pressure: 1 500 psi", "1500 psi"),
+        ("Pressure: 2.000,0 kPa", "2000 kPa"),
+        ("Pressure: 1234,5 kPa", "1234.5 kPa"),
+        ("Pressure: 1'500 psi", "1500 psi"),
+        ("Brake pressure = 0,5 bar", "0.5 bar"),
+    ],
+)
+def test_a_level_in_a_header_is_read_whole(tmp_path, line, level):
+    write(tmp_path / "a.csv", above=f"# {line}\n")
+    assert [test.actuation for test in draft_campaign(tmp_path).tests] == [level]
+
+
+def test_an_x_and_an_underscore_are_decimal_points_of_frequency_and_length(tmp_path):
+    for name in ("500psi_0x5Hz_1x0in", "500psi_0_5Hz_1_0in"):
+        write(tmp_path / f"{name}.csv")
+        assert draft_campaign(tmp_path).tests[0].doubts == ()
+        (tmp_path / f"{name}.csv").unlink()
+    write(tmp_path / "a_0x25A.csv")
+    assert draft_campaign(tmp_path).tests[0].actuation == "0.25 A"
+
+
+def test_a_device_that_turns_is_sent_to_a_model_of_its_own(tmp_path):
+    for header in (
+        "time_s,q [rad],tau [Nm]",
+        "Time (s),Angle (deg),Torque (NM)",
+        "t_s,w_rpm,M_kNm",
+    ):
+        write(tmp_path / "5bar.csv", header)
+        with pytest.raises(CampaignError, match=r"is a torque and .* an angle"):
+            draft_campaign(tmp_path)
+    write(tmp_path / "5bar.csv", "time_s,disp_nm,force_N", SIGNALS * [1, 1e6, 1e3])
+    assert draft_campaign(tmp_path).tests[0].columns["displacement"].unit == "nm"
+
+
 def test_the_actuation_is_that_of_the_column_the_header_or_the_name(tmp_path):
     held, changing = 500 + np.cos(7 * TIME), 500 + 200 * np.sin(TIME)
     psi = {"name": "pressure_psi", "unit": "psi"}
@@ -187,10 +247,12 @@ def test_files_that_are_no_tests_are_left_out_with_the_reason(tmp_path):
     (folder / "notes.txt").write_text("We tested on Monday\nand it rained\n")
     (folder / "broken.csv").write_text(f"{HEADER}\n1,fast,3\n")
     (folder / "empty.csv").touch()
+    (folder / "._900psi.csv").write_bytes(b"\0\5\26\7")
     (folder / "photo.jpg").write_bytes(b"\xff\xd8")
     columns = {"time_s": TIME, "displacement_in": MOTION, "force \ud800 (kip)": FORCE}
     (folder / "800psi.json").write_text(json.dumps({k: v.tolist() for k, v in columns.items()}))
     expected = {
+        "sub": "this one has 1",
         "link.csv": "link",
         "still_500psi.csv": "constant",
         "bands.csv": "written by mfd-bayes",

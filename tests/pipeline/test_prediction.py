@@ -164,6 +164,16 @@ def test_compare_prints_coverage_and_error_and_keeps_every_measured_sample(
     assert comment in (tmp_path / "bands.csv").read_text()
 
 
+def test_a_motion_is_read_by_the_columns_that_init_would_take(ask, table, tmp_path):
+    content = "Zeit [s];Weg [mm];Kraft [kN]\n" + "\n".join(
+        f"{t:.3f};{25.4 * np.sin(np.pi * t):.6f};1" for t in TIME
+    )
+    (tmp_path / "Versuch.csv").write_text(content.replace(".", ","))
+    printed = ask("--motion", tmp_path / "Versuch.csv")
+    assert "Weg [mm] [mm]" in printed.stdout + printed.stderr
+    np.testing.assert_allclose(table()["displacement_in"], np.sin(np.pi * TIME), atol=1e-6)
+
+
 def with_rest(source, path, rest, by=1.0):
     """A record with so many seconds of rest before and after it, and its force times a factor."""
     time, x, force, *_ = pd.read_csv(source).to_numpy().T

@@ -8,6 +8,7 @@ import datetime
 import json
 import os
 import pickle
+import re
 import signal
 import struct
 import sys
@@ -59,6 +60,11 @@ def lines(separator=",", decimal=".", columns=(0, 1, 2)):
     rows = ROWS[:, list(columns)]
     text = "\n".join(separator.join(f"{cell:.9f}" for cell in row) for row in rows) + "\n"
     return text.replace(".", decimal)
+
+
+def sign_apart(match):
+    """A number's sign and first digit as some loggers write them: "+   0"."""
+    return f"{match[1] or '+'}   {match[2]}"
 
 
 def text(content, encoding="utf-8", suffix=".csv"):
@@ -133,6 +139,10 @@ MM, N = {"unit_string": "mm"}, {"NI_UnitDescription": "[N]"}
 SIMULINK = np.array(
     [(TRAVEL[:, None], "Stroke_mm"), (FORCE[:, None], "Load_N")],
     dtype=[("values", "O"), ("label", "O")],
+)
+DSPACE = np.array(
+    [(TIME, "t", "s"), (TRAVEL, "x", "mm"), (FORCE, "f", "N")],
+    dtype=[("Data", "O"), ("Name", "O"), ("Unit", "O")],
 )
 SIGNALS = ("Scope.signals(1).values Stroke_mm", "Scope.signals(2).values Load_N")
 HEAD = [["Seal friction"], ["Clock", "Measured", None], ["time", "displacement", "force"]]
@@ -209,6 +219,40 @@ LAYOUTS = {
     "JSON: objects": layout(json_of(FRAME.to_dict("records"))),
     "JSON: pandas' columns beside an object": layout(
         json_of(json.loads(FRAME.to_json()) | {"rig": {"id": 3}})
+    ),
+    "JSON: rows, units beside them": layout(
+        json_of({"data": ROWS.tolist(), "units": list(UNITS.values())}), 1, 2, 3
+    ),
+    "JSON: rows, names and units in an object of their own": layout(
+        json_of({"rig": "two", "run": {"channels": list("txf"), "rows": ROWS.tolist()}}),
+        *"txf",
+        units=UNITS,
+    ),
+    "JSON: an object in an object": layout(json_of({"meta": {"fs": 50}, "data": COLUMNS})),
+    "JSON: signals with their units": layout(
+        json_of(
+            {
+                name: {"unit": unit, "values": values}
+                for name, unit, values in zip("txf", UNITS.values(), ROWS.T.tolist(), strict=True)
+            }
+        ),
+        *"txf",
+    ),
+    "MATLAB: dSPACE's signals": layout(matlab({"rec": {"X": DSPACE[:1], "Y": DSPACE[1:]}}), *"txf"),
+    "UTF-16 without a mark": layout(text(NAMES.replace(",", ";") + lines(";"), "utf-16-le")),
+    "UTF-16, the other way round": layout(text(NAMES + lines(), "utf-16-be")),
+    "bars": layout(text(NAMES.replace(",", "|") + lines("|"), suffix=".txt")),
+    "numbers as NumPy 2 shows them": layout(
+        text(NAMES + re.sub(r"([-\d.]+)", r"np.float64(\1)", lines()))
+    ),
+    "signs apart": layout(text(NAMES + re.sub(r"(?<![\d.])(-?)(\d)", sign_apart, lines()))),
+    "a date and a remark": layout(
+        text("05.03.2024 10:00\n5 bar\n" + lines(" "), suffix=".txt"), 1, 2, 3, units=UNITS
+    ),
+    "Excel: numbers as text with commas": layout(
+        lambda folder: sheets(
+            folder, A=[NAMES[:-1].split(","), *[row.split(";") for row in lines(";", ",").split()]]
+        )
     ),
     "JSON: pandas' split": layout(json_of(json.loads(FRAME.to_json(orient="split")))),
 }
@@ -297,6 +341,14 @@ TEXTS = {
     "a name for a book": ("time_s," + "a_per_" * 900 + "\n1,2\n", "a", ["column 2"]),
     "too many columns": ("c," * 1000 + "c\n" + "1," * 1000 + "1\n", "a", ["1,001 columns"]),
     "an overflow": ("a,b\n1,2\n3,OL\n", "ab", ["'OL', an overflow"]),
+    "thousands between tabs": (
+        "a\tb\n0,5\t1 234,5\n0,7\t7 586,5\n",
+        "ab",
+        ["'1 234,5'", "thousands"],
+    ),
+    "narrow thousands": ("a\tb\n0,5\t1\n0,7\t7\u202f586,5\n", "ab", ["line 3", "thousands"]),
+    "blank lines": ("a,b\n1,2" + "\n" * 10_000_001, "a", ["10,000,00", "lines"]),
+    "lines of commas": ("a,b\n" + ("," * 999 + "\n") * 300 + "1,2\n", "ab", ["separators alone"]),
     "below units": ("T\tF\nSec\tkN\n0\t1\n0.1\tOVR\n", "TF", ["line 4", "'F'", "'OVR'"]),
 }
 JSONS = {

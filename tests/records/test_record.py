@@ -406,3 +406,27 @@ def test_parts_that_cannot_be_are_refused(tmp_path):
         names = {"time": "time_s", "displacement": "stroke_mm", "force": "load_N"}
         columns = {r: Source(n, **(parts if r == role else {})) for r, n in names.items()}
         refused(named, mb.read_record, path, columns)
+
+
+def test_a_clock_that_starts_again_outside_the_window_is_left_out_and_said(tmp_path):
+    time, more = np.arange(400) / 40.0, np.arange(30) / 40.0
+    x = np.sin(np.pi * np.concatenate([time, more]))
+
+    def read(clock, fit):
+        path = tmp_path / "a.csv"
+        table = np.column_stack([clock, x, x])
+        header = "time_s,displacement_in,force_kip"
+        np.savetxt(path, table, delimiter=",", header=header, comments="")
+        return mb.read_record(path, fit=fit)
+
+    record = read(np.concatenate([time, more]), "0 s to 8 s")
+    assert record.time.size == 400
+    assert "line 402" in record.doubts[0]
+    read(np.concatenate([time, more + 9.0]), "0 s to 8 s")
+    for clock, fit in (
+        (np.concatenate([time, more]), None),
+        (np.concatenate([time, more + 9.0]), "0 s to 9.9 s"),  # it is in the window twice
+        (np.concatenate([time[:200], time[:230]]), "0 s to 4 s"),  # which of two?
+    ):
+        with pytest.raises(mb.MfdError, match="does not increase"):
+            read(clock, fit)
