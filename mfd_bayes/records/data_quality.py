@@ -71,7 +71,9 @@ FLAT, CORNER, TURNED = 0.002, 2.0, 0.2
 """A displacement is flat at a turn within the first share of the stroke. It is clipped there if the
 motion is so many times as far off before and after as at a smooth turn, and the force changes by
 the last share of its range meanwhile, which it does not where the machine rests."""
-BLOCK, REPEATED = 32, 0.5  # samples of a block; of a record of equal cycles more than a share is
+BLOCK, REPEATED, SAME_CYCLE = 32, 0.5, 0.05
+"""Samples of a repeated block; share of a record from which on it has equal cycles; and distance
+from a whole number of cycles at which it is only a cycle that is like another one."""
 NOISE = 0.05  # most noise of a displacement, as a share of the travel of the build-up
 DRIFT, STEADY_DRIFT, P_VALUE, STEADY = 0.25, 0.07, 0.01, 5
 """Of few full loops, a trend of the force is a drift from the first share of its half range on; of
@@ -419,11 +421,11 @@ def repeated_block(trace: Trace) -> Iterator[Fault]:
     before, lengths = runs(again)
     longest = int(np.argmax(lengths))
     start, rows = int(before[longest]) + 1, int(lengths[longest]) + BLOCK - 1
-    source, t, x = int(first[back[start]]), trace.time, trace.displacement
-    joints = [k for k in (start, start + rows) if 0 < k < x.size]
-    usual = 2.0 * float(np.max(np.abs(np.diff(x[start : start + rows]))))
-    if not any(abs(x[k] - x[k - 1]) > usual for k in joints):
-        return  # a cycle that is like another one
+    source, t = int(first[back[start]]), trace.time
+    if trace.cycle_turns.size > 1:
+        cycles = float(t[start] - t[source]) / _cycle(trace)
+        if abs(cycles - round(cycles)) < SAME_CYCLE:
+            return  # a cycle that is like another one
     yield Fault.of(
         "repeated block",
         f"{rows} samples from {t[start]:.4g} s on are those from {t[source]:.4g} s on again, "
@@ -555,17 +557,17 @@ def zero_moves(trace: Trace) -> Iterator[Fault]:
     time, stroke = trace.time[loops.bounds[:-1]][full], 2.0 * float(np.median(half))
     lines = [linregress(time, end) for end in ends]
     drifts = np.array([float(line.slope) for line in lines]) * np.ptp(time)
-    if max(line.pvalue for line in lines) < P_VALUE:
-        if np.prod(drifts) > 0.0 and np.abs(drifts).min() > SLOW_ZERO * stroke:
-            moved = float(drifts.mean())
-            yield Fault.of(
-                "displacement zero",
-                f"both ends of the strokes drift by {_plus(moved)}{{moved}} over the record, "
-                f"{abs(moved) / stroke:.0%} of the stroke: the zero of the sensor drifts, or the "
-                "middle of the motion was moved",
-                moved=(moved, "in"),
-            )
-            return
+    steady = np.prod(drifts) > 0.0 and max(line.pvalue for line in lines) < P_VALUE
+    if steady and np.abs(drifts).min() > SLOW_ZERO * stroke:
+        moved = float(drifts.mean())
+        yield Fault.of(
+            "displacement zero",
+            f"both ends of the strokes drift by {_plus(moved)}{{moved}} over the record, "
+            f"{abs(moved) / stroke:.0%} of the stroke: the zero of the sensor drifts, or the "
+            "middle of the motion was moved",
+            moved=(moved, "in"),
+        )
+        return
     if half.size < 2 * FEWEST:
         return
     moves = np.array(
