@@ -81,6 +81,7 @@ _AT_THE_END = (
 _METRIC = re.compile(r"\b(?:N|kN|MN|mm|cm|m|kPa|MPa|bar)\b")
 
 SURE = 0.3  # correlation of a force with the direction of a motion from which two make a loop
+ALIKE = 0.8  # least correlation of a column with the chosen one, of which it is a rival
 _MOST_PAIRED = 8  # signals of which all pairs are compared
 
 NO_TIME = 'the file has none, and states no rate: write time = { rate = "100 Hz" } with its own'
@@ -131,6 +132,8 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
         )
     if missing:
         guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
+    if not own and {"displacement", "force"} <= guesses.keys():
+        guesses |= _by_motion(table, guesses["displacement"], guesses["force"])
     for role, guess in guesses.items():
         found = guess if guess.unit or role in own else _with_unit(table, role, guess, guesses)
         if role == "time" and (problem := _equal_stamps(table, guess.name)):
@@ -258,6 +261,51 @@ def _score(table: Table, name: str, role: str) -> float:
         if stated and any(_fits(stated, kind) for kind in (*ESSENTIAL, "velocity", "pressure")):
             return 0.0  # the unit is that of another role
     return own + (unit is not None) if own >= other else 0.0
+
+
+def _by_motion(table: Table, motion: Guess, force: Guess) -> dict[str, Guess]:
+    """Displacement and force once more, beside the columns that move as they do.
+
+    A force that does not follow the direction of the motion gives way to one that does. A column
+    whose unit alone tells its role is a rival if its numbers are like those of the chosen one.
+    """
+    x, f = (numbers_of(table, guess.name) for guess in (motion, force))
+    if x is None or f is None or not x.size == f.size > 2:
+        return {}
+    guesses = {"displacement": motion, "force": force}
+    rivals: dict[str, dict[str, Array]] = {"displacement": {}, "force": {}}
+    for role, columns in rivals.items():
+        for name in table.names:
+            if name in (motion.name, force.name) or table.names.count(name) > 1:
+                continue
+            words = re.findall(r"[a-z]+", own_name(name).lower())
+            values = numbers_of(table, name) if _score(table, name, role) > 0 else None
+            if values is None or any(map(_NOT_MEASURED.fullmatch, words)):
+                continue
+            if values.size == x.size and np.ptp(values) > 0.0:
+                columns[name] = values
+    if rivals["force"] and follows(x, f) < SURE:
+        best = max(rivals["force"], key=lambda name: follows(x, rivals["force"][name]))
+        if follows(x, rivals["force"][best]) > SURE:
+            doubt = (
+                f"column for force chosen by its loops; {force.name!r} does not follow the motion"
+            )
+            guesses["force"] = Guess(best, unit_of(table, best, "force"), (doubt,))
+            return guesses
+    for role, chosen in (("displacement", x), ("force", f)):
+        guess = guesses[role]
+        alike = [
+            name
+            for name, values in rivals[role].items()
+            if np.ptp(chosen) > 0.0
+            and abs(np.corrcoef(values, chosen)[0, 1]) > ALIKE
+            and (role == "displacement" or unit_of(table, name, role) == guess.unit)
+            and not any(repr(name) in doubt for doubt in guess.doubts)
+        ]
+        if alike:
+            doubt = f"column for {role} could also be {listed(alike)}"
+            guesses[role] = replace(guess, doubts=(*guess.doubts, doubt))
+    return guesses
 
 
 def _by_numbers(table: Table, missing: Sequence[str], taken: Sequence[str]) -> dict[str, Guess]:

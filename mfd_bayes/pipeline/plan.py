@@ -46,6 +46,7 @@ from mfd_bayes.population.design import Design, complete_laws, design_of
 from mfd_bayes.population.inference import swings
 from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import (
+    SPOILED,
     Fault,
     Inspection,
     inspect_record,
@@ -92,8 +93,8 @@ def look_at(
 ) -> tuple[Inspection, list[Tested]]:
     """What a record shows by itself, and as it is compared with the others if it has a force.
 
-    A force that leads or lags the turns of the motion is no fault by a user's own model: that may
-    be what it describes.
+    What a fault of the record spoils is not compared. A force that leads or lags the turns of the
+    motion is no fault by a user's own model: that may be what it describes.
     """
     inspection = inspect_record(test.id, record, gap)
     if campaign.force_model.source:
@@ -102,7 +103,10 @@ def look_at(
     trace = inspection.trace
     if trace.force is None:
         return inspection, []
-    return inspection, [Tested.of(test.id, record, trace, test.actuation or "")]
+    tested = Tested.of(test.id, record, trace, test.actuation or "")
+    if SPOILED.intersection(fault.name for fault in inspection.faults):
+        tested = replace(tested, steady=False)
+    return inspection, [tested]
 
 
 def findings_together(

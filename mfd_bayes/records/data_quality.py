@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, product
 
@@ -17,6 +17,7 @@ from mfd_bayes.records.loops import (
     Loops,
     MeasuredCycles,
     channels_swapped,
+    explained_by_motion,
     features_of,
     find_loops,
     mean_of,
@@ -36,6 +37,7 @@ from mfd_bayes.records.trace import (
     Trace,
     force_spikes,
     interpolated,
+    mended,
     runs,
     sensor_noise,
     spikes_of,
@@ -63,13 +65,27 @@ CLIPPED = 5  # fewest equal samples at the extreme of the force that show a load
 LAG, LAG_SAMPLES, LAG_CYCLE = 0.010, 2.0, 0.0075  # s, samples, cycles: a lag is above all three
 CORRELATION, SCALE = 0.9, 1.25  # least, and most, of the integral of a velocity
 NEAR = 0.01  # of the stroke: zero displacement is then that of mid-stroke
-LEVELS = 200  # fewest steps of the sensor in the peak-to-peak displacement
+LEVELS, FORCE_LEVELS = 200, 50  # fewest steps of the sensor in the peak-to-peak of each
+PEAKS_ONLY = 8.0  # samples of a cycle, below which no loop can be read
+FOLLOWS, WHITE = 0.1, 0.8
+"""Least share of a force's variance that the motion explains; where white noise is the second share
+of its standard deviation, it is noise only."""
+UNEVEN, OFF, SMOOTHER = 0.05, 0.5, 2.0
+"""Time stamps are uneven where more than the first share of the steps is off the median by the
+second share, and the displacement so many times smoother over the samples than over the time."""
+FLAT, CORNER, TURNED = 0.002, 2.0, 0.2
+"""A displacement is flat at a turn within the first share of the stroke. It is clipped there if the
+motion is so many times as far off before and after as at a smooth turn, and the force changes by
+the last share of its range meanwhile, which it does not where the machine rests."""
+BLOCK, REPEATED, SAME_CYCLE = 32, 0.5, 0.05
+"""Samples of a repeated block; share of a record from which on it has equal cycles; and distance
+from a whole number of cycles at which it is only a cycle that is like another one."""
 NOISE = 0.05  # most noise of a displacement, as a share of the travel of the build-up
 DRIFT, STEADY_DRIFT, P_VALUE, STEADY = 0.25, 0.07, 0.01, 5
 """Of few full loops, a trend of the force is a drift from the first share of its half range on; of
 so many, from the second share of the slip force on, if it has so small a probability by chance."""
 JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
-ZERO = 0.04  # share of the stroke by which both ends of the strokes may move
+ZERO, SLOW_ZERO = 0.04, 0.03  # shares of the stroke by which both ends may move: once, or steadily
 HELD, LONGER = 5, 4.0  # equal samples of a frozen channel: the fewest, and times longer than usual
 SWING, FAR, NEAR = 0.6, 1.5, 0.05
 """A displacement is frozen while the force goes through the first share of its range, a force
@@ -151,6 +167,36 @@ def of_gap(trace: Trace, gap: float) -> Iterator[Fault]:
         )
 
 
+def peaks_only(trace: Trace) -> Iterator[Fault]:
+    """So few samples of a cycle that its loop is not seen."""
+    strokes = np.diff(trace.cycle_turns)
+    if strokes.size > 1 and (cycle := 2.0 * float(np.median(strokes))) < PEAKS_ONLY:
+        yield Fault.of(
+            "peaks and valleys",
+            f"{cycle:.2g} samples a cycle: peaks and valleys, from which no loop can be read; "
+            "record the whole cycle",
+        )
+
+
+def uneven(trace: Trace) -> Iterator[Fault]:
+    """Time stamps that are rougher than the motion: samples were even, and their times are not."""
+    steps, x = np.diff(trace.time), trace.displacement
+    median = float(np.median(steps))
+    share = steps[:-1] / (steps[:-1] + steps[1:])
+    over_samples = np.abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
+    over_time = np.abs(x[1:-1] - x[:-2] - share * (x[2:] - x[:-2]))
+    off = np.abs(steps - median) > OFF * median
+    if np.mean(off) > UNEVEN and np.mean(over_time) > SMOOTHER * np.mean(over_samples):
+        mean = float(np.mean(steps))
+        yield Fault.of(
+            "time stamps",
+            f"the time stamps are uneven, with steps of {1e3 * steps.min():.3g} to "
+            f"{1e3 * steps.max():.3g} ms about a mean of {1e3 * mean:.4g} ms, and the motion is "
+            "not: write the rate in place of the column, time = {{ rate = {rate} }}",
+            rate=f'"{1.0 / mean:.3g} Hz"',
+        )
+
+
 def dropped(trace: Trace) -> Iterator[Fault]:
     """Steps of time that are too long: samples are missing."""
     steps = np.diff(trace.time)
@@ -166,9 +212,37 @@ def dropped(trace: Trace) -> Iterator[Fault]:
         )
 
 
+def no_force(trace: Trace) -> Iterator[Fault]:
+    """A force that is constant, noise alone, or not of this motion."""
+    if trace.force is None:
+        return
+    ask = "was the load cell connected, and is it the right column?"
+    if not np.ptp(trace.force) > 0.0:
+        text = f"the force is {{force}} throughout: {ask}"
+        yield Fault.of("no force", text, force=(float(trace.force[0]), "kip"))
+        return
+    if explained_by_motion(trace) > FOLLOWS:
+        return
+    sd, energy = float(np.std(trace.force)), np.asarray(find_loops(trace).energy)
+    if sensor_noise(trace.force) > WHITE * sd:
+        yield Fault.of("no force", f"the force is noise only, of {{sd}}: {ask}", sd=(sd, "kip"))
+    elif energy.size:
+        yield Fault.of(
+            "no force",
+            "the force does not follow the motion, with loops from {least} to {most}: is it the "
+            "right column, and have both channels one clock?",
+            least=(float(energy.min()), "kip·in"),
+            most=(float(energy.max()), "kip·in"),
+        )
+    else:
+        yield Fault.of("no force", "the force does not follow the motion: is it the right column?")
+
+
 def force_sign(trace: Trace) -> Iterator[Fault]:
     """Loops in which the force does negative work."""
     energy = find_loops(trace).energy
+    if energy is None or not energy.sum() < 0.0 or out_of_step(trace):
+        return
     if channels_swapped(trace):
         yield Fault.of(
             "channels",
@@ -176,7 +250,7 @@ def force_sign(trace: Trace) -> Iterator[Fault]:
             "displacement follows the direction of the force instead of the force that of the "
             "motion; exchange the two columns in [columns]",
         )
-    elif energy is not None and energy.size and energy.sum() < 0.0:
+    else:
         yield Fault.of(
             "force sign",
             "the force does negative work in the loops ({work} a loop): the sign of the force or "
@@ -236,23 +310,134 @@ def clipping(trace: Trace) -> Iterator[Fault]:
             )
 
 
+def clipped_motion(trace: Trace) -> Iterator[Fault]:
+    """Displacement flat at its extreme, to which it comes at speed, while the force turns.
+
+    A smooth turn, of which so many samples are within `near` of the extreme, is nine times as far
+    from it as many samples before and after.
+    """
+    x, force = trace.displacement, trace.force
+    if force is None:
+        return
+    near = max(FLAT * float(np.ptp(x)), 1.5 * _quantum(x))
+    turned = TURNED * float(np.ptp(force))
+    for name, sign in (("largest", 1.0), ("smallest", -1.0)):
+        extreme = float(np.max(sign * x))
+        before, lengths = runs(sign * x > extreme - near)
+        starts, ends = before - lengths, before + 1 + 2 * lengths
+        whole = (lengths >= CLIPPED) & (starts >= 0) & (ends < x.size)
+        far = [
+            extreme - np.max(sign * x[[a, b]]) > 9.0 * CORNER * near
+            and np.ptp(force[a + n : b - n]) > turned
+            for a, b, n in zip(starts[whole], ends[whole], lengths[whole], strict=True)
+        ]
+        if far and np.mean(far) > 0.5:
+            yield Fault.of(
+                "displacement clipping",
+                f"the displacement stays at its {name} value, {{extreme}}, for up to "
+                f"{lengths[whole].max()} samples at a turn, while the force goes on: the sensor or "
+                "its amplifier is at its limit",
+                _spread(before[whole] + 1, lengths[whole] - 1),
+                extreme=(sign * extreme, "in"),
+            )
+
+
 def lag(trace: Trace) -> Iterator[Fault]:
     """A force that comes too late or too early."""
     if (estimate := estimate_lag(trace)) is None:
         return
     delay, turns = estimate
     step = float(np.median(np.diff(trace.time)))
-    cycle = 2 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
+    cycle = _cycle(trace)
     if abs(delay) > max(LAG, LAG_SAMPLES * step, LAG_CYCLE * cycle):
-        way = "behind" if delay > 0 else "before"
+        way, size, about = "behind", abs(delay), "about"
+        cause = "filters or channels are out of step"
+        if delay < 0:
+            way = "before"
+            cause += (
+                ", or this is a fluid damper (viscous or magneto-rheological), which no friction "
+                "model describes: that needs a model of your own"
+            )
+        if size > REACH * cycle:
+            size, about = REACH * cycle, "at least"
         yield Fault.of(
             "lag",
-            f"the force comes about {1000 * abs(delay):.3g} ms ({abs(delay) / step:.2g} samples) "
-            f"{way} the displacement at reversals: filters or channels are out of step, or this is "
-            "a fluid damper (viscous or magneto-rheological), which no friction model describes: "
-            "that needs a model of your own",
+            f"the force comes {about} {1000 * size:.3g} ms ({size / step:.2g} samples) {way} the "
+            f"displacement at reversals: {cause}",
             turns,
         )
+
+
+def _cycle(trace: Trace) -> float:
+    """Time of a cycle, s."""
+    return 2.0 * float(np.median(np.diff(trace.time[trace.cycle_turns])))
+
+
+def out_of_step(trace: Trace) -> bool:
+    """Whether the force lags or leads so much that its work tells nothing of its sign."""
+    estimate = estimate_lag(trace)
+    return estimate is not None and abs(estimate[0]) > HALF_OFF * _cycle(trace)
+
+
+def held_samples(trace: Trace) -> Iterator[Fault]:
+    """A channel that is new only at every k-th sample, which the other one is not."""
+    channels = {"displacement": trace.displacement}
+    if trace.force is not None:
+        channels["force"] = trace.force
+    periods = {name: _hold(values) for name, values in channels.items()}
+    step = float(np.median(np.diff(trace.time)))
+    least = max(LAG, LAG_CYCLE * _cycle(trace)) if trace.cycle_turns.size > 1 else LAG
+    for name, period in periods.items():
+        if period * step > least and period == max(periods.values()) > min(periods.values()):
+            yield Fault.of(
+                "held samples",
+                f"the {name} is new only at every {period}th sample, every "
+                f"{1e3 * period * step:.3g} ms: the logger holds its values, which are old by "
+                f"{0.5e3 * (period - 1) * step:.3g} ms on average; take a channel of the full rate",
+            )
+
+
+def _hold(values: Array) -> int:
+    """Samples for which each value is held, 1 where it may change at every sample."""
+    changes = np.flatnonzero(np.diff(values)) + 1
+    if changes.size < BLOCK:
+        return 1
+    period = int(np.gcd.reduce(np.diff(changes)))
+    return period if np.median(np.diff(changes)) == period else 1
+
+
+def repeated_block(trace: Trace) -> Iterator[Fault]:
+    """Samples of both channels that are there twice, number by number."""
+    channels = [trace.displacement] if trace.force is None else [trace.displacement, trace.force]
+    if trace.samples < 2 * BLOCK:
+        return
+    rng, count = np.random.default_rng(0), trace.samples - BLOCK + 1
+    sums = np.zeros(count, dtype=np.uint64)  # of each block, equal where its numbers are
+    changing = np.ones(count, dtype=bool)
+    for values in channels:
+        codes = np.unique(values, return_inverse=True)[1].astype(np.uint64)
+        for k, weight in enumerate(rng.integers(1, 2**63, BLOCK).astype(np.uint64)):
+            sums += weight * codes[k : k + count]
+        changes = np.pad(np.cumsum(np.diff(values) != 0.0), (1, 0))
+        changing &= changes[BLOCK - 1 :] - changes[:count] > BLOCK // 2
+    _, first, back = np.unique(sums, return_index=True, return_inverse=True)
+    again = (first[back] < np.arange(count)) & changing
+    if not 0 < np.count_nonzero(again) < REPEATED * count:
+        return
+    before, lengths = runs(again)
+    longest = int(np.argmax(lengths))
+    start, rows = int(before[longest]) + 1, int(lengths[longest]) + BLOCK - 1
+    source, t = int(first[back[start]]), trace.time
+    if trace.cycle_turns.size > 1:
+        cycles = float(t[start] - t[source]) / _cycle(trace)
+        if abs(cycles - round(cycles)) < SAME_CYCLE:
+            return  # a cycle that is like another one
+    yield Fault.of(
+        "repeated block",
+        f"{rows} samples from {t[start]:.4g} s on are those from {t[source]:.4g} s on again, "
+        "number by number: a block of the file was written twice",
+        np.arange(start, start + rows),
+    )
 
 
 def spikes(trace: Trace) -> Iterator[Fault]:
@@ -367,17 +552,35 @@ def _spread(starts: Samples, lengths: Samples) -> Samples:
 
 def zero_moves(trace: Trace) -> Iterator[Fault]:
     """Both ends of the strokes that move together: the zero of the displacement."""
+    from scipy.stats import linregress  # which takes long to import
+
     loops = find_loops(trace)
     full = loops.amplitude > 0.8 * loops.amplitude.max(initial=0.0)
     middle, half = loops.middle[full], loops.amplitude[full]
-    if half.size < max(2 * FEWEST, full.size / 2):
+    if half.size < max(STEADY, full.size / 2):
         return
     ends = np.array([middle + half, middle - half])
+    time, stroke = trace.time[loops.bounds[:-1]][full], 2.0 * float(np.median(half))
+    lines = [linregress(time, end) for end in ends]
+    drifts = np.array([float(line.slope) for line in lines]) * np.ptp(time)
+    steady = np.prod(drifts) > 0.0 and max(line.pvalue for line in lines) < P_VALUE
+    if steady and np.abs(drifts).min() > SLOW_ZERO * stroke:
+        moved = float(drifts.mean())
+        yield Fault.of(
+            "displacement zero",
+            f"both ends of the strokes drift by {_plus(moved)}{{moved}} over the record, "
+            f"{abs(moved) / stroke:.0%} of the stroke: the zero of the sensor drifts, or the "
+            "middle of the motion was moved",
+            moved=(moved, "in"),
+        )
+        return
+    if half.size < 2 * FEWEST:
+        return
     moves = np.array(
         [np.median(ends[:, k:], 1) - np.median(ends[:, :k], 1) for k in range(2, half.size - 1)]
     )
     k = int(np.argmax(np.abs(moves).min(axis=1)))
-    stroke, moved = 2.0 * float(np.median(half)), float(moves[k].mean())
+    moved = float(moves[k].mean())
     if np.prod(moves[k]) > 0.0 and np.abs(moves[k]).min() > ZERO * stroke:
         yield Fault.of(
             "displacement zero",
@@ -389,24 +592,34 @@ def zero_moves(trace: Trace) -> Iterator[Fault]:
 
 
 def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
-    """A displacement in steps that are too large for the stroke or the gap."""
-    stroke = float(np.ptp(trace.displacement))
-    levels = np.unique(trace.displacement)
+    """A channel in steps that are too large for its range, or the displacement's for the gap."""
+    for name, values, unit, least in (
+        ("displacement", trace.displacement, "in", LEVELS),
+        ("force", trace.force, "kip", FORCE_LEVELS),
+    ):
+        if values is None or not (quantum := _quantum(values)) > 0.0:
+            continue
+        steps, of, across = float(np.ptp(values)) / quantum, "its range", ""
+        if name == "displacement":
+            of, across = "the stroke", "" if gap is None else f", {gap / quantum:.2g} in the gap"
+        if steps < least or (across and gap is not None and quantum > gap / CROSSING):
+            yield Fault.of(
+                "resolution" if name == "displacement" else "force resolution",
+                f"the {name} moves in steps of {{quantum}}, {steps:.0f} in {of}{across}: the "
+                "sensor or the file is too coarse",
+                quantum=(quantum, unit),
+            )
+
+
+def _quantum(values: Array) -> float:
+    """Step in which a signal moves; 0 where it is not quantised."""
+    span, levels = float(np.ptp(values)), np.unique(values)
     steps = np.diff(levels)
-    steps = steps[steps > 1e-9 * stroke]
-    if steps.size < 3 or levels.size > 0.5 * trace.samples:
-        return
-    quantum = float(steps.min())
-    if np.mean(np.abs(steps / quantum - np.round(steps / quantum)) < 0.1) <= 0.95:
-        return  # the signal is not quantised
-    across = "" if gap is None else f", {gap / quantum:.2g} in the gap"
-    if quantum > stroke / LEVELS or (gap is not None and quantum > gap / CROSSING):
-        yield Fault.of(
-            "resolution",
-            f"the displacement moves in steps of {{quantum}}, {stroke / quantum:.0f} in the "
-            f"stroke{across}: the sensor or the file is too coarse",
-            quantum=(quantum, "in"),
-        )
+    steps = steps[steps > 1e-9 * span]
+    if steps.size < 3 or levels.size > 0.5 * values.size:
+        return 0.0
+    shares = steps / steps.min()
+    return float(steps.min()) if np.mean(np.abs(shares - np.round(shares)) < 0.1) > 0.95 else 0.0
 
 
 def noise(trace: Trace) -> Iterator[Fault]:
@@ -471,13 +684,35 @@ def _plus(value: float) -> str:
     return "+" if value > 0.0 else ""
 
 
+_OF_FORCE = {"force sign", "channels", "clipping", "lag", "drift", "noise", "held", "held samples"}
 _CONSEQUENCES = {
+    "no force": {"rate", "stroke"},
+    "peaks and valleys": {"short record", "rate", "stroke", "resolution", "force resolution"},
+    "two clocks": _OF_FORCE | {"no force", "file name", "rate", "stroke"},
+    "time stamps": {"velocity", "dropped samples", "lag", "jump", "held", "time unit", "noise"},
     "channels": {"clipping", "lag", "noise", "drift", "held"},
+    "displacement clipping": {"lag", "noise", "velocity", "displacement zero"},
     "held": {"clipping", "lag", "drift"},
+    "held samples": {"lag"},
+    "repeated block": {"jump"},
     "resolution": {"noise", "lag"},  # the sample of a reversal must be known
     "noise": {"lag"},
 }
-"""Faults that need not be told where another is."""
+"""Faults that need not be told where another is: they would be guessed from what it spoils."""
+
+SPOILED = {*_CONSEQUENCES, "no force", "clipping", "lag", "force resolution"} - {"channels", "held"}
+"""Faults of a record that spoil what its loops show: it is not compared with other tests."""
+
+
+NO_LOOPS = {"peaks and valleys", "two clocks", "no force"}
+"""Faults of a record of which no measured value of a cycle is told."""
+
+
+def without_consequences(faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Faults but for those that are guessed from what another one spoils."""
+    faults = tuple(faults)
+    hidden = {name for fault in faults for name in _CONSEQUENCES.get(fault.name, ())}
+    return tuple(fault for fault in faults if fault.name not in hidden)
 
 
 def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
@@ -485,83 +720,119 @@ def find_faults(trace: Trace, gap: float | None = None) -> tuple[Fault, ...]:
 
     `gap` is the median width of the device's gap, in; without it, rate and stroke are not checked.
     """
-    clean, faults = without_spikes(trace), list[Fault]()
-    if clean.force is not None and not np.ptp(clean.force) > 0.0:
-        text = (
-            "the force is {force} throughout: was the load cell connected, and is it the right "
-            "column?"
-        )
-        faults.append(Fault.of("no force", text, force=(float(clean.force[0]), "kip")))
+    clean = without_spikes(trace)
+    if faults := [*peaks_only(clean)]:
+        return (*faults, *time_unit(clean))
+    faults = [*no_force(clean)]
+    if faults:
         clean = replace(clean, force=None)
     motion, force = frozen(clean)
-    faults += [*force_sign(clean), *velocity(clean), *time_unit(clean), *short_record(clean)]
-    faults += [*clipping(clean), *lag(clean), *jumps(clean, motion)]
+    faults += force_sign(clean)
+    if not np.array_equal(trace.velocity, np.gradient(trace.displacement, trace.time)):
+        faults += velocity(clean)  # which was measured
+    faults += [*uneven(clean), *time_unit(clean), *short_record(clean)]
+    faults += [*clipping(clean), *clipped_motion(clean), *held_samples(clean), *lag(clean)]
+    faults += [*repeated_block(trace), *jumps(clean, motion)]
     faults += [*held(clean, "displacement", motion), *held(clean, "force", force)]
     faults += [*zero_moves(clean), *spikes(trace), *dropped(clean)]
     faults += [*resolution(clean, gap), *noise(clean)]
     if gap is not None:
         faults += of_gap(clean, gap)
     faults += drift(clean)
-    hidden = {name for fault in faults for name in _CONSEQUENCES.get(fault.name, ())}
-    return tuple(fault for fault in faults if fault.name not in hidden)
+    return without_consequences(faults)
 
 
-NEAR_TURN = 0.05  # the fit uses this share of the peak-to-peak displacement around a reversal
+NEAR_TURN = 0.05  # share of the peak-to-peak displacement before a reversal that the fit sees
 STROKES, REVERSALS = 0.4, 40  # shortest strokes, by their share of the longest; most reversals
-REACH = 0.06  # largest lag, s; eight samples or 3 % of a cycle where that is more
-LIKELY = 0.85  # a lag counts up to this share of the squared misfit without a lag
+SEARCH, FALL = 0.25, 0.8
+"""The fall of the force at a turn is looked for from the first share of the stroke before to as
+far from the end of the one after, and fitted until it has gone the second share of the way to the
+middle between both plateaus: what the gap does lies behind it."""
+LIKELY, CLEAR, FITTED = 0.85, 0.01, 0.2
+"""A lag counts if its squared misfit is at most the first share of that without a lag, and better
+by the second share of the variance, and leaves at most the third share of it."""
+REACH, HALF_OFF = 0.2, 0.12
+"""Share of a cycle, of a longer lag than which it is only said that it is as long; and from which
+negative work does not tell a swapped sign."""
 
 
 def estimate_lag(trace: Trace) -> tuple[float, Samples] | None:
-    """Lag of the force behind the displacement, s, and the reversals that it was found at.
+    """Lag of the force behind the displacement, s, and the reversals that it was seen at.
 
     After a turn of the motion the friction force falls, fastest at the turn itself: by
-    A (1 − exp(−s/λ)) at the distance s from it. A and a line in time, for the level before the
-    turn and viscous friction, are fitted to each reversal, λ and the lag to all reversals
-    together. A late force begins to fall after the turn, an early one before it. None without
-    reversals, or where no lag fits clearly better.
+    A (1 − exp(−s/λ)) at the distance s from it, which is a spring's straight line where λ is long.
+    A and a line in time, for the level before the turn and viscous friction, are fitted to each
+    reversal, λ and the lag to all reversals together. A late force begins to fall after the turn,
+    an early one before it. None without reversals, or where no lag fits clearly better.
     """
     from scipy.signal import detrend
 
-    t, x, force = trace.time, trace.displacement, trace.force
-    ends = np.concatenate([[0], trace.cycle_turns, [x.size - 1]])
-    long = np.abs(np.diff(x[ends])) >= STROKES * np.ptp(x)
-    turns = trace.cycle_turns[long[:-1] & long[1:]]  # between long strokes
-    turns = turns[:: max(1, -(-turns.size // REVERSALS))]
-    if turns.size < 2 or force is None:
+    t, x = trace.time, trace.displacement
+    falls = list(_falls(trace))
+    if len(falls) < 2:
         return None
-    near = NEAR_TURN * float(np.ptp(x))
-    lengths = near * np.geomspace(0.02, 1.5, 10)[:, None, None]
+    lengths = NEAR_TURN * float(np.ptp(x)) * np.geomspace(0.003, 30.0, 12)[:, None, None]
 
-    def misfits(lags: Array) -> Array:
-        """Squared misfit over all turns with the best λ, (lags,)."""
-        total = np.zeros((len(lengths), lags.size))
-        for turn in turns:
-            away = np.abs(x - x[turn])
-            first = int(np.max(np.flatnonzero(away[:turn] > near), initial=-1)) + 1
-            last = turn - 1 + int(np.argmax(np.append(away[turn:] > near, True)))
-            if last - first < 4:
-                continue
-            time = np.linspace(t[first], t[last], min(120, last - first + 1))
-            begin = max(0, 2 * first - last)
-            released = np.where(np.arange(begin, last + 1) > turn, away[begin : last + 1], 0.0)
-            distance = np.interp(time - lags[:, None], t[begin : last + 1], released)
-            shape = detrend(-np.expm1(-distance / lengths))
-            fall = detrend(np.interp(time, t, force))
-            square, along = np.sum(shape**2, axis=2), shape @ fall
-            gain = np.where(square > 1e-12, along**2 / np.maximum(square, 1e-12), 0.0)
-            total += np.sum(fall**2) - gain
-        return np.asarray(total.min(axis=0))
+    def misfits(lags: Array) -> tuple[Array, float]:
+        """Squared misfit over all turns with the best λ, (lags,), and without any fall."""
+        misfit, whole = np.zeros((len(lengths), lags.size)), 0.0
+        for begin, turn, end, stop, force in falls:
+            time = t[begin : end + 1]
+            if time.size > 120:
+                time = np.linspace(time[0], time[-1], 120)
+            near = slice(begin, max(stop, end) + 1)
+            distance = np.abs(x[near] - x[turn])
+            distance[: max(turn - begin, 0) + 1] = 0.0
+            distance = np.maximum.accumulate(distance)
+            shape = detrend(
+                -np.expm1(-np.interp(time - lags[:, None], t[near], distance) / lengths)
+            )
+            fall = detrend(-np.interp(time, t[near], force[near]))
+            square, along = np.sum(shape**2, axis=2), np.maximum(shape @ fall, 0.0)
+            size = float(np.sum(fall**2))
+            misfit += size - np.where(square > 1e-12, along**2 / np.maximum(square, 1e-12), 0.0)
+            whole += size
+        return misfit.min(axis=0), whole
 
-    cycle = 2 * float(np.median(np.diff(t[trace.cycle_turns])))
-    reach = max(REACH, 8 * float(np.median(np.diff(t))), 0.03 * cycle)
-    coarse = np.linspace(-reach, reach, 49)
-    misfit = misfits(coarse)
+    first, last = np.median([(t[b] - t[turn], t[e] - t[turn]) for b, turn, e, *_ in falls], axis=0)
+    coarse = np.linspace(first, last, 49)
+    (*misfit, still), whole = (lambda m: (m[0], m[1]))(misfits(np.append(coarse, 0.0)))
     best = int(np.argmin(misfit))
-    if best in (0, 48) or misfit[best] > LIKELY * misfit[24]:
+    if misfit[best] > min(LIKELY * still, still - CLEAR * whole, FITTED * whole):
         return None
     fine = coarse[best] + np.linspace(-1.0, 1.0, 9) * (coarse[1] - coarse[0])
-    return float(fine[np.argmin(misfits(fine))]), turns
+    return float(fine[np.argmin(misfits(fine)[0])]), np.array([turn for _, turn, *_ in falls])
+
+
+def _falls(trace: Trace) -> Iterator[tuple[int, int, int, int, Array]]:
+    """Falls of the force at the turns between long strokes, as samples.
+
+    At which it is fitted from, of the turn, to which it is fitted, and of the next turn; and the
+    force, (T,), positive before the turn.
+    """
+    x = trace.displacement
+    if trace.force is None:
+        return
+    ends = np.concatenate([[0], trace.cycle_turns, [x.size - 1]])
+    long = np.abs(np.diff(x[ends])) >= STROKES * np.ptp(x)
+    turns = np.flatnonzero(long[:-1] & long[1:]) + 1  # between long strokes
+    for k in turns[:: max(1, -(-turns.size // REVERSALS))]:
+        before, turn, after = ends[k - 1 : k + 2].tolist()
+        force = np.sign(x[turn] - x[before]) * trace.force
+        since, until = (
+            a + int(np.argmax(np.abs(x[a : b + 1] - x[a]) >= share * abs(x[b] - x[a])))
+            for a, b, share in ((before, turn, SEARCH), (turn, after, 1.0 - SEARCH))
+        )
+        window = force[since : until + 1]
+        low, high = np.quantile(window, [0.1, 0.8])
+        since += int(np.argmax(window))
+        fallen = force[since : until + 1] < high - 0.5 * FALL * (high - low)
+        if high > low and fallen.any():
+            end = since + int(np.argmax(fallen))
+            far = np.abs(x[before:turn] - x[turn]) > NEAR_TURN * np.ptp(x)
+            begin = before + int(np.max(np.flatnonzero(far), initial=-1)) + 1
+            begin = max(before, min(begin, end - 2 * (turn - begin), end - 4))
+            yield begin, turn, end, after, force
 
 
 TOLERANCE = 0.1  # most difference of a record from its name, as a share of the name's value
@@ -620,7 +891,77 @@ def contradictions(
     faults += _of_columns(record, roles)
     if "time" in roles:
         faults += _of_time(record, trace)
-    return (*faults, *_of_name(record, trace, roles))
+    faults += [*_of_name(record, trace, roles), *_of_other_columns(record, trace, roles)]
+    return tuple(faults)
+
+
+CLOCK = 0.01  # share of the duration by which times of two clocks differ
+ELASTIC, GIVE = 0.8, 0.02
+"""A displacement holds a spring where the force explains the first share of its difference from
+another one, and that is the second share of its stroke."""
+LIKE, FORCE_OF_MOTION = 0.8, 0.4
+"""Least correlation of two displacements, and share of a force that its own motion explains."""
+
+
+def _of_other_columns(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
+    """Columns that are not used, and from which the loops show that they should be."""
+    inside = (record.time >= trace.time[0]) & (record.time <= trace.time[-1])
+    others = {
+        role: {n: values[inside] for n, (r, values) in record.rivals.items() if r == role}
+        for role in ("time", "displacement", "force")
+    }
+    used = {role: repr(name) for role, (name, _) in record.columns.items()}
+    for name, clock in others["time"].items() if "time" in used else ():
+        apart = clock - clock[0] - (trace.time - trace.time[0])
+        if np.max(np.abs(apart)) > CLOCK * np.ptp(trace.time):
+            rates = [(trace.samples - 1) / float(np.ptp(t)) for t in (trace.time, clock)]
+            yield Fault.of(
+                "two clocks",
+                "the time is read from {used}, and {name} is another clock: "
+                f"{rates[0]:.4g} Hz and {rates[1]:.4g} Hz; where force and displacement have a "
+                "time each, bring them onto one before, by interpolation",
+                used=used["time"],
+                name=repr(name),
+            )
+    clean = without_spikes(trace)
+    if clean.force is None or not {"displacement", "force"} <= set(roles):
+        return
+    if not explained_by_motion(clean) > FOLLOWS:
+        for role, columns in (("force", others["force"]), ("displacement", others["displacement"])):
+            for name, values in columns.items():
+                channel = {role: mended(values)}
+                motion = channel.get("displacement", clean.displacement)
+                force = channel.get("force", clean.force)
+                if not np.ptp(motion) > 0.0 < np.ptp(force):
+                    continue
+                pair = Trace.from_arrays(clean.time, motion, None, force)
+                if explained_by_motion(pair) > FORCE_OF_MOTION:
+                    yield Fault.of(
+                        "other column",
+                        "the force does not follow the motion, but makes loops with it where the "
+                        "{role} is read from {name} and not from {used}: which is it?",
+                        role=role,
+                        name=repr(name),
+                        used=used[role],
+                    )
+        return
+    for name, values in others["displacement"].items():
+        other = mended(values)
+        if not np.ptp(other) > 0.0 or np.corrcoef(other, clean.displacement)[0, 1] < LIKE:
+            continue
+        apart = clean.displacement - other
+        slope, _ = np.polyfit(clean.force, apart, 1)
+        give = float(slope * np.ptp(clean.force))
+        follows = np.corrcoef(clean.force, apart)[0, 1] if np.ptp(apart) > 0.0 else 0.0
+        if follows > ELASTIC and give > GIVE * np.ptp(clean.displacement):
+            yield Fault.of(
+                "other column",
+                "the displacement of {used} is that of {name} and {give} more, in proportion to "
+                "the force: it holds what gives way beside the device; which is across the device?",
+                used=used["displacement"],
+                name=repr(name),
+                give=(give, "in"),
+            )
 
 
 def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
@@ -779,10 +1120,11 @@ def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspe
     raw = record.trace()
     trace = without_spikes(raw)
     loops = find_loops(trace)
+    faults = without_consequences((*contradictions(record, trace), *find_faults(raw, gap)))
     facts = _facts_of_file(record, trace) | _facts_of_motion(record, trace, loops)
     if trace.force is not None:
-        facts |= _facts_of_force(record, trace, loops)
-    faults = (*contradictions(record, trace), *find_faults(raw, gap))
+        shows_loops = not NO_LOOPS.intersection(fault.name for fault in faults)
+        facts |= _facts_of_force(record, trace, loops if shows_loops else None)
     return Inspection(name, facts, raw, loops, faults)
 
 
@@ -833,13 +1175,13 @@ _SHOWN = (
 """Measured values of the cycles: title, text and names."""
 
 
-def _facts_of_force(record: Record, trace: Trace, loops: Loops) -> dict[str, Message]:
+def _facts_of_force(record: Record, trace: Trace, loops: Loops | None) -> dict[str, Message]:
     """Range of the force, measured values of the cycles, and drifts."""
     force, has = np.asarray(trace.force), record.axes.has
     at_peak = max(np.count_nonzero(force == end) for end in (force.min(), force.max()))
     facts = {"force": _message(f"{{}}, samples at a peak: {at_peak}", (force, "kip"))}
     cycles = measured_cycles(trace)
-    if cycles is None or not cycles.energy.size:
+    if loops is None or cycles is None or not cycles.energy.size:
         return facts
     own, since = cycles.of_test(), "from the first loops to the last"
     if has("slip_fwd") and np.isfinite([own["slip_fwd"], own["slip_bwd"]]).all():

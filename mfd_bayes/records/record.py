@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError, hash_file, path_of, real_number
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.table import Table, header_unit
+from mfd_bayes.records.table import Table, header_unit, own_name, stated_unit
 from mfd_bayes.records.trace import (
     Array,
     Trace,
+    check_magnitude,
     check_size,
     check_trace,
     mended,
@@ -631,6 +632,9 @@ class Record:
         Role to the column's name and unit in the file; of a derived one, a unit of its role.
     other_columns : tuple of str
         Names of the file's columns that have no role.
+    rivals : dict
+        Those of them that could have the role of a time, a displacement or a force by their unit:
+        name to the role and the numbers, (T,), in s, in or kip.
     clock : Clock
         Its rate, and how even that is.
     derived : dict
@@ -660,6 +664,7 @@ class Record:
     actuation_unit: ActuationUnit | None
     columns: dict[str, tuple[str, str]]
     other_columns: tuple[str, ...]
+    rivals: dict[str, tuple[str, Array]]
     clock: Clock
     derived: dict[str, str] = field(default_factory=dict)
     gap: str = ""
@@ -806,10 +811,13 @@ def read_record(
     piece, gap = longest_piece(signals["time"], table.place, window)
     if piece.stop - piece.start < SAMPLES:
         raise RecordError(f"{gap}: fewer than the {SAMPLES} samples that are needed in {path}")
+    rows = signals["time"].size
     signals = {role: signal[piece] for role, signal in signals.items()}
     level: float | Array | None = signals.get("actuation")
     if actuation is not None:
         level, unit = parse_actuation(actuation, of=f"the actuation of {path}")
+    other_columns = tuple(n for n in table.names if n not in used_columns(table, sources))
+    rivals = _rivals(table, other_columns, names) if axes.of_damper else {}
     record = Record(
         path=path,
         sha256=hash_file(path),
@@ -820,7 +828,12 @@ def read_record(
         actuation=level,
         actuation_unit=unit,
         columns=names,
-        other_columns=tuple(n for n in table.names if n not in used_columns(table, sources)),
+        other_columns=other_columns,
+        rivals={
+            name: (role, values[piece])
+            for name, (role, values) in rivals.items()
+            if values.size == rows
+        },
         clock=clock_of(signals["time"]),
         derived={
             role: source.words()
@@ -843,6 +856,41 @@ def read_record(
     if count < 2:
         raise RecordError(f"motion in {where} has {count} turning points; at least 2 are needed")
     return record
+
+
+_NOT_MEASURED = re.compile(r"command|cmd|setpoint|target|ref|reference|desired|error|nominal")
+
+
+def _rivals(
+    table: Table, others: Sequence[str], columns: Mapping[str, tuple[str, str]]
+) -> dict[str, tuple[str, Array]]:
+    """Columns that could have a role by their unit: name to role and numbers, internal units.
+
+    A time increases, and may be called as the one that is used where it has no unit.
+    """
+    rivals: dict[str, tuple[str, Array]] = {}
+    kinds = {"time": "time", "length": "displacement", "force": "force"}
+    for name in others:
+        unit = stated_unit(name, table.units.get(name, "")) or header_unit(name) or ""
+        role = kinds.get(measure(unit) or "")
+        if role is None and "time" in columns and _same_name(name, columns["time"][0]):
+            role, unit = "time", columns["time"][1]
+        if role is None or any(map(_NOT_MEASURED.fullmatch, re.findall(r"[a-z]+", name.lower()))):
+            continue
+        try:
+            values = table.columns([name])[name] * factor(unit, role)
+            check_magnitude(name, values)
+        except MfdError:
+            continue
+        if role != "time" or np.all(np.diff(values) > 0.0):
+            rivals[name] = role, values
+    return rivals
+
+
+def _same_name(name: str, other: str) -> bool:
+    """Whether two columns have one name but for numbers and what is in brackets."""
+    bare = [re.sub(r"[\[(].*?[\])]|[\d\W_]+", "", own_name(n)).lower() for n in (name, other)]
+    return bare[0] == bare[1] != ""
 
 
 def _slice(record: Record, window: Window | None) -> slice:

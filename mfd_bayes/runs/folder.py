@@ -454,8 +454,9 @@ class Use(StrEnum):
 
 
 SPOILING = re.compile(
-    "no force|force sign|both signs|channels|time unit|duplicate|actuation|unit of displacement"
-    "|unit of force|displacement|force|another device|beyond the priors"
+    "no force|two clocks|peaks and valleys|displacement clipping|force sign|both signs|channels"
+    "|time unit|duplicate|actuation|unit of displacement|unit of force|displacement"
+    "|force|another device|beyond the priors"
 )
 """Names of findings that say that something is wrong with a test: its results cannot be used."""
 
