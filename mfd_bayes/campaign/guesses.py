@@ -298,6 +298,7 @@ def _by_motion(table: Table, motion: Guess, force: Guess) -> dict[str, Guess]:
             name
             for name, values in rivals[role].items()
             if np.ptp(chosen) > 0.0
+            and _score(table, name, role) == _UNIT_ALONE
             and abs(np.corrcoef(values, chosen)[0, 1]) > ALIKE
             and (role == "displacement" or unit_of(table, name, role) == guess.unit)
             and not any(repr(name) in doubt for doubt in guess.doubts)

@@ -796,12 +796,16 @@ def estimate_lag(trace: Trace) -> tuple[float, Samples] | None:
 
     first, last = np.median([(t[b] - t[turn], t[e] - t[turn]) for b, turn, e, *_ in falls], axis=0)
     coarse = np.linspace(first, last, 49)
-    (*misfit, still), whole = (lambda m: (m[0], m[1]))(misfits(np.append(coarse, 0.0)))
-    best = int(np.argmin(misfit))
-    if misfit[best] > min(LIKELY * still, still - CLEAR * whole, FITTED * whole):
+    misfit, whole = misfits(np.append(coarse, 0.0))
+    still = misfit[-1]
+    best = int(np.argmin(misfit[:-1]))
+    if misfit[best] > min(LIKELY * still, still - CLEAR * whole):
         return None
     fine = coarse[best] + np.linspace(-1.0, 1.0, 9) * (coarse[1] - coarse[0])
-    return float(fine[np.argmin(misfits(fine)[0])]), np.array([turn for _, turn, *_ in falls])
+    refined = misfits(fine)[0]
+    if refined.min() > FITTED * whole:
+        return None
+    return float(fine[np.argmin(refined)]), np.array([turn for _, turn, *_ in falls])
 
 
 def _falls(trace: Trace) -> Iterator[tuple[int, int, int, int, Array]]:

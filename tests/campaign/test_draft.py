@@ -319,3 +319,24 @@ def test_the_real_records_are_laid_out_but_for_the_semi_active_ones(tmp_path, da
     (tmp_path / "other").mkdir()
     shutil.copy(data_folder / "2023-08_semiactive_step0.015backward.csv", tmp_path / "other")
     assert "FIXME" in campaign_text(draft_campaign(tmp_path / "other"))
+
+
+def test_numbers_judge_the_columns_that_names_leave_open(tmp_path):
+    t = np.arange(0.0, 10.0, 0.01)
+    x, f = 20.0 * np.sin(np.pi * t), np.tanh(8.0 * np.cos(np.pi * t))
+    for head, columns, name, words in (
+        ("t [s],P [kN],Q [kN],d [mm]", (500.0 + 0.1 * t, f, x), "Q [kN]", "does not follow"),
+        (
+            "Time (s),Stroke (mm),Extens. (mm),Load (kN)",
+            (x + 3.0 * f, x, f),
+            "Load (kN)",
+            "could also be 'Extens. (mm)'",
+        ),
+    ):
+        folder = tmp_path / name[0]
+        folder.mkdir()
+        table = np.column_stack([t, *columns])
+        np.savetxt(folder / "a_5bar.csv", table, "%.5f", ",", header=head, comments="")
+        draft = draft_campaign(folder)
+        assert draft.tests[0].columns["force"].name == name
+        assert any(words in doubt for doubt in doubts(draft))
