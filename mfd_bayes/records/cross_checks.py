@@ -409,7 +409,10 @@ def _scored(
         changed = total - sums[j] + _sums(levels, logs)
         odds = _log_evidence(changed) - nothing + [mistake.log_prior for mistake in mistakes]
         best = int(np.argmax(odds))
-        yield float(odds[best]), mistakes[best]
+        levels = [t.level for i, t in enumerate(tests) if i != j and t.level > 0.0]
+        inside = bool(levels) and min(levels) <= tests[j].level <= max(levels)
+        of_factor = inside and mistakes[best].log_prior == FACTOR
+        yield float(odds[best]) + INSIDE * of_factor, mistakes[best]
     for i in right:
         later = np.array([j for j in right if j > i], dtype=np.intp)
         moved = total - sums[i] - sums[later] + _sums(x[later], y[i]) + _sums(x[i], y[later])
@@ -444,9 +447,6 @@ def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
         "another session?"
     )
     mistakes = [Mistake((j,), "another device", log_prior=ANYTHING, left_out=True, why=why)]
-    levels = [t.level for i, t in enumerate(tests) if i != j and t.level > 0.0]
-    inside = bool(levels) and min(levels) <= test.level <= max(levels)
-    any_factor = FACTOR + INSIDE if inside else FACTOR
     for role, way in WAYS.items():
         for unit in UNITS[role]:
             log = float(np.log(factor(test.units[role], role) / factor(unit, role)))
@@ -456,7 +456,7 @@ def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
         for log in ANY_FACTOR:
             size = f"{np.exp(abs(log)):.2g} times too {'large' if log > 0.0 else 'small'}"
             why = f"its {role} seems to be {size}: check its unit and the sensor's factor"
-            mistakes.append(Mistake((j,), role, -log * way, 0.0, any_factor, why=why))
+            mistakes.append(Mistake((j,), role, -log * way, 0.0, FACTOR, why=why))
     if test.level > 0.0:
         number, _, unit = test.actuation.strip().partition(" ")
         for other in {t.actuation.strip().partition(" ")[2] for t in tests} - {unit, ""}:

@@ -31,6 +31,7 @@ from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import paper_sheets
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.netcdf import StoredTest
+from mfd_bayes.units import DAMPER
 from tests.population.made import THREE_STAGE, make_population
 
 
@@ -120,7 +121,11 @@ def test_a_scatter_beyond_that_of_the_priors_is_a_warning_of_the_verdict():
     ((check),) = checks(0.29)
     assert (check.test, check.status) == ("population", "warning")
     sentences = verdict_sentences(
-        SimpleNamespace(effort=Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000)), [check], []
+        SimpleNamespace(
+            effort=Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000), axes=DAMPER
+        ),
+        [check],
+        [],
     )
     assert "forward slip force: 29%, the priors expect about 10%" in " ".join(map(str, sentences))
 

@@ -17,7 +17,8 @@ def test_scores_of_another_fold_are_computed_anew(tmp_path):
     fold = Fold("a", "test_1.json", ("a",), ("b", "c"), effort="quick", seed=1)
     file = tmp_path / FOLDER / fold.file
     file.parent.mkdir()
-    file.write_text(json.dumps({"key": asdict(fold), "predictions": []}))
+    predictions = [asdict(Prediction("a", "a", score=scored(1.0, 0.2), fitted=scored(0.5, 0.1)))]
+    file.write_text(json.dumps({"key": asdict(fold), "predictions": predictions}))
     assert fold.stored(tmp_path)
     assert not replace(fold, rests_on="other laws").stored(tmp_path)
 
