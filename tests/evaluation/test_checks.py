@@ -165,6 +165,8 @@ def test_peaks_that_all_tests_miss_alike_are_no_less_missed(raw, filtered, misse
             for key, values in manifest.tests[name].measured.items()
         }
         manifest = manifest.with_test(name, measured=measured)
+    learned = {"rate": 0.15, "rate_variance": 0.1, "scatter": 0.1, "tests": 2.0}
+    manifest = manifest.changed(peak_excess=dict.fromkeys(("fwd", "bwd"), learned))
     views, _ = views_of_tests(replace(run, tests=tests, manifest=manifest))
     checks = [check for view in views for check in view.checks if "peak" in check.feature]
     assert len(checks) == 4
