@@ -189,7 +189,7 @@ def without(run: Run, kept: Collection[str], effort: str, seed: tuple[int, ...])
     """The run as if only some of its tests had been made."""
     settings, tests = run.manifest.settings, {name: run.tests[name] for name in kept}
     inference = infer_population(tests, run.priors, settings.inference(effort, seed))
-    others = replace(run, tests=tests, manifest=run.manifest.changed(peak_factors={}))
+    others = replace(run, tests=tests, manifest=run.manifest.changed(peak_excess={}))
 
     def pooled(name: str) -> dict[str, np.ndarray]:
         values = inference.values(list(tests).index(name))

@@ -30,14 +30,10 @@ from scipy import special
 
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.properties import (
-    NO_FACTOR,
     UNITS,
-    Peaks,
-    expected_factors,
     kept,
     measured_of,
     measured_properties,
-    peaks_of,
     properties_of,
     without_noise,
 )
@@ -51,6 +47,7 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
+from mfd_bayes.population.peaks import NO_EXCESS, Peaks, certain
 from mfd_bayes.records.cross_checks import UNITS as RECORD_UNITS
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
@@ -217,20 +214,20 @@ def expect(
     `place` has the session and the conditions of the record, `rate` is that of its samples, Hz, and
     `ratios` are those of `birge_ratios`.
     """
-    motion, peaks, place = replace(trace, force=None), peaks_of(run), dict(place or {})
+    motion, peaks, place = replace(trace, force=None), run.peaks, dict(place or {})
     resolution = at_rate(run, motion, {**place, "device": device}, rate)
     place |= {"draws": draws, "seed": seed}
 
     def predict(kind: str, of: str) -> Band:
         return run.predict(motion, kind, 1.0 - ALPHA, device=of, **place)
 
-    def quantities(band: Band, smooth: Band, factors: Peaks) -> dict[str, Array]:
-        values = kept(_quantities(motion, band, smooth, factors), run.system.axes)
+    def quantities(band: Band, smooth: Band, excess: Peaks) -> dict[str, Array]:
+        values = kept(_quantities(motion, band, smooth, excess), run.system.axes)
         return {name: value * resolution.get(name, 1.0) for name, value in values.items()}
 
     def nominal_of(of: str) -> dict[str, Array]:
         band = predict("device", of)
-        return quantities(band, band, expected_factors(peaks))
+        return quantities(band, band, certain(peaks))
 
     known = [name for name in run.devices if name]
     nominal, seen = nominal_of(device), predict("observation", device)
@@ -280,7 +277,7 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
     values = []
     for trace in (finer, motion):
         band = run.predict(trace, "new_test", **{**place, "draws": FEW // 2})
-        values.append(_quantities(trace, band, band, NO_FACTOR))
+        values.append(_quantities(trace, band, band, NO_EXCESS))
     fine, coarse = values
     with np.errstate(all="ignore"):
         quotients = {name: fine[name] / coarse[name] for name in RESOLVED if name in fine}
@@ -294,7 +291,7 @@ def birge_ratios(run: Run) -> dict[str, float]:
 
     1 where chance explains it, by a chi-squared test at 5 %.
     """
-    peaks, sizes = peaks_of(run), dict[str, list[float]]()
+    peaks, sizes = run.peaks, dict[str, list[float]]()
     for name, test in run.tests.items():
         trace, place = test.trace, {**run.place(name), "draws": FEW}
         motion = replace(trace, force=None)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,8 +14,9 @@ from mfd_bayes.errors import CampaignError, MfdError
 from mfd_bayes.evaluation.views import Datasheet, Rows, spread_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
-from mfd_bayes.population.bands import KIND_NAMES, THIS_TEST, Band, Forecast
+from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
+from mfd_bayes.population.peaks import NO_EXCESS, SIDES, Peaks, certain, largest_speed
 from mfd_bayes.records.loops import (
     FORMULAS,
     MeasuredCycles,
@@ -65,7 +64,6 @@ TOLERANCE_OF: Mapping[str, str] = {
 _MEANS = (
     *("energy_per_cycle", "energy_of_ramps", "effective_stiffness", "effective_damping", "c_eq"),
 )
-_SIGNS = {"fwd": 1.0, "bwd": -1.0}
 _OF_CYCLES = (
     *("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq"),
     *("build_up_slope", "gap"),
@@ -87,141 +85,6 @@ def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True)
-class PeakFactor:
-    """Measured peak of a cycle over the predicted one, of one direction, against the speed.
-
-    A record is low-passed and thinned before the fit, and the model has no chatter: a load cell
-    sees higher peaks, the more so the faster the motion. The factor is log-normal,
-
-        ln f_jk = level + slope (ln v_jk − speed) + t_j + c_jk
-
-    with v the largest speed of a cycle, and scatter from test to test and from cycle to cycle.
-    Level, slope and scatter of the tests' means are those of a conjugate Bayesian regression with a
-    unit-information prior of the slope about 0 (Kass and Wasserman, 1995), so that what a new test
-    has is Student-t. Beyond the tested speeds the factor is that of the nearest.
-    """
-
-    level: float = 0.0  # of ln f at the mean speed
-    slope: float = 0.0
-    speed: float = 0.0  # mean over the tests of ln v, v in in/s; then the smallest and the largest
-    slowest: float = 0.0
-    fastest: float = 0.0
-    slope_variance: float = 0.0  # of the slope, over the variance between tests
-    between: float = 0.0  # scale of ln f from test to test
-    within: float = 0.0  # standard deviation of ln f from cycle to cycle
-    tests: float = 0  # from which it was learned; 0 where it is certain
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom of the scatter between tests."""
-        return PRIOR_TESTS + self.tests - 1.0
-
-    @property
-    def mean(self) -> PeakFactor:
-        """The factor whose mean over tests is certain; cycles still differ."""
-        return replace(self, level=self.level + 0.5 * self.between**2, between=0.0, tests=0)
-
-    def draw(self, rng: np.random.Generator, n: int, speed: Array) -> Array:
-        """Factors of the cycles of n new tests, (n, c), by their largest speeds (c,), in/s."""
-        away = np.clip(np.log(np.maximum(speed, 1e-12)), self.slowest, self.fastest) - self.speed
-        factors = self.level + self.slope * away + np.zeros((n, 1))
-        if self.tests:
-            scale = np.sqrt(1.0 + 1.0 / self.tests + self.slope_variance * away**2)
-            factors = factors + self.between * scale * rng.standard_t(self.freedom, (n, 1))
-        if self.within:
-            factors = factors + self.within * rng.standard_normal(factors.shape)
-        return np.asarray(np.exp(factors))
-
-    @classmethod
-    def of(cls, ratios: Sequence[Array], speeds: Sequence[Array]) -> PeakFactor:
-        """Factor of the ratios of the cycles of each test, and of their largest speeds, in/s."""
-        tests = [(np.log(r), np.log(v)) for r, v in zip(ratios, speeds, strict=True) if r.size]
-        if not tests:
-            return cls()
-        y, x = np.transpose([(ratio.mean(), speed.mean()) for ratio, speed in tests])
-        n, away = len(y), x - x.mean()
-        precision = float(away @ away) * (1.0 + 1.0 / n)
-        variance = 1.0 / precision if precision > 1e-9 else 0.0
-        slope = variance * float(away @ y)
-        squares = float(np.sum((y - y.mean() - slope * away) ** 2) + slope**2 * np.mean(away**2))
-        freedom = sum(ratio.size - 1 for ratio, _ in tests)
-        inside = sum(float(np.sum((ratio - ratio.mean()) ** 2)) for ratio, _ in tests)
-        between = (PRIOR_TESTS * PRIOR_SCATTER**2 + squares) / (PRIOR_TESTS + n - 1.0)
-        within = inside / freedom if freedom else 0.0
-        place = float(x.mean()), float(x.min()), float(x.max())
-        spread = float(np.sqrt(between)), float(np.sqrt(within))
-        return cls(float(y.mean()), slope, *place, variance, *spread, n)
-
-
-PRIOR_TESTS, PRIOR_SCATTER = 3.0, 0.05
-"""Prior of the scatter of ln f between tests: worth so many tests with this scatter."""
-
-Peaks = Mapping[str, PeakFactor]  # by direction, "fwd" and "bwd"
-NO_FACTOR: Peaks = {"fwd": PeakFactor(), "bwd": PeakFactor()}
-PEAK_DRAWS = 100  # draws of each test's force by which the factor is learned
-
-
-def expected_factors(peaks: Peaks) -> Peaks:
-    """Factors whose means over tests are certain."""
-    return {side: factor.mean for side, factor in peaks.items()}
-
-
-def excused_factors(peaks: Peaks) -> Peaks:
-    """Factors by which a check of peaks may excuse a test: filter and chatter only raise peaks.
-
-    Where the predicted peaks are too high, there is none, so that the check sees it.
-    """
-    return {side: f if f.level > 0.0 else PeakFactor() for side, f in peaks.items()}
-
-
-def peak_factors(run: Run) -> Peaks:
-    """Factor by direction from the predicted peak of a cycle to the measured one.
-
-    The predicted force is the population's for each calibrated test, as pooled with the others: the
-    force that new tests are drawn from, to which the factor is applied. A test's own posterior is
-    not: it may have another static friction than the device.
-    """
-    ratios: dict[str, list[Array]] = {"fwd": [], "bwd": []}
-    speeds: dict[str, list[Array]] = {"fwd": [], "bwd": []}
-    for name, test in run.tests.items():
-        cycles, motion = measured_of(run.manifest, name), replace(test.trace, force=None)
-        loops = find_loops(motion)
-        if loops.strong.size != cycles.full_stroke.size:
-            continue  # noise that the filter took away made other cycles
-        pooled = run.sequence.values(name)
-        forecast = Forecast(THIS_TEST, draws=PEAK_DRAWS, **run.place(name))
-        values = cycle_values(motion, run.predictor.repeat(motion, forecast, pooled).draws)
-        fastest = largest_speeds(motion, list(pairwise(loops.bounds.tolist())))
-        for side, sign in _SIGNS.items():
-            offset = sign * float(np.median(pooled["offset"]))
-            measured = getattr(cycles, f"peak_{side}") - offset
-            predicted = values[f"peak_{side}"].mean(axis=0)
-            kept = cycles.full_stroke & (measured > 0.0) & (predicted > 0.0)
-            ratios[side].append(measured[kept] / predicted[kept])
-            speeds[side].append(fastest[kept])
-    return {side: PeakFactor.of(ratios[side], speeds[side]) for side in _SIGNS}
-
-
-def largest_speeds(trace: Trace, spans: Sequence[tuple[int, int]]) -> Array:
-    """Largest speed of a motion in each span of samples, (spans,), in/s; 1 where time has none."""
-    speed = np.abs(trace.velocity) if trace.timed else np.ones(trace.samples)
-    return np.array([speed[a:b].max() for a, b in spans])
-
-
-def peaks_of(run: Run) -> Peaks:
-    """The factors of a run's calibrated tests, as its report has stored them, else computed."""
-    stored = run.manifest.peak_factors
-    if stored:
-        return {side: PeakFactor(**figures) for side, figures in stored.items()}
-    return peak_factors(run)
-
-
-def stored_peaks(run: Run) -> dict[str, dict[str, float]]:
-    """The factors of a run's calibrated tests as its manifest keeps them."""
-    return {side: asdict(factor) for side, factor in peak_factors(run).items()}
-
-
 def without_noise(band: Band, test: Band) -> Array:
     """Forces whose peaks count, (n, T): of `test`, the same motion as a band's without noise.
 
@@ -232,47 +95,30 @@ def without_noise(band: Band, test: Band) -> Array:
     return test.draws
 
 
-def _seen_peaks(
-    trace: Trace, force: Array, spans: Sequence[tuple[int, int]], peaks: Peaks
-) -> dict[str, Array]:
-    """Peaks of forces (n, T) that a load cell would see in each span, (n, spans), by direction."""
-    rng, shape = np.random.default_rng(0), (len(force), len(spans))
-    seen: dict[str, Array] = {}
-    speeds = largest_speeds(trace, spans)
-    for side, sign in _SIGNS.items():
-        largest = np.transpose([np.max(sign * force[:, a:b], axis=1) for a, b in spans])
-        factors = peaks[side].draw(rng, len(force), speeds)
-        seen[f"peak_{side}"] = largest.reshape(shape) * factors
-    return seen
-
-
-def _at_least_slip(seen: Mapping[str, Array], values: Mapping[str, Array]) -> dict[str, Array]:
-    """Peaks that are no smaller than the slip forces of the same draws, by name."""
-    return {name: np.fmax(peak, values[f"slip_{name[-3:]}"]) for name, peak in seen.items()}
-
-
 def properties_of(
-    trace: Trace, force: Array, peaks: Peaks = NO_FACTOR, *, smooth: Array | None = None
+    trace: Trace, force: Array, peaks: Peaks = NO_EXCESS, *, smooth: Array | None = None
 ) -> dict[str, Array]:
     """Properties under a motion of forces (n, T), kip, by name, (n,) each, in `UNITS`.
 
-    Peaks are those that a load cell would see: `peaks` times those of the forces without noise,
-    `smooth`, by default the same forces; none is below the slip force of its draw.
+    Peaks are those that a load cell would see, by the excess `peaks` over those of the forces
+    without noise, `smooth`, by default the same forces.
     """
-    loops, values = find_loops(trace), cycle_values(trace, force)
-    full = loops.strong
+    full, values = find_loops(trace).strong, cycle_values(trace, force)
     properties = {name: mean_of(values[name], full) for name in _OF_CYCLES}
     properties["energy_per_cycle"] = mean_of(values["energy"], full)
     properties["energy_of_ramps"] = mean_of(values["energy"], ~full)
     properties["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
-    ends = [0, *loops.bounds[loops.bounds > 0].tolist(), trace.samples]
-    spans = [(a, b) for a, b in pairwise(ends) if b > a]
-    seen = _seen_peaks(trace, force if smooth is None else smooth, spans, peaks)
     if partial_strokes(trace) > PARTIAL:  # what a cycle at full stroke has, such a motion has not
         of_cycles = (*_OF_CYCLES, "energy_per_cycle", "energy_of_ramps")
         properties |= {name: np.full(len(force), np.nan) for name in of_cycles}
-    largest = {name: values.max(axis=1) for name, values in seen.items()}
-    return properties | _at_least_slip(largest, properties)
+    rng, speed = np.random.default_rng(0), largest_speed(trace)
+    quiet = force if smooth is None else smooth
+    for side, sign in SIDES.items():
+        largest, excess = np.max(sign * quiet, axis=1), peaks[side]
+        scores = excess.scores(rng, largest.shape)
+        peak = excess.seen(largest, speed, properties[f"slip_{side}"], scores)
+        properties[f"peak_{side}"] = peak
+    return properties
 
 
 def cycle_energies(trace: Trace, force: Array) -> Array:
@@ -290,7 +136,7 @@ def of_parameters(
 
 def device_properties(run: Run, trace: Trace, band: Band, test: Band) -> dict[str, Array]:
     """Properties of a band's draws; `test` has the same motion without noise, for its peaks."""
-    drawn = properties_of(trace, band.draws, peaks_of(run), smooth=without_noise(band, test))
+    drawn = properties_of(trace, band.draws, run.peaks, smooth=without_noise(band, test))
     model, level = run.predictor.model, trace.reference_actuation
     return drawn | of_parameters(model, band.values, level, run.manifest.settings)
 
@@ -319,8 +165,13 @@ def predicted_rows(
         how |= {"session": session} | ({"device": device} if device else {})
         test = source.predict(given or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):
-        first = source.runs[0]
-        drawn = properties_of(trace, band.draws, peaks_of(first), smooth=test.draws)
+        first, n = source.runs[0], len(source.runs)
+        forces = (np.array_split(of.draws, n) for of in (band, test))  # of one run after another
+        parts = [
+            properties_of(trace, force, run.peaks, smooth=smooth)
+            for run, force, smooth in zip(source.runs, *forces, strict=True)
+        ]
+        drawn = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     else:
         first, drawn = source, device_properties(source, trace, band, test)
     cycles = None if record is None else measured_cycles(record.trace())
@@ -423,11 +274,11 @@ def drawn_properties(
 ) -> dict[str, dict[str, Array]]:
     """Draws of the properties of a motion by basis of `BASES`, then by name, (n,) each.
 
-    `places` are session and device of the tests. The mean property has the mean of the factor
-    between the model's peak and the measured one, the others its scatter too. Energies of the
+    `places` are session and device of the tests. The mean property has the mean excess of
+    measured peaks, the others its scatter too. Energies of the
     cycles at full stroke, "energy", are (n, L).
     """
-    peaks, axes, drawn = peaks_of(run), run.manifest.axes, {}
+    peaks, axes, drawn = run.peaks, run.manifest.axes, {}
 
     def draw(kind: str, session: str, device: str, draws: int) -> Band:
         how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
@@ -439,10 +290,10 @@ def drawn_properties(
         session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
         bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
     for basis, several in bands.items():
-        factors = expected_factors(peaks) if basis == "device" else peaks
+        excess = certain(peaks) if basis == "device" else peaks
         quiet = bands["new_test"] if basis == "observation" else several
         parts = [
-            properties_of(trace, band.draws, factors, smooth=without_noise(band, test))
+            properties_of(trace, band.draws, excess, smooth=without_noise(band, test))
             | {"energy": cycle_energies(trace, band.draws)}
             for band, test in zip(several, quiet, strict=True)
         ]

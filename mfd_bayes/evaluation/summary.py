@@ -33,14 +33,11 @@ from mfd_bayes.evaluation.checks import (
 from mfd_bayes.evaluation.crossvalidate import left_out_view
 from mfd_bayes.evaluation.laws import drift_rows, law_choices, law_rows, law_score_rows, law_views
 from mfd_bayes.evaluation.properties import (
-    Peaks,
     device_properties,
-    excused_factors,
     kept,
     measured_of,
     measured_properties,
     of_parameters,
-    peaks_of,
     properties_of,
     property_rows,
 )
@@ -72,6 +69,7 @@ from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
+from mfd_bayes.population.peaks import SIDES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.run import Run
@@ -150,8 +148,7 @@ def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, s
 
     Several processes make those of calibrated tests.
     """
-    peaks = excused_factors(peaks_of(run))
-    make = partial(_attempt, partial(calibrated_view, run.manifest, peaks))
+    make = partial(_attempt, partial(calibrated_view, run.manifest))
     views = [make] * len(run.tests)
     # each test is sent by itself: the records of all need not be held in every process
     tests = enumerate(replace(test, extras=None) for test in run.tests.values())
@@ -233,8 +230,12 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
 # --- one test
 
 
-def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestView:
-    """A test that was fitted; `peaks` are the factors that may excuse its peaks."""
+def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
+    """A test that was fitted.
+
+    The model has seen the record as filtered: its peaks have beside them what the filter took from
+    this very record, and no correction that was learned, so that the checks are of the model.
+    """
     posterior, stored, trace = test.posterior, test.stored, test.trace
     values, facts, settings = stored.values(), stored.facts, manifest.settings
     replicas = replicate(posterior, values, np.random.default_rng(0))
@@ -245,7 +246,11 @@ def calibrated_view(manifest: Manifest, peaks: Peaks, test: TestResult) -> TestV
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
     identifiability = identify(posterior, draws, prior)
     measured = measured_of(manifest, test.id)
-    properties = properties_of(trace, replicas.observed, peaks, smooth=replicas.force)
+    properties = properties_of(trace, replicas.observed, smooth=replicas.force)
+    for side, sign in SIDES.items():
+        filtered = float(np.max(sign * np.asarray(trace.force)))
+        taken = max(getattr(measured, f"largest_{side}") - filtered, 0.0)
+        properties[f"peak_{side}"] = properties[f"peak_{side}"] + taken
     scores = _score(test.id, "calibrate", trace, replicas.observed, posterior.first)
     arguments = test.id, posterior, replicas, measured, properties, settings.tolerances
     predictive = checks.predictive_checks(*arguments)

@@ -35,7 +35,7 @@ from mfd_bayes.evaluation.crossvalidate import (
     parts_of,
     run_folds,
 )
-from mfd_bayes.evaluation.properties import datasheet, parse_condition, stored_peaks
+from mfd_bayes.evaluation.properties import datasheet, parse_condition
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
 from mfd_bayes.friction.models import file_of
@@ -411,7 +411,7 @@ def write_report(
     observe(Step("report", "checks and bands"))
     system = named_system(units, run.system)
     # once, and of these tests: what an earlier report has stored may be of others
-    run = replace(run, manifest=run.manifest.changed(peak_factors=stored_peaks(run)))
+    run = run.with_peaks()
     view = replace(assess(run, processes), metric=system.name == SI.name)
     if forms.next_test:
         observe(Step("report", "which test next"))

@@ -27,6 +27,7 @@ from mfd_bayes.errors import BuildingError, NotThereError, UnitError
 from mfd_bayes.jobs.job import Outcome, State, Step
 from mfd_bayes.jobs.local import Workplace, run_jobs
 from mfd_bayes.response.building import (
+    BOUND,
     Building,
     Dampers,
     ElastoPlastic,
@@ -39,6 +40,7 @@ from mfd_bayes.units import GRAVITY, parse_actuation, percent
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from mfd_bayes.population.peaks import Peaks
     from mfd_bayes.response.ground import Ground
 
 Array = NDArray[np.float64]
@@ -47,10 +49,14 @@ Rows = NDArray[np.intp]
 Row = dict[str, Any]
 
 PROBABILITIES = (0.5, 0.9, 0.95)  # of the equal-tailed bands
-REFERENCES = ("bare", "plain", "lower", "upper")
+BOUNDS = {"lower": 0.5 * (1.0 - BOUND), "upper": 0.5 * (1.0 + BOUND)}
+"""Probability that a new test lies below each bound."""
+
+REFERENCES = ("bare", "plain", *BOUNDS)
 OPEN = 0.005  # share of the time in steps that should have been shorter, from which a draw is named
 PER_DRAW = (
-    *("drift", "acceleration", "base_shear", "force", "travel", "energy", "residual"),
+    *("drift", "acceleration", "base_shear", "peak_fwd", "peak_bwd", "speed", "travel"),
+    *("energy", "residual"),
     *("unstable", "open", "imbalance", "change", "steps"),
 )
 """Arrays (n, g, …) of a response."""
@@ -69,9 +75,11 @@ class Response:
     drift: Array  # (n, g, S), in, largest storey drifts
     acceleration: Array  # (n, g, N), in/s², largest absolute accelerations of the floors
     base_shear: Array  # (n, g), kip, the largest of inertia
-    # (n, g, m), kip, in, kip in: largest force and travel of each damper, and the energy that
-    # it took
-    force: Array
+    # (n, g, m), kip, in/s, in, kip in: largest force of each damper by direction, computed or as a
+    # load cell sees it; its largest speed and travel, and the energy that it took
+    peak_fwd: Array
+    peak_bwd: Array
+    speed: Array
     travel: Array
     energy: Array
     residual: Array  # (n, g, S), in, mean drift over the last two fundamental periods
@@ -104,6 +112,11 @@ class Response:
     def draws(self) -> int:
         """Number of draws n."""
         return len(self.drift)
+
+    @property
+    def force(self) -> Array:
+        """Largest force of each damper, (n, g, m), kip."""
+        return np.maximum(self.peak_fwd, self.peak_bwd)
 
     @property
     def unsettled(self) -> NDArray[np.bool_]:
@@ -249,6 +262,37 @@ def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
         )
     grounds = tuple(part.grounds[0] for part in parts[0])
     return replace(parts[0][0], grounds=grounds, dampers=dampers, **arrays)
+
+
+def seen_peaks(response: Response, peaks: Peaks, seed: int, *, scatter: bool = True) -> Response:
+    """The response with the dampers' largest forces as a load cell sees them, as predictions are.
+
+    Each damper of a draw has its own excess, without `scatter` the mean one; all at a bound have a
+    bound of the sum of computed force and excess. It is no part of the equation of motion: an
+    impact is short.
+    """
+    rng = np.random.default_rng([seed, 5])
+    middle = np.median(response.dampers.slip_forces(), axis=1)
+
+    def seen(of: Response, probability: float | None = None) -> Response:
+        sides = []
+        computed, slips = (of.peak_fwd, of.peak_bwd), of.dampers.slip_forces()[:, :, None]
+        for excess, largest, slip, usual in zip(
+            peaks.values(), computed, slips, middle, strict=True
+        ):
+            if probability is None:
+                scores = excess.scores(rng, slip.shape) * scatter
+            else:
+                spread = largest * np.nan_to_num(np.abs(1.0 - usual / slip))
+                scores = excess.bound(probability, spread, of.speed)
+            sides.append(excess.seen(largest, of.speed, slip, scores))
+        return replace(of, peak_fwd=sides[0], peak_bwd=sides[1])
+
+    references = {
+        name: seen(of, BOUNDS[name]) if name in BOUNDS else of
+        for name, of in response.references.items()
+    }
+    return replace(seen(response), references=references)
 
 
 # --- integration: what is kept of histories, and the steps
@@ -514,7 +558,7 @@ class _Draws:
         self.inverse = linalg.inv(building.mass)
         self.late = float(ground.time[-1] - 2.0 * building.modes.periods[0])
         widths = {"drift": storeys, "acceleration": building.freedoms, "base_shear": 1}
-        widths |= {"force": devices, "travel": devices}
+        widths |= dict.fromkeys(("peak_fwd", "peak_bwd", "speed", "travel"), devices)
         self.peaks = {name: np.zeros((n, width)) for name, width in widths.items()}
         self.work = np.zeros((n, 2 + m))
         self.residual, self.late_time = np.zeros((n, storeys)), np.zeros((n, 1))
@@ -637,11 +681,14 @@ class _Draws:
         weights = building.mass @ building.influence
         load = x @ building.stiffness + v @ building.damping + pulled @ self.places
         acceleration, drift = -load @ self.inverse, x @ building.drifts.T  # absolute
+        pull = forces[..., :m] + self.rest[rows, :m]
         peaks = {
             "drift": drift,
             "acceleration": acceleration,
             "base_shear": (acceleration @ weights)[..., None],
-            "force": forces[..., :m] + self.rest[rows, :m],
+            "peak_fwd": np.maximum(pull, 0.0),
+            "peak_bwd": np.maximum(-pull, 0.0),
+            "speed": v @ self.places[:m].T,
             "travel": x @ self.places[:m].T - pulled[..., :m] * self.brace[:m],
         }
         for name, values in peaks.items():

@@ -693,6 +693,13 @@ class Dampers:
         """Number of dampers in each, m."""
         return int(self.theta.shape[1])
 
+    def slip_forces(self) -> Array:
+        """Slip forces forward and backward, (2, n, m), kip; NaN where the model names none."""
+        if self.model is None or not self.model.slip_forces:
+            return np.full((2, *self.slip.shape), np.nan)
+        columns = [self.model.parameters.index(name) for name in self.model.slip_forces]
+        return np.moveaxis(self.theta[..., [columns[0], columns[-1]]], -1, 0)
+
     def chosen(self, rows: Rows) -> Dampers:
         """Those of some buildings."""
         places = (rows[:, None] * self.count + np.arange(self.count)).ravel()

@@ -669,8 +669,8 @@ class Manifest(Part):
     warnings: tuple[Finding, ...] = ()
     """What the records, and then the results, gave cause to warn of."""
     verdicts: Mapping[str, str] = Field(default_factory=dict)
-    peak_factors: Mapping[str, Mapping[str, Figure]] = Field(default_factory=dict)
-    """Of the measured peak of a cycle over the predicted one, by direction: `PeakFactor`."""
+    peak_excess: Mapping[str, Mapping[str, Figure]] = Field(default_factory=dict)
+    """Of measured peaks over the population's, by direction: `population.peaks.PeakExcess`."""
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:

@@ -6,7 +6,7 @@ And the response of a building whose dampers are the device of a run.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain, pairwise
 from os import PathLike, fspath
@@ -54,10 +54,12 @@ from mfd_bayes.planning.study import Advice, advise
 from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
+from mfd_bayes.population.peaks import NO_EXCESS, SIDES, PeakExcess, Peaks, largest_speed
 from mfd_bayes.population.population import Ending, Population
+from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, check_trace
-from mfd_bayes.response.analysis import Response, response_of
+from mfd_bayes.response.analysis import Response, response_of, seen_peaks
 from mfd_bayes.response.building import (
     FEWEST as FEWEST_DRAWS,
 )
@@ -99,6 +101,8 @@ from mfd_bayes.store.netcdf import load_arrays, load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 Array = NDArray[np.float64]
+
+PEAK_DRAWS = 100  # of each test's force, by which the excess of measured peaks is learned
 
 NO_GAP = "after is without effect: the model of the run has no gap in which a motion could begin"
 
@@ -439,6 +443,41 @@ class Run:
         pooled = partial(stored_pooled, self.folder, self.manifest, self.population)
         return TestSequence(self.manifest, self.tests, self.held_out, self.predictor, pooled)
 
+    @cached_property
+    def peaks(self) -> Peaks:
+        """What measured peaks have above computed ones, as the report has stored it, or learned."""
+        if stored := self.manifest.peak_excess:
+            return {side: PeakExcess(**figures) for side, figures in stored.items()}
+        return self._learned_peaks()
+
+    def with_peaks(self) -> Run:
+        """The run with what its own tests say of peaks, which an earlier report may not have."""
+        learned = {side: asdict(excess) for side, excess in self._learned_peaks().items()}
+        return replace(self, manifest=self.manifest.changed(peak_excess=learned))
+
+    def _learned_peaks(self) -> Peaks:
+        """Excess of the tests' measured peaks over those of the population for the same tests.
+
+        These are the forces that new tests are drawn from, to which it is applied. A test's own
+        posterior may have another static friction than the device, and is not taken.
+        """
+        speeds, excesses, computed = [], [], []
+        for name, test in self.tests.items():
+            motion, values = replace(test.trace, force=None), self.sequence.values(name)
+            forecast = Forecast(THIS_TEST, draws=PEAK_DRAWS, **self.place(name))
+            force = self.predictor.repeat(motion, forecast, values).draws
+            cycles = MeasuredCycles.from_content(self.manifest.tests[name].measured)
+            offset = float(np.median(values["offset"]))
+            measured = np.array([cycles.largest_fwd - offset, cycles.largest_bwd + offset])
+            largest = [np.max(sign * force, axis=1).mean() for sign in SIDES.values()]
+            speeds.append(largest_speed(motion))
+            excesses.append(measured - largest)
+            computed.append(largest)
+        each = zip(SIDES, np.transpose(excesses), np.transpose(computed), strict=False)
+        return dict(NO_EXCESS) | {
+            side: PeakExcess.of(excess, np.array(speeds), peak) for side, excess, peak in each
+        }
+
     @property
     def use(self) -> str:
         """What the run may be used for, in the words of `Use`; "" where it was not judged."""
@@ -670,6 +709,7 @@ class Run:
             )
             bounds = dict(zip(bounds, few, strict=True))
         response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
+        response = seen_peaks(response, self.peaks, seed, scatter=kind == "new_test")
         remarks = [*chain.from_iterable(beyond_tests(self, response))]
         remarks += [self.caution] if self.caution else []
         remarks += _short_histories(built, motions)

@@ -152,6 +152,32 @@ def test_several_processes_make_the_views_that_one_makes(monkeypatch):
         assert repr((one.rows, one.checks)) == repr((other.rows, other.checks))
 
 
+@pytest.mark.parametrize(
+    ("raw", "filtered", "missed"),
+    [(1.0, 1.0, False), (1 / 1.19, 1 / 1.19, True), (1.3, 1.0, False), (1.3, 1.25, True)],
+    ids=["as it is", "computed 19 % too high", "filter took it", "computed too low"],
+)
+def test_peaks_that_all_tests_miss_alike_are_no_less_missed(raw, filtered, missed):
+    run = open_run(DATA)
+    tests, manifest = {}, run.manifest
+    for name, test in run.tests.items():
+        trace = replace(test.trace, force=filtered * np.asarray(test.trace.force))
+        settings = run.manifest.settings
+        posterior = Posterior(trace, run.priors, settings.noise, settings.model)
+        tests[name] = replace(test, posterior=posterior)
+        measured = {
+            key: tuple(raw * np.array(values)) if "largest" in key or "peak" in key else values
+            for key, values in manifest.tests[name].measured.items()
+        }
+        manifest = manifest.with_test(name, measured=measured)
+    learned = {"rate": 0.15, "rate_variance": 0.1, "scatter": 0.1, "tests": 2.0}
+    manifest = manifest.changed(peak_excess=dict.fromkeys(("fwd", "bwd"), learned))
+    views, _ = views_of_tests(replace(run, tests=tests, manifest=manifest))
+    checks = [check for view in views for check in view.checks if "peak" in check.feature]
+    assert len(checks) == 4
+    assert {check.status == "warning" for check in checks} == {missed}
+
+
 def test_a_stored_file_that_is_gone_is_no_fault_of_its_test(tmp_path):
     run = open_run(DATA)
     name, test = next(iter(run.tests.items()))

@@ -115,6 +115,29 @@ def test_all_dampers_at_a_bound_stand_beside_the_band(run, response):
     assert np.isnan(shown["bare"])
 
 
+def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tmp_path):
+    excess = {"rate": 0.15, "rate_variance": 0.01, "scatter": 0.3, "tests": 10.0}
+    peaks = dict.fromkeys(("fwd", "bwd"), excess)
+    run = replace(run, manifest=run.manifest.changed(peak_excess=peaks))
+    still = tmp_path / "still.toml"  # a mass that stays where it is, over ground that moves
+    still.write_text(
+        '[building]\ndamping = { kind = "none" }\n[[storey]]\nweight = "1e7 kip"\n'
+        'stiffness = "1 kip/in"\n[[damper]]\nstorey = 1\nactuation = "1000 psi"\n'
+    )
+    time, speed = np.arange(301) / 50, np.pi
+    ground = Ground("sine", 0.02, speed**2 * np.cos(speed * time))
+    response = run.respond(still, ground, draws=60, seed=1)
+    travel = response.travels[0][0, :, 0].astype(float)
+    trace = mb.Trace.from_arrays(time, travel, actuation=1.0)
+    rows = {(row["name"], row["basis"]): row for row in design_rows(run, trace)}
+    for side in ("fwd", "bwd"):
+        design, bounds = rows[f"peak_{side}", "new_test"], response.references
+        got = [float(getattr(bounds[name], f"peak_{side}")[0, 0, 0]) for name in ("lower", "upper")]
+        assert got == pytest.approx([design["lower"], design["upper"]], rel=0.1)
+        middle = np.median(getattr(response, f"peak_{side}"))
+        assert middle == pytest.approx(rows[f"peak_{side}", "device"]["nominal"], rel=0.05)
+
+
 def test_shares_add_up_and_find_what_matters(response):
     for ground_motion in (0, 1):
         shares = variance_shares(response, ground=ground_motion)
