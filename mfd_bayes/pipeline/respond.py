@@ -20,6 +20,7 @@ from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex, to_csv
 from mfd_bayes.response.analysis import (
     REFERENCES,
+    REST,
     Response,
     Row,
     Sweep,
@@ -213,8 +214,10 @@ def _mark(response: Response, *, beyond: bool, use: str) -> tuple[str, str]:
     bad = float(np.mean(response.unstable | response.unsettled))
     if use == Use.NOT_USABLE:
         return "fail", "✗ The run is not usable"
-    if bad > 0.1 or response.unstable.mean() > 0.01:
-        return "fail", "✗ Not settled"
+    if response.unstable.mean() > 0.01:
+        return "fail", "✗ Some draws diverged"
+    if bad > 0.1:
+        return "fail", f"✗ Drifts may be off by more than {100.0 * response.tolerance:.2g} %"
     if beyond:
         return "care", "! Answered, but beyond the tests"
     if bad or use == Use.WITH_CARE:
@@ -241,31 +244,68 @@ def _verdict(
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
             f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
         )
-        at = [
-            f"{name} {float(np.max(bound.drift[0, g] * scale)):.3g} {unit}"
-            for name, bound in response.references.items()
-            if name in ("lower", "upper") and not bound.unstable[0, g]
-        ]
-        if at:
-            where = f"{ground.name}: with all dampers at their bound"
-            sentences.append(f"{where}, {', '.join(at)}.")
+        ends = {
+            name: float(np.max(response.references[name].drift[0, g] * scale))
+            for name in ("lower", "upper")
+            if name in response.references and not response.references[name].unstable[0, g]
+        }
+        if ends:
+            named = ", ".join(f"{name} {end:.3g} {unit}" for name, end in ends.items())
+            where = f"{ground.name}: with all dampers at their bound, {named}"
+            sentences.append(f"{where}{_not_bounding(ends, middle)}.")
         if of_drift := shares[g]["shares"]:
-            source = max(of_drift, key=lambda name: of_drift[name])
+            rest = of_drift[REST]
+            source, share = max(
+                ((name, share) for name, share in of_drift.items() if name != REST),
+                key=lambda pair: pair[1],
+            )
+            more = f"; {100 * rest:.0f} % is of no single source" if rest > share else ""
             sentences.append(
-                f"{ground.name}: {100 * of_drift[source]:.0f} % of the variance of the largest "
-                f"drift is {source}."
+                f"{ground.name}: {100 * share:.0f} % of the variance of the largest drift is "
+                f"{source}{more}."
             )
         sentences += [f"{sentence}." for sentence in beyond[g]] if response.dampers.count else []
+    sentences += _at_rest(response, scale, unit, system)
     sentences += [f"{sentence}." for sentence in beyond[-1]]
     sentences += [use] if use else []
     for limit in response.limits():
-        if np.isfinite(limit["probability"]):
+        if limit["draws"]:
+            low, high = (100 * end for end in limit["interval"])
             sentences.append(
-                f"{limit['ground']}: the limit of the {limit['quantity']} is exceeded with a "
-                f"probability of {100 * limit['probability']:.3g} % (standard error "
-                f"{100 * limit['error']:.2g} %)."
+                f"{limit['ground']}: the limit of the {limit['quantity']} is exceeded in "
+                f"{limit['passed']} of {limit['draws']} draws: a probability of "
+                f"{100 * limit['probability']:.3g} % (95 % interval {low:.3g} to {high:.3g} %)."
             )
     return sentences
+
+
+def _not_bounding(ends: Mapping[str, float], median: float) -> str:
+    """What to say of drifts with all dampers at a bound between which the median does not lie."""
+    if len(ends) < 2 or min(ends.values()) <= median <= max(ends.values()):
+        return ""
+    side = "below" if max(ends.values()) < median else "above"
+    return f": both are {side} the median of the draws and do not bound it, use the band"
+
+
+def _at_rest(response: Response, scale: Array | float, unit: str, system: System) -> list[str]:
+    """That the force of dampers at rest is subtracted, and how much it is; none where it is 0.
+
+    `scale` takes drifts (S,), in, to what is shown in `unit`.
+    """
+    dampers, building = response.dampers, response.building
+    if not dampers.count:
+        return []
+    held = dampers.at_rest
+    if not np.any(np.abs(held) > 1e-3 * dampers.slip):
+        return []
+    moved = np.linalg.solve(building.stiffness, building.travels.T @ held.T)
+    drift = np.max(np.abs(scale * (building.drifts @ moved).T), axis=1)
+    force, most = np.quantile([np.abs(held).max(axis=1), drift], 0.95, axis=1).tolist()
+    return [
+        "Drift is counted from the building at rest: the force that a damper holds there, in 95 % "
+        f"of the draws up to {system.words([force], 'kip', 2)}, is subtracted; by itself it would "
+        f"move a storey by up to {most:.2g} {unit}."
+    ]
 
 
 def write_response(
@@ -380,9 +420,12 @@ def limits_frame(limits: Iterable[Row], system: System) -> pd.DataFrame:
     """Probabilities of passing limits."""
     import pandas as pd
 
-    names = ["quantity", "ground", "limit", "unit", "probability", "error"]
-    frame = pd.DataFrame([_in_system(row, system) for row in limits], columns=names)
-    return frame.rename(columns={"error": "standard_error"})
+    names = ["quantity", "ground", "limit", "unit", "passed", "draws", "probability"]
+    ends = ("lower_95", "upper_95")
+    lines = [
+        _in_system(row, system) | dict(zip(ends, row["interval"], strict=True)) for row in limits
+    ]
+    return pd.DataFrame(lines, columns=[*names, *ends])
 
 
 def shares_frame(shares: Iterable[Row]) -> pd.DataFrame:

@@ -91,6 +91,11 @@ def draw_profile(response: Response, system: System) -> Figure:
             bare, friction = (by * getattr(r, name)[0, g] for r in (response.bare, response.plain))
             axes.plot(bare, at, "o", color=_BARE, ms=4, label="without dampers")
             axes.plot(friction, at, "s", color=_PLAIN, ms=4, label="plain friction")
+            for end, mark in (("lower", "<"), ("upper", ">")):
+                bound = response.references.get(end)
+                if bound is not None and not bound.unstable[0, g]:
+                    peaks, label = by * getattr(bound, name)[0, g], f"all at the {end} bound"
+                    axes.plot(peaks, at, mark, color=_MIDDLE, mfc="none", ms=6, label=label)
             if limit is not None:
                 axes.axvline(limit, color=VERMILLION, linestyle="--")
             axes.set_xlabel(label)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.special import betaincinv
 
 from mfd_bayes.errors import BuildingError, NotThereError, UnitError
 from mfd_bayes.jobs.job import Outcome, State, Step
@@ -143,7 +144,10 @@ class Response:
         for g, ground in enumerate(self.grounds):
             for flags, words in (
                 (self.unstable, "diverged and are left out of every figure"),
-                (self.unsettled, f"may be off by more than {self.tolerance:.2g}"),
+                (
+                    self.unsettled,
+                    f"have a drift that may be off by more than {100.0 * self.tolerance:.2g} %",
+                ),
             ):
                 at = np.flatnonzero(flags[:, g])
                 if at.size:
@@ -207,7 +211,10 @@ class Response:
         return rows
 
     def limits(self) -> list[Row]:
-        """Probability of passing each limit in the building, under each motion, and its error."""
+        """Probability of passing each limit in the building, under each motion.
+
+        It is the share of the draws, with its 95 % interval for their number (Jeffreys).
+        """
         given, quantities, rows = self.building.limits, self.quantities(), []
         limits = {
             "drift ratio": given.drift,
@@ -223,12 +230,11 @@ class Response:
             for g, ground in enumerate(self.grounds):
                 passed = (values[self.usable(g), g] > limit).any(axis=1)
                 n = len(passed)
-                p = float(passed.mean()) if n else np.nan
-                # with the centre of Agresti and Coull, so that 0 of n has an error too
-                centre = (p * n + 2.0) / (n + 4.0)
-                error = float(np.sqrt(centre * (1.0 - centre) / (n + 4.0)))
                 row = {"quantity": quantity, "ground": ground.name, "limit": limit, "unit": unit}
-                rows.append(row | {"probability": p, "error": error})
+                counts = {"passed": int(passed.sum()), "draws": n}
+                probability = float(passed.mean()) if n else np.nan
+                interval = share_interval(counts["passed"], n)
+                rows.append(row | counts | {"probability": probability, "interval": interval})
         return rows
 
     def measure(self, name: str) -> Array:
@@ -245,6 +251,16 @@ class Response:
         if name not in measures:
             raise NotThereError(f"no measure {name!r}: there are {', '.join(measures)}")
         return np.asarray(measures[name].max(axis=-1))
+
+
+def share_interval(count: int, n: int, probability: float = 0.95) -> tuple[float, float]:
+    """Jeffreys interval of a probability of which `count` of n draws are: inside 0 to 1.
+
+    It reaches to 0 where none are, and to 1 where all are (Brown, Cai and DasGupta, 2001).
+    """
+    tails = 0.5 * (1.0 - probability), 0.5 * (1.0 + probability)
+    low, high = betaincinv(count + 0.5, n - count + 0.5, tails)
+    return (float(low) if count else 0.0, float(high) if count < n else 1.0)
 
 
 def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
@@ -483,7 +499,8 @@ def equilibrium(
     buildings are in equilibrium, (n,).
     """
     (force, slope), own, last = begin, np.abs(flexibility.diagonal()), begin
-    # I − K A stays regular down to here, for dampers side by side too, which share their travel
+    # −A is symmetric and positive. Where no slope is below this, the eigenvalues of I − K A are ½
+    # or more, for any number of devices that share a travel: its solution is unique
     softest = -0.5 / np.abs(flexibility).sum(axis=1)
     low, high = np.full_like(force, -np.inf), np.full_like(force, np.inf)
     for iteration in range(most):

@@ -559,6 +559,8 @@ KINDS = ("new_test", "device")
 FEWEST = 10  # fewest draws of a response
 BOUND = 0.95  # probability between the lower and the upper design value of a device
 BOUND_DRAWS = 1000  # draws of the bounds: few would leave them to chance
+PLACES = 39  # in the gap, among which that of a bound is
+GAP = frozenset({"gap", "d2", "d3"})  # parameters that together are the width of a gap
 RIGID = 0.001  # travel, in, at which almost rigid friction slips
 SETTLE = float(np.expm1(np.log1p(FINE) / (KNOTS - 1)) / FINE)
 """Share of the longest stroke after a turn, over which a discrepancy goes to its new side."""
@@ -700,6 +702,11 @@ class Dampers:
         columns = [self.model.parameters.index(name) for name in self.model.slip_forces]
         return np.moveaxis(self.theta[..., [columns[0], columns[-1]]], -1, 0)
 
+    @property
+    def at_rest(self) -> Array:
+        """Forces that the dampers hold before the motion, (n, m), kip."""
+        return np.asarray(self.state(np.ones(self.count)).force).reshape(self.slip.shape)
+
     def chosen(self, rows: Rows) -> Dampers:
         """Those of some buildings."""
         places = (rows[:, None] * self.count + np.arange(self.count)).ravel()
@@ -807,41 +814,51 @@ def bound_dampers(
 ) -> dict[str, Dampers]:
     """One building with all dampers at the "lower", and one at the "upper", design value.
 
-    Each damper is the mean property (the median of each quantity) but for its slip forces: those
-    are the quantiles of a new test at its actuation that leave out half of 1 − `BOUND` each, as
-    `predict --design` has them. Of a model that names none, these are the parameters that follow
-    the actuation. Histories of actuation are those of `drawn`, in their median.
+    Upper is strong: its slip forces and stiffnesses are the upper quantiles of a new test at its
+    actuation, its gap is the lower one, and of the places where a test begins it has that at which
+    it holds the least force. Lower is weak, and is the other end of each: what a damper holds at
+    rest it lacks in one direction. The quantiles leave out half of 1 − `BOUND` each. All else is
+    the mean property (the median of each quantity). Of a model that names no slip forces, the
+    parameters that follow the actuation are taken for them. Histories of actuation are those of
+    `drawn`, in their median.
     """
-    constant = replace(
-        building,
-        devices=tuple(replace(d, actuation=d.level, history=None) for d in building.devices),
-    )
+    levels, of = np.unique([device.level for device in building.devices], return_inverse=True)
+    plain = replace(building.devices[0], history=None)
+    each = replace(building, devices=tuple(replace(plain, actuation=a) for a in levels.tolist()))
     mean, scattered = (
-        draw_dampers(population, model, constant, kind, BOUND_DRAWS, seed)
+        draw_dampers(population, model, each, kind, BOUND_DRAWS, seed)
         for kind in ("device", "new_test")
     )
-    levels, residual = np.array([device.level for device in building.devices]), population.residual
-    slips = {name: model.parameters.index(name) for name in model.slip_forces or model.laws}
-    tied = model.tied_laws
+    names, standard, residual = model.parameters, model.standard_names, population.residual
+    slips = [names.index(name) for name in model.slip_forces]
+    stiff = [q.name for q in model.quantities if q.kind == "stiffness" and q.name in standard]
+    widths = [names.index(name) for name in sorted(standard & GAP)]
+    tail = 0.5 * (1.0 - BOUND)
+    places = np.quantile(scattered.start, np.linspace(tail, 1.0 - tail, PLACES), axis=0)
     found = {}
-    for name, share in (("lower", 0.5 * (1.0 - BOUND)), ("upper", 0.5 * (1.0 + BOUND))):
+    for side, share in (("lower", tail), ("upper", 1.0 - tail)):
         theta = np.median(mean.theta, axis=0)
-        for level in np.unique(levels):
-            at = levels == level
-            for slip, column in slips.items():
-                bound = np.quantile(scattered.theta[:, at, column], share)
-                by = bound / theta[at, column]
-                for other in (slip, *(name for name, of in tied.items() if of == slip)):
-                    theta[at, model.parameters.index(other)] *= by
-        slip_force = np.ones((1, len(theta)))
-        if model.slip_forces:
-            slip_force = theta[:, list(slips.values())].mean(axis=1)[None]
-        found[name] = Dampers(
+        bound = np.quantile(scattered.theta, share, axis=0)
+        for name in dict.fromkeys([*(model.slip_forces or model.laws), *stiff]):
+            column = names.index(name)
+            tied = [names.index(n) for n, followed in model.tied_laws.items() if followed == name]
+            theta[:, tied] *= (bound / np.where(theta, theta, 1.0))[:, [column]]
+            theta[:, column] = bound[:, column]
+        if widths:
+            width = np.quantile(scattered.theta[..., widths].sum(axis=-1), 1.0 - share, axis=0)
+            theta[:, widths] *= (width / theta[:, widths].sum(axis=1))[:, None]
+        begun = np.broadcast_to(theta, (PLACES, *theta.shape))
+        held = np.abs(Dampers(model, begun, places, np.ones(places.shape)).at_rest)
+        pick = held.argmin(axis=0) if side == "upper" else held.argmax(axis=0)
+        start = np.take_along_axis(places, pick[None], axis=0)
+        slip = theta[:, slips].mean(axis=1)[None] if slips else np.ones((1, len(theta)))
+        slip = slip[:, of]
+        found[side] = Dampers(
             model,
-            theta[None],
-            np.median(mean.start, axis=0, keepdims=True),
-            slip_force,
-            Leftover.at_rest(residual.basis, residual.mean[None], slip_force / residual.slip_force),
+            theta[None, of],
+            start[:, of],
+            slip,
+            Leftover.at_rest(residual.basis, residual.mean[None], slip / residual.slip_force),
             {k: np.median(s, axis=0, keepdims=True) for k, s in drawn.scales.items()},
             drawn.times,
         )

@@ -121,9 +121,7 @@ def test_a_scatter_beyond_that_of_the_priors_is_a_warning_of_the_verdict():
     ((check),) = checks(0.29)
     assert (check.test, check.status) == ("population", "warning")
     sentences = verdict_sentences(
-        SimpleNamespace(
-            effort=Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000), axes=DAMPER
-        ),
+        SimpleNamespace(effort=Effort(r_hat=1.01, ess=400.0, length=5.0, limit=8000), axes=DAMPER),
         [check],
         [],
     )
