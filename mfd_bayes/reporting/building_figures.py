@@ -94,8 +94,8 @@ def draw_profile(response: Response, system: System) -> Figure:
             for end, mark in (("lower", "<"), ("upper", ">")):
                 bound = response.references.get(end)
                 if bound is not None and not bound.unstable[0, g]:
-                    peaks, label = by * getattr(bound, name)[0, g], f"all at the {end} bound"
-                    axes.plot(peaks, at, mark, color=_MIDDLE, mfc="none", ms=6, label=label)
+                    peaks, words = by * getattr(bound, name)[0, g], f"all at the {end} bound"
+                    axes.plot(peaks, at, mark, color=_MIDDLE, mfc="none", ms=6, label=words)
             if limit is not None:
                 axes.axvline(limit, color=VERMILLION, linestyle="--")
             axes.set_xlabel(label)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model, Parameter
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.analysis import integrate, settle
+from mfd_bayes.response.analysis import equilibrium, integrate, settle
 from mfd_bayes.response.building import Content, Dampers, building_of, no_dampers
 from mfd_bayes.response.ground import Ground
 
@@ -155,3 +156,19 @@ def test_a_model_of_ones_own_stands_in_a_building():
     expected = integrate(damped, shaking(), no_dampers(), FINE)
     assert np.allclose(found.drift, expected.drift, rtol=1e-3)
     assert not np.allclose(integrate(bare, shaking(), no_dampers(), FINE).drift, expected.drift)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_softening_dampers_that_share_a_travel_have_a_regular_equilibrium(count):
+    """Forces fall steeply with the travel: clipped for each damper alone, two are singular."""
+
+    class Softening:
+        def step(self, travel, velocity, size, time):
+            return SimpleNamespace(force=1.0 - 0.6 * np.clip(travel + count, -1.0, 1.0))
+
+    flexibility, begin = -np.ones((count, count)), np.full((2, 1, count), 1.2)
+    found = equilibrium(
+        *(Softening(), lambda force: (force @ flexibility, 0.0 * force), (0.02, 0.02)),
+        *(flexibility, (begin[0], 0.0 * begin[1]), np.full((1, count), 1e-6), 30),
+    )
+    assert np.all(np.isfinite(found[1]))
