@@ -36,7 +36,7 @@ def signals(cycles=2):
     time = np.arange(100 * cycles + 1) / 50.0
     motion = np.sin(np.pi * time)
     return np.stack(
-        [time, motion, np.tanh(4 * np.gradient(motion, time)) + 0.01 * np.cos(37 * time)]
+        [time, motion, np.tanh(40 * np.gradient(motion, time)) + 0.01 * np.cos(37 * time)]
     )
 
 

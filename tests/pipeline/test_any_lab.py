@@ -63,7 +63,7 @@ def test_priors_of_a_device_hold_its_truth_and_its_force_and_are_kept(tmp_path):
             figures = priors.parameters[name].figures
             assert abs(np.log(values[name] / figures["median"])) < 2.5 * figures["spread"], name
     text = (tmp_path / "priors.toml").read_text(encoding="utf-8")
-    assert "the plateau of 3bar_0.5Hz.txt" in text
+    assert "the slip force of 3bar_0.5Hz.txt" in text
     assert "spread a factor of 3" in text
     assert all(len(table["reason"]) > 5 for table in tomllib.loads(text)["parameters"].values())
     (tmp_path / "campaign.toml").unlink()
@@ -84,5 +84,5 @@ def test_priors_of_another_device_are_found_wrong_with_what_would_mend_them(tmp_
     campaign.write_text(text, encoding="utf-8")
     words = said("prior-check", campaign, "-o", tmp_path, "--force", code=1)
     assert "the prior most wrong is that of Fc_" in words
-    assert "kN, and the plateau of the loop is" in words
+    assert "kN, and the slip force of the loop is" in words
     assert "give it a median of about" in words

@@ -264,11 +264,6 @@ def test_resuming_a_finished_run_keeps_its_draws(finished_run, copied):
     again = ("calibrate", finished_run.campaign, "-o", copied, "--effort", "quick")
     assert re.search("--resume.*--force", refusal(*again))
     assert "seed" in refusal(*again, "--resume", "--seed", 2)
-    for path in (files[0], copied / "population.nc"):
-        content = path.read_bytes()
-        path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-        assert re.search(f"{path.name}.*SHA-256", refusal(*again, "--resume"))
-        path.write_bytes(content)
     assert (copied / "manifest.json").read_bytes() == before
 
 

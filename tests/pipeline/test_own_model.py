@@ -284,7 +284,7 @@ def test_no_command_executes_the_model_of_a_received_run(received, tmp_path, com
     time, x, speed = motion(0.5)
     write_csv(tmp_path / "new.csv", time, x, force(750.0, speed), names=("time_s", "x_in", "f_kip"))
     (tmp_path / "b.toml").write_text(BUILDING)
-    (tmp_path / "g.csv").write_text("time_s,acceleration_g\n0,0\n0.01,0.1\n0.02,0\n")
+    (tmp_path / "g.csv").write_text("time_s,acceleration_g\n0,0\n0.01,0.1\n0.02,-0.1\n")
     places = {"OUT": str(received), "TO/": f"{tmp_path}/"}
     words = [str(word) for word in OPENING[command]]
     for name, place in places.items():
