@@ -10,9 +10,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from mfd_bayes.applications.comparison.crossvalidation import Fold
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.posterior import Posterior, find_priors, units
-from mfd_bayes.evaluation.crossvalidate import Fold
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import find_priors, units
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
 from mfd_bayes.population.design import LAW_NAMES, design_of, setting_of
 from mfd_bayes.population.population import (

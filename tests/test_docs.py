@@ -16,11 +16,11 @@ import pytest
 from typer.main import get_command
 
 import mfd_bayes as mb
+from mfd_bayes.applications.buildings.building import read_building
 from mfd_bayes.calibration.diagnostics import EFFORTS
 from mfd_bayes.campaign import schema
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.commands import app
-from mfd_bayes.response.building import read_building
 
 ROOT = Path(__file__).parents[1]
 PAGES = {path.name: path for path in (ROOT / "README.md", *(ROOT / "docs/pages").glob("*.md"))}

@@ -15,9 +15,9 @@ from openpyxl import Workbook
 from scipy.io import savemat
 from typer.testing import CliRunner
 
+from mfd_bayes.applications.buildings.ground import example_ground, read_ground
 from mfd_bayes.cli.commands import app
 from mfd_bayes.errors import MfdError
-from mfd_bayes.response.ground import example_ground, read_ground
 from tests.run_folders import FORCE, MOTION, PRIORS, RECORD, TIME
 
 INPUTS = int(os.environ.get("MFD_BAYES_FUZZ", "200"))  # these are the same each time

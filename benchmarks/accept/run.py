@@ -19,10 +19,10 @@ import numpy as np
 import pandas as pd
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.posterior import load_priors
+from mfd_bayes.applications.acceptance import judgement as acceptance
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign import synthetic
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write_campaign
-from mfd_bayes.evaluation import acceptance
 from mfd_bayes.evaluation.laws import drift_row
 from mfd_bayes.population.design import Setting, design_of
 from mfd_bayes.population.mixed_model import MixedModel

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.stats import norm
 
 import mfd_bayes as mb
-from mfd_bayes.evaluation.crossvalidate import Fold, run_folds
+from mfd_bayes.applications.comparison.crossvalidation import Fold, run_folds
 from mfd_bayes.pipeline.plan import Options
 
 QUOFEM = {

@@ -21,8 +21,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from mfd_bayes.evaluation.crossvalidate import folds_of
-from mfd_bayes.evaluation.properties import design_rows, measured_of, measured_properties
+from mfd_bayes.applications.comparison.crossvalidation import folds_of
+from mfd_bayes.evaluation.bounds import design_rows
+from mfd_bayes.evaluation.properties import measured_of, measured_properties
 from mfd_bayes.runs.run import Run
 
 PROBABILITIES = (0.5, 0.8, 0.95)

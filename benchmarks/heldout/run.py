@@ -24,10 +24,10 @@ import numpy as np
 import pandas as pd
 
 import mfd_bayes as mb
-from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
-from mfd_bayes.evaluation.views import rrse, score
+from mfd_bayes.applications.comparison.crossvalidation import folds_of, run_folds
+from mfd_bayes.evaluation.scores import rrse, score
 from mfd_bayes.pipeline.plan import Options
-from mfd_bayes.runs.folder import Score
+from mfd_bayes.runs.manifest import Score
 
 DRAWS = 800
 PUBLISHED = {

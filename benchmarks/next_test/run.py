@@ -15,11 +15,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mfd_bayes.calibration.posterior import Posterior, find_noise, load_priors
+from mfd_bayes.applications.next_test.study import Study, advise
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign import synthetic
+from mfd_bayes.campaign.candidate import Candidate, Limits, harmonic_of, parse_goal
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.planning.candidate import Candidate, Limits, harmonic_of, parse_goal
-from mfd_bayes.planning.study import Study, advise
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.records.trace import Harmonic, Trace

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mfd_bayes.calibration.posterior import NOISES
+from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.result import Bounds, load_result, moves, quantiles_of
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import EFFORTS, intervals_of
-from mfd_bayes.calibration.posterior import Posterior, PriorFile
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.population.bands import Forecast, Predictor

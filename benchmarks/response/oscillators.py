@@ -13,12 +13,13 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.special import expit
 
+from mfd_bayes.applications.buildings.building import Content, building_of
+from mfd_bayes.applications.buildings.dampers import Dampers
+from mfd_bayes.applications.buildings.ground import Ground
+from mfd_bayes.applications.buildings.time_integration import settle
 from mfd_bayes.friction.backlash import BacklashLuGre
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
-from mfd_bayes.response.analysis import settle
-from mfd_bayes.response.building import Content, Dampers, building_of
-from mfd_bayes.response.ground import Ground
 
 GRAVITY, WEIGHT = 386.09, 50.0
 RTOL, TINY = 1e-9, 1e-9

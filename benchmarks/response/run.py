@@ -22,11 +22,12 @@ import numpy as np
 
 from benchmarks.response import opensees
 from benchmarks.response.oscillators import CASES, errors_of, three_stage_row
+from mfd_bayes.applications.buildings.building import Content, building_of
+from mfd_bayes.applications.buildings.dampers import Dampers
+from mfd_bayes.applications.buildings.ground import read_ground
+from mfd_bayes.applications.buildings.time_integration import response_of, settle
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.response.analysis import response_of, settle
-from mfd_bayes.response.building import Content, Dampers, building_of
-from mfd_bayes.response.ground import read_ground
 
 PARTS = 20
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.posterior import Posterior, units
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace, check_magnitude

@@ -19,7 +19,9 @@ from mfd_bayes.calibration.diagnostics import (
     measure_draws,
     replicate,
 )
-from mfd_bayes.calibration.posterior import NOISES, Posterior, PriorFile, units
+from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.calibration.proposal import Evidence, log_evidence, nearest_modes
 from mfd_bayes.errors import FitError, MfdError, StoreError, hash_file
 from mfd_bayes.friction.model import Model

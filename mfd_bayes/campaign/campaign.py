@@ -12,6 +12,15 @@ from typing import Any, ClassVar, NamedTuple
 
 from pydantic import ValidationError
 
+from mfd_bayes.campaign.candidate import (
+    Goal,
+    Limits,
+    Parts,
+    check_goal,
+    check_session,
+    parse_limits,
+    parse_tests,
+)
 from mfd_bayes.campaign.schema import (
     TABLES,
     CampaignFile,
@@ -26,15 +35,6 @@ from mfd_bayes.campaign.schema import (
 from mfd_bayes.errors import CampaignError, UnitError, file_inside
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
-from mfd_bayes.planning.candidate import (
-    Goal,
-    Limits,
-    Parts,
-    check_goal,
-    check_session,
-    parse_limits,
-    parse_tests,
-)
 from mfd_bayes.population.design import CONDITIONS, complete_laws, default_laws
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import (

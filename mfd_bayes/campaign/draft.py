@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.calibration.posterior import SCALED, WRITTEN, find_priors, load_priors
+from mfd_bayes.calibration.priors import SCALED, WRITTEN, find_priors, load_priors
 from mfd_bayes.campaign.guesses import (
     ESSENTIAL,
     Guess,

@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from mfd_bayes.calibration.posterior import NOISES
+from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.design import complete_laws, default_laws

@@ -34,7 +34,7 @@ from mfd_bayes.units import percent
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mfd_bayes.pipeline.use import Answer, Question
+    from mfd_bayes.applications.prediction.command import Answer, Question
 
 
 def init(
@@ -71,7 +71,7 @@ def init(
     """
     with mistakes():
         from mfd_bayes.campaign import draft as drafts
-        from mfd_bayes.pipeline import plan as pipeline
+        from mfd_bayes.pipeline import init as pipeline
 
         if building:
             target = pipeline.init_building(folder, force=force)
@@ -130,7 +130,7 @@ def inspect(
       mfd-bayes inspect campaign.toml -o looks
     """
     with mistakes():
-        from mfd_bayes.pipeline import plan as pipeline
+        from mfd_bayes.pipeline import inspect as pipeline
 
         inspections, system = pipeline.inspect(file, folder, force=force, units=units or "")
     for inspection, picture in inspections:
@@ -157,7 +157,7 @@ def prior_check(
       mfd-bayes prior-check campaign.toml -o looks
     """
     with mistakes():
-        from mfd_bayes.pipeline import plan as pipeline
+        from mfd_bayes.pipeline import init as pipeline
 
         checked = pipeline.prior_check(campaign, folder, force=force, units=units or "")
     for name, share, picture in checked.tests:
@@ -247,7 +247,7 @@ def check(
       mfd-bayes check out --quiet && echo fit to use
     """
     with mistakes():
-        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.pipeline import report as pipeline
 
         view = pipeline.check(out, units or "", trust_model=trust_model)
     if not quiet:
@@ -300,7 +300,7 @@ def report(
       mfd-bayes report out --tests p500_f0.05 --tests p800_f0.05
     """
     with mistakes(this_command()):
-        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.pipeline import report as pipeline
         from mfd_bayes.reporting.page import Forms
 
         forms = options.settings(Forms, ctx)
@@ -330,7 +330,7 @@ def draws(
       mfd-bayes draws out --to parquet --units si
     """
     with mistakes():
-        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.applications.export import draws as pipeline
 
         written, rows = pipeline.write_draws(out, to, units or "", most, trust_model=trust_model)
     console.say(f"{written} written: {rows} draws")
@@ -472,7 +472,7 @@ def predict(
       mfd-bayes predict a --with b --motion quake.csv --actuation "1 ksi" -o b.csv
     """
     with mistakes():
-        from mfd_bayes.pipeline import use as pipeline
+        from mfd_bayes.applications.prediction import command as pipeline
 
         question = options.settings(pipeline.Question, ctx)
         answer = pipeline.predict(out, question)
@@ -529,7 +529,7 @@ def crossvalidate(
       mfd-bayes crossvalidate campaign.toml -o out --by level --resume
     """
     with mistakes(resumption()):
-        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.pipeline import comparison as pipeline
 
         run_options = options.run_options(ctx, out)
         with show_progress(quiet=quiet) as observe:
@@ -579,7 +579,7 @@ def compare(
       mfd-bayes compare campaign.toml -o out --noises ou,iid,staged
     """
     with mistakes(resumption()):
-        from mfd_bayes.pipeline import calibrate as pipeline
+        from mfd_bayes.pipeline import comparison as pipeline
 
         if models is None:
             models = "" if noises else _COMPARED
@@ -646,7 +646,7 @@ def accept(
       mfd-bayes accept out new/*.csv --actuation 1ksi --limit "slip=10 %" -o qc
     """
     with mistakes():
-        from mfd_bayes.pipeline import use as pipeline
+        from mfd_bayes.applications.acceptance import command as pipeline
 
         devices, pages = pipeline.accept_records(out, options.settings(pipeline.Inspection, ctx))
     console.warn(remark for each in devices for remark in each.remarks)
@@ -722,9 +722,9 @@ def next_test(
       mfd-bayes next out --goal "band at 1000 psi, 0.5 Hz, 1 in"
     """
     with mistakes():
-        from mfd_bayes.pipeline import use as pipeline
+        from mfd_bayes.applications.next_test import command as pipeline
 
-        best, files = pipeline.next_test(out, options.settings(pipeline.Wish, ctx))
+        best, files = pipeline.run_next(out, options.settings(pipeline.Wish, ctx))
     console.warn(best.advice.remarks)
     if not quiet:
         heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
@@ -798,13 +798,13 @@ def respond(
     With --sweep actuation="500 psi to 1500 psi" it compares actuations.
     """
     with mistakes():
-        from mfd_bayes.pipeline import respond as pipeline
+        from mfd_bayes.applications.buildings import command as pipeline
 
         prepared = pipeline.prepare(out, options.settings(pipeline.Query, ctx))
         for ground in () if quiet else prepared.grounds:
             console.say(ground.words)
         with show_progress(quiet=quiet) as observe:
-            view = pipeline.respond(prepared, observe)
+            view = pipeline.run_respond(prepared, observe)
     console.warn(view.remarks)
     for sentence in view.verdict:
         console.say(sentence)
@@ -842,7 +842,7 @@ def export(
       mfd-bayes export out --to quofem --actuation "1000 psi" -o samples
     """
     with mistakes():
-        from mfd_bayes.pipeline import export as pipeline
+        from mfd_bayes.applications.export import samples as pipeline
 
         sentences, remarks = pipeline.export(out, options.settings(pipeline.Export, ctx))
     console.warn(remarks)
@@ -876,7 +876,7 @@ def serve(
       mfd-bayes serve my_damper.py:Viscous --motion quake.csv --actuation "1 ksi"
     """
     with mistakes():
-        from mfd_bayes.pipeline import export as pipeline
+        from mfd_bayes.applications.export import server as pipeline
 
         pipeline.serve(source, port, motion, sine, actuation, console.say, trust_model=trust_model)
 
@@ -915,7 +915,7 @@ def watch(
       mfd-bayes watch record.csv --run out --actuation "1000 psi"
     """
     with mistakes():
-        from mfd_bayes.pipeline import use as pipeline
+        from mfd_bayes.applications.watch import command as pipeline
 
         for cycle in pipeline.watch(run, options.settings(pipeline.Watched, ctx)):
             console.say(cycle.sentence)

@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
-    from mfd_bayes.evaluation.views import CampaignView, Check, Rows
+    from mfd_bayes.evaluation.scores import Rows
+    from mfd_bayes.evaluation.views import CampaignView, Check
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.folder import Comparison, Finding
+    from mfd_bayes.runs.manifest import Comparison, Finding
     from mfd_bayes.runs.unit_system import System
 
 
@@ -195,7 +196,7 @@ def print_design(rows: Rows, probability: float) -> None:
 
 def print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
     """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
-    from mfd_bayes.evaluation.views import width_sentence
+    from mfd_bayes.evaluation.scores import width_sentence
 
     if not quiet:
         ordered = sorted(shares.items(), key=lambda item: -item[1])
@@ -268,7 +269,7 @@ def print_checks(view: CampaignView, *, every: bool) -> None:
 
 def missed_lines(view: CampaignView) -> list[str]:
     """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
-    from mfd_bayes.runs.folder import Use, Verdict
+    from mfd_bayes.runs.manifest import Use, Verdict
 
     system = view.system
     return [

@@ -16,7 +16,8 @@ from mfd_bayes.calibration.diagnostics import (
     Replicas,
     check_predictive,
 )
-from mfd_bayes.calibration.posterior import Posterior, units
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import (
     EXTREME,
@@ -25,6 +26,7 @@ from mfd_bayes.evaluation.properties import (
     measured_properties,
     share_above,
 )
+from mfd_bayes.evaluation.scores import Row, Rows
 from mfd_bayes.evaluation.views import (
     CONTRACTION,
     COVERAGE,
@@ -37,14 +39,12 @@ from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     SCATTER,
     Check,
-    Row,
-    Rows,
 )
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Setting
 from mfd_bayes.records.loops import MeasuredCycles
-from mfd_bayes.runs.folder import Finding, Verdict
+from mfd_bayes.runs.manifest import Finding, Verdict
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]

@@ -10,19 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import contraction, measure_draws
-from mfd_bayes.calibration.posterior import units
-from mfd_bayes.evaluation.properties import sessions_of
-from mfd_bayes.evaluation.views import (
-    DEFAULT_LIMITS,
-    INFORMED,
-    NOT_INFORMED,
-    DriftRow,
-    LawView,
-    Row,
-    Rows,
-    fan_of,
-    spread_of,
-)
+from mfd_bayes.calibration.priors import units
+from mfd_bayes.evaluation.bounds import sessions_of
+from mfd_bayes.evaluation.scores import Row, Rows, fan_of, spread_of
+from mfd_bayes.evaluation.views import DEFAULT_LIMITS, INFORMED, NOT_INFORMED, DriftRow, LawView
 from mfd_bayes.population.design import (
     COMPARE,
     CONDITIONS,

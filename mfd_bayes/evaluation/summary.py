@@ -17,7 +17,8 @@ from mfd_bayes.calibration.diagnostics import (
     log_if_positive,
     replicate,
 )
-from mfd_bayes.calibration.posterior import SCALED, Posterior, units
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import SCALED, units
 from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
@@ -30,7 +31,6 @@ from mfd_bayes.evaluation.checks import (
     scatter_checks,
     uncommon_device_values,
 )
-from mfd_bayes.evaluation.crossvalidate import left_out_view
 from mfd_bayes.evaluation.laws import drift_rows, law_choices, law_rows, law_score_rows, law_views
 from mfd_bayes.evaluation.properties import (
     device_properties,
@@ -41,6 +41,7 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
     property_rows,
 )
+from mfd_bayes.evaluation.scores import Row, Rows, fan_of, score, score_record, spread_of
 from mfd_bayes.evaluation.views import (
     CALIBRATION,
     COVERAGE,
@@ -56,14 +57,9 @@ from mfd_bayes.evaluation.views import (
     CampaignView,
     Check,
     Judgement,
+    LeftOutView,
     Marginal,
-    Row,
-    Rows,
     TestView,
-    fan_of,
-    score,
-    score_record,
-    spread_of,
 )
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
@@ -71,7 +67,7 @@ from mfd_bayes.population.bands import Forecast
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.peaks import SIDES
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import Finding, Manifest, Use, Verdict
+from mfd_bayes.runs.manifest import CampaignCrossValidation, Finding, Manifest, Use, Verdict
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
 
@@ -725,3 +721,35 @@ def zero_pressure_sentences(design: Design, tests: Iterable[str]) -> list[str]:
 
 
 Array = NDArray[np.float64]
+
+
+def left_out_view(scores: CampaignCrossValidation | None) -> LeftOutView | None:
+    """Scores of a cross-validation that the manifest holds; None without one."""
+    if scores is None:
+        return None
+    rows: list[Row] = []
+    for prediction in scores.predictions:
+        own, fitted = prediction.score, prediction.fitted
+        rows.append(
+            {"part": prediction.part, "test": prediction.test}
+            | score_record(own)
+            | {"fitted_width": fitted.width, "fitted_crps": fitted.crps}
+            | {"width_ratio": own.width / fitted.width if fitted.width > 0 else np.nan}
+            | {"crps_ratio": own.crps / fitted.crps if fitted.crps > 0 else np.nan}
+            | {"whole_95": np.nan if prediction.whole is None else float(prediction.whole)}
+        )
+    names = [name for name in rows[0] if name not in ("part", "test")]
+    mean = {name: float(np.mean([row[name] for row in rows])) for name in names}
+    others = "the others" if scores.by == "test" else f"those of the other {scores.by}s"
+    held = [row["whole_95"] for row in rows]
+    whole = (
+        " The 95 % bands of whole histories hold the whole force of "
+        f"{sum(held):.0f} of {len(held)} tests."
+    )
+    sentence = (
+        f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
+        f"{100 * mean['coverage_95']:.1f} % of the force, the 50 % bands "
+        f"{100 * mean['coverage_50']:.1f} %; they are on average {mean['width_ratio']:.1f} times "
+        f"as wide as those of the fitted tests.{whole if np.all(np.isfinite(held)) else ''}"
+    )
+    return LeftOutView(scores.by, tuple(rows), {"part": "", "test": "mean"} | mean, sentence)

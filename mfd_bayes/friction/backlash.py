@@ -23,7 +23,6 @@ from scipy.special import expit
 
 from mfd_bayes.friction.model import (
     PIECE,
-    QUANTITIES,
     Array,
     Columns,
     Model,
@@ -31,6 +30,7 @@ from mfd_bayes.friction.model import (
     named_columns,
     through_vertices,
 )
+from mfd_bayes.friction.quantities import QUANTITIES
 from mfd_bayes.friction.three_stage import of_direction, solve
 from mfd_bayes.records.trace import Trace
 

@@ -15,16 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.friction.model import (
-    PIECE,
-    QUANTITIES,
-    Array,
-    Columns,
-    Model,
-    Rows,
-    State,
-    through_vertices,
-)
+from mfd_bayes.friction.model import PIECE, Array, Columns, Model, Rows, State, through_vertices
+from mfd_bayes.friction.quantities import QUANTITIES
 from mfd_bayes.records.trace import Trace
 
 ACTUATED = ("Fy_fwd", "Fy_bwd")

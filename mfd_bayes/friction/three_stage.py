@@ -24,15 +24,14 @@ from scipy.special import expit
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import (
     PIECE,
-    STATIC,
     Array,
     Columns,
     Model,
     State,
     named_columns,
     named_vectors,
-    sampled_for,
 )
+from mfd_bayes.friction.quantities import STATIC, sampled_for
 from mfd_bayes.records.trace import MotionPath, Trace
 
 FLOOR = 1e-9

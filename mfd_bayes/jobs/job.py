@@ -65,6 +65,10 @@ class Step:
     message: str = ""
 
 
+Observe = Callable[[Step], None]
+"""What is called with every piece of news."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How a piece of work ended: `State.DONE`, or `State.FAILED` with an error."""

@@ -1,52 +1,28 @@
-"""Calibration of a campaign into a run folder: every test's posterior, then the population.
-
-And what is built on it: the report of a run, its checks and the table of its draws;
-cross-validation, where each part of a campaign is predicted from all others; and the comparison of
-a campaign under several models or noises.
-"""
+"""Calibration of a campaign into a run folder: every test's posterior, then the population."""
 
 from __future__ import annotations
 
-import io
 import re
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from mfd_bayes.calibration.posterior import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.campaign.synthetic import write_campaign
-from mfd_bayes.errors import FitError, MfdError, ReportError, StoreError
-from mfd_bayes.evaluation.crossvalidate import (
-    Candidate,
-    candidates,
-    check_cycles,
-    compare_runs,
-    fold_id,
-    folds_of,
-    part_kind,
-    parts_of,
-    run_folds,
-)
-from mfd_bayes.evaluation.properties import datasheet, parse_condition
-from mfd_bayes.evaluation.summary import assess, verdicts
-from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
+from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import Progress, State, Step
-from mfd_bayes.jobs.local import Workplace, check_workers, get_ready, run_jobs
+from mfd_bayes.jobs.job import Observe, Progress, State, Step
+from mfd_bayes.jobs.local import check_workers, run_jobs
 from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
-from mfd_bayes.population.design import setting_of
+from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.population import save_population
-from mfd_bayes.reporting.page import PLAIN, Forms
-from mfd_bayes.reporting.tables import CROSSVALIDATION, comparison_csv
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
     MANIFEST,
@@ -54,37 +30,31 @@ from mfd_bayes.runs.folder import (
     OWNER,
     POPULATION,
     PRIORS,
-    CampaignCrossValidation,
-    Comparison,
-    Manifest,
-    Status,
-    Truth,
-    Verdict,
-    add_calibrated_model,
     alone_in,
     check_apart,
-    check_free,
     check_links,
-    check_outputs,
-    check_places,
     discard,
     hash_stored,
-    mark_pages,
     pooled_of,
     posterior_of,
-    prepare_folder,
-    read_manifest,
     record_of,
     remove_partial_files,
     remove_stale,
 )
-from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.unit_system import SI, System, named_system
-from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes, write_text
+from mfd_bayes.runs.manifest import (
+    Manifest,
+    Status,
+    Truth,
+    add_calibrated_model,
+    mark_pages,
+)
+from mfd_bayes.runs.resume import check_free, prepare_folder
+from mfd_bayes.runs.run import Run
+from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
 from mfd_bayes.store.netcdf import save_arrays, save_trace
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
@@ -92,8 +62,6 @@ _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_
 
 _OF_FINISHED = ("status", "finished", "crossvalidation", "verdicts", "machines")
 """Keys of a finished run that nothing is computed of again."""
-
-Observe = Callable[[Step], None]
 
 
 def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
@@ -280,207 +248,3 @@ def _infer_population(
         dependence_scores=inference.dependence,
         population_sampler={"accepted": inference.accepted, "sweeps": sweeps},
     )
-
-
-def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:
-    """Calibrate a campaign, then predict every part of it from all the others."""
-    plan = plan_campaign(campaign, options)
-    parts = check_parts(plan)
-    for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
-        observe(Step(name, State.WAITING))
-    with working_in(plan, out):
-        run = leave_out_parts(calibrate_locked(plan, out, observe), options, observe)
-        return write_report(run, observe, jobs=options.jobs)
-
-
-def check_parts(plan: Plan) -> Collection[str]:
-    """Names of the parts that will be left out; a campaign with fewer than two is refused."""
-    sessions = plan.manifest.settings.sessions
-    settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
-    return parts_of(
-        settings,
-        part_kind(plan.options.by),
-        plan.campaign.settings.actuation_unit,
-        plan.campaign.path,
-    )
-
-
-def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
-    """The run with predictions of every part from all others; its folder must be locked."""
-    kind = part_kind(options.by)
-    try:
-        predictions = run_folds(run, folds_of(run, kind, options.effort), options, observe)
-        return run.rewrite(crossvalidation=CampaignCrossValidation(kind, predictions))
-    finally:
-        remove_partial_files(run.folder)
-
-
-def compare(
-    campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
-) -> tuple[Comparison, dict[str, CampaignView]]:
-    """Calibrate a campaign under several models or noises, and compare what they predict.
-
-    Returns the report of each too.
-    """
-    plans = _plan_models(campaign, out, candidates(models, options.noises), options)
-    for model, plan in plans.items():
-        for task in plan.tasks:
-            observe(Step(f"{model}/{task.id}", State.WAITING))
-    runs: dict[str, Run] = {}
-    with ExitStack() as locks:
-        locks.enter_context(alone_in(out))
-        for model, plan in plans.items():
-            locks.enter_context(working_in(plan, out / model))
-        for model, plan in plans.items():
-            observe_model = _observer_of(model, observe)
-            runs[model] = calibrate_locked(plan, out / model, observe_model)
-            if options.by:
-                runs[model] = leave_out_parts(runs[model], plan.options, observe_model)
-        observe(Step("comparison", "leaving out one cycle after another"))
-        comparison = compare_runs(runs)
-        write_text(out / "comparison.csv", comparison_csv(comparison.rows))
-        observe(Step("comparison", State.DONE))
-        views = {}
-        for model, run in runs.items():
-            run = run.rewrite(comparison=comparison)
-            views[model] = write_report(run, _observer_of(model, observe), jobs=options.jobs)
-    return comparison, views
-
-
-def _plan_models(
-    campaign: Path, out: Path, chosen: Sequence[Candidate], options: Options
-) -> dict[str, Plan]:
-    """Plan of a campaign under each candidate, checked for what the comparison needs."""
-    plans: dict[str, Plan] = {}
-    table, replaces = [out / "comparison.csv"], options.force or options.resume
-    check_outputs(table, [campaign], force=replaces)
-    for candidate in chosen:
-        own = replace(options, model=candidate.model, noise=candidate.noise)
-        plans[candidate.name] = plan = plan_campaign(campaign, own)
-        if options.by:
-            check_parts(plan)
-        check_outputs(table, [t.path for t in plan.campaign.tests], force=replaces)
-        for task in plan.tasks:
-            check_cycles(task)
-        folder = out / candidate.name
-        if folder.exists() and not replaces:
-            raise StoreError(
-                f"{folder} exists: give --resume to finish it or --force to replace it"
-            )
-    return plans
-
-
-def _observer_of(model: str, observe: Observe) -> Observe:
-    """Observer of the steps of one model's run, which adds the model's name to theirs."""
-    return lambda step: observe(replace(step, id=f"{model}/{step.id}"))
-
-
-# --- the report of a run, its checks and the table of its draws
-
-
-def report(
-    out: Path,
-    observe: Observe = lambda _: None,
-    *,
-    jobs: int = 0,
-    forms: Forms = PLAIN,
-    units: str = "",
-    trust_model: bool = False,
-) -> CampaignView:
-    """Write the tables, figures and report of a finished run, from its stored results."""
-    forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
-    if Workplace(jobs).processes > 1:
-        get_ready()
-    with alone_in(out):
-        check_places(out)
-        run = open_run(out, trust=trust_model)
-        return write_report(run, observe, jobs=jobs, forms=forms, units=units)
-
-
-def write_report(
-    run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
-) -> CampaignView:
-    """Write the tables, figures and report of an open run, whose folder must be locked."""
-    from mfd_bayes.reporting.page import publish
-
-    try:
-        at = [parse_condition(text, run.actuation_unit, run.system.axes) for text in forms.at]
-    except MfdError as error:
-        raise ReportError(f"--at: {error}") from error
-    processes = Workplace(jobs).processes
-    observe(Step("report", "checks and bands"))
-    system = named_system(units, run.system)
-    # once, and of these tests: what an earlier report has stored may be of others
-    run = run.with_peaks()
-    view = replace(assess(run, processes), metric=system.name == SI.name)
-    if forms.next_test:
-        observe(Step("report", "which test next"))
-        view = replace(view, next_test=run.next_test())
-    run = run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
-    if view.left_out is None:  # a table that an earlier cross-validation wrote
-        (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
-    observe(Step("report", "data sheet"))
-    sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
-    publish(view, run.folder, processes, observe, forms, sheet)
-    return view
-
-
-def check(out: Path, units: str = "", *, trust_model: bool = False) -> CampaignView:
-    """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing.
-
-    Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
-    """
-    run = open_run(out, trust=trust_model)
-    metric = named_system(units, run.system).name == SI.name
-    view = assess(run)
-    checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
-    return replace(view, metric=metric, checks=tuple(checks))
-
-
-def write_draws(
-    out: Path, to: str, units: str = "", most: int = 0, *, trust_model: bool = False
-) -> tuple[Path, int]:
-    """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows."""
-    import pandas as pd
-
-    if to == "parquet" and find_spec("pyarrow") is None:
-        raise ReportError(
-            '--to parquet needs pyarrow, which is not installed: pip install "mfd_bayes[parquet]", '
-            "or take --to csv"
-        )
-    read_manifest(out)  # a folder that is no finished run is refused before it is locked
-    with alone_in(out):
-        check_places(out)
-        run = open_run(out, trust=trust_model)
-        frame = pd.concat(draws_of(run, named_system(units, run.system), most), ignore_index=True)
-        path, content = out / f"draws.{to}", io.BytesIO()
-        if to == "parquet":
-            frame.to_parquet(content, engine="pyarrow", index=False)
-        else:
-            frame.to_csv(content, index=False, float_format="%.7g", lineterminator="\n")
-        write_bytes(path, content.getvalue())
-        return path, len(frame)
-
-
-def draws_of(run: Run, system: System, most: int = 0) -> Iterator[pd.DataFrame]:
-    """Draws of every calibrated test, a table each: test, chain, draw, quantities, log densities.
-
-    A column of a quantity is called by its name and its unit in `system`: "Fc_fwd [kN]". With
-    `most`, so many draws are taken evenly out of all of them.
-    """
-    import pandas as pd
-
-    for name, test in run.tests.items():
-        stats = test.stored.stats
-        chains, draws = stats["lp"].shape
-        kept = np.arange(chains * draws)
-        if 0 < most < kept.size:
-            kept = np.linspace(0, kept.size - 1, most).astype(np.intp)
-        frame = pd.DataFrame({"test": name, "chain": kept // draws, "draw": kept % draws})
-        for quantity, values in test.stored.draws.data_vars.items():
-            unit = str(values.attrs.get("units", "1"))
-            head = f"{quantity} [{system.unit(unit)}]" if unit != "1" else str(quantity)
-            frame[head] = values.to_numpy().reshape(-1)[kept] * system.factor(unit)
-        for density in ("log_prior", "log_likelihood"):
-            frame[density] = stats[density].to_numpy().reshape(-1)[kept]
-        yield frame

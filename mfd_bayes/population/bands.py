@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfd_bayes.calibration.posterior import RANGE, Noise
+from mfd_bayes.calibration.noises import Noise
+from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.calibration.result import Extras, needed
 from mfd_bayes.errors import MOST_DRAWS, FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model

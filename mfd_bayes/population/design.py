@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from mfd_bayes.calibration.posterior import Prior, PriorFile, known_quantities
+from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities
 from mfd_bayes.errors import FitError, PriorError, real_number
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, betaln, expit, logit, ndtr, softmax
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.posterior import Prior, PriorFile
+from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.errors import FitError, MfdError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import (

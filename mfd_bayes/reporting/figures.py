@@ -1,9 +1,4 @@
-"""Every figure of a report: of a record, a test, the laws, the next test and devices.
-
-Only this file and `building_figures` import matplotlib and corner, so import them late. A notebook
-gives its programs a backend that other environments do not have, and Matplotlib writes to stderr
-where it cannot write to its home. Figures here are drawn by Agg and need neither.
-"""
+"""Figures of a report."""
 
 from __future__ import annotations
 
@@ -23,19 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.views import (
-    INFORMED,
-    Acceptance,
-    Array,
-    CampaignView,
-    Fan,
-    Interval,
-    LawView,
-    Marginal,
-    Rows,
-    TestView,
-)
-from mfd_bayes.planning.study import Advice
+from mfd_bayes.evaluation.scores import Fan, Interval, Rows
+from mfd_bayes.evaluation.views import INFORMED, Array, CampaignView, LawView, Marginal, TestView
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import Loops, find_loops
@@ -88,7 +72,7 @@ with _quiet_agg():
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, ScalarFormatter
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 DPI = 105
 
@@ -807,8 +791,6 @@ def draw_shared(view: CampaignView) -> Iterator[tuple[str, Figure]]:
     figure = draw_truth("Posterior against the known truth", view.truth, symbols)
     if figure is not None:
         yield "truth", figure
-    if view.next_test is not None:
-        yield "next", draw_next(view.next_test, system, unit, "Which test next")
 
 
 def draw_test(test: TestView, view: CampaignView) -> Iterator[tuple[str, Figure]]:
@@ -898,74 +880,3 @@ def spread(actuation: Array) -> Array:
         step = min(0.012 * span, room / max(1, same.size - 1))
         shifted[same] += step * (np.arange(same.size) - 0.5 * (same.size - 1))
     return shifted
-
-
-@style()
-def draw_next(advice: Advice, system: System, unit: str, title: str) -> Figure:
-    """Candidates by actuation and frequency, coloured by gain, and the curve of the width."""
-    figure = new_figure(8.6, 3.6)
-    figure.suptitle(title, x=0.01, ha="left", wrap=True, fontsize=9)
-    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
-    by, name = system.of_actuation(unit)
-    gains: dict[tuple[float, float], float] = {}  # of the best amplitude
-    for row in reversed([*advice]):
-        gains[row.candidate.actuation * by, row.candidate.frequency] = 100.0 * row.reduction
-    shades: dict[str, Any] = {"cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
-    shown = left.scatter(*zip(*gains, strict=True), s=130, c=[*gains.values()], lw=0.5, **shades)
-    first = advice[0].candidate
-    ring: dict[str, Any] = {"mfc": "none", "mec": DATA, "mew": 1.6, "ms": 15}
-    left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
-    levels = [test.actuation * by for test in advice.tests]
-    frequencies = [test.frequency for test in advice.tests]
-    left.plot(levels, frequencies, "x", color="#c0392b", ms=5, label="tests made")
-    left.set_yscale("log")
-    left.yaxis.set_major_formatter(ScalarFormatter())
-    left.yaxis.set_minor_formatter(ScalarFormatter())
-    left.set(xlabel=f"actuation, {name}", ylabel="frequency, Hz")
-    left.set_title("Expected reduction, best amplitude")
-    left.margins(0.12)
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
-    figure.colorbar(shown, ax=left, label="%")
-    curve = advice.curve * system.factor(advice.unit)
-    arms = curve[0] * np.array([0.0, *(1.96 * t.error for t in advice.together)])
-    steps = np.arange(curve.size)
-    right.errorbar(steps, curve, arms, fmt="o-", color=DATA, markersize=4, capsize=2)
-    right.set_ylim(0.0, 1.1 * float(np.max(curve + arms)))
-    right.xaxis.set_major_locator(MaxNLocator(integer=True))
-    right.set_xlabel("further tests, the best together")
-    right.set_ylabel(f"expected width, {system.unit(advice.unit)}")
-    right.set_title("When it is enough")
-    return figure
-
-
-# --- devices that are compared with the others
-
-VERDICTS = {"within the limit": "#2e7d32", "beyond the limit": "#c62828", "differs": "#c62828"}
-
-
-@style()
-def draw_batch(devices: Sequence[Acceptance]) -> Figure:
-    """Effect of every quantity of every device, with its interval and the limits."""
-    import pandas as pd
-
-    table = pd.concat([d.rows for d in devices], keys=range(len(devices)))
-    names = [name for name in table.index.unique(1) if name != "loop"]
-    width = min(2.0 + 1.15 * len(names), 14.0)
-    figure = new_figure(width, 1.6 + 0.24 * len(devices), "Devices against the others")
-    grid = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-    for axes, name in zip(grid, names, strict=True):
-        own = table.xs(name, level=1)
-        colours = [VERDICTS.get(verdict, "#b8860b") for verdict in own["verdict"]]
-        axes.hlines(own.index, own["effect_lower"], own["effect_upper"], colors=colours)
-        axes.scatter(own["effect"], own.index, s=16, c=colours)
-        first = own.iloc[0]
-        for limit in (first["limit"], -first["limit"]) if np.isfinite(first["limit"]) else ():
-            axes.axvline(limit, color="#666666", linestyle="--", linewidth=0.8)
-        axes.axvline(0.0, color="#666666", linewidth=0.6)
-        axes.set_title(f"{first['quantity']}\n{first['direction']}", fontsize=7)
-        axes.set_xlabel("%", fontsize=7)
-        axes.tick_params(labelsize=7)
-    grid[0].set_yticks(range(len(devices)))
-    grid[0].set_yticklabels([plain(f"{d.device}: {d.verdict}") for d in devices])
-    grid[0].set_ylim(len(devices) - 0.5, -0.5)
-    return figure

@@ -1,41 +1,19 @@
-"""A finished calibration for notebooks: its results can be drawn, and handed to ArviZ."""
+"""Results for notebooks: drawn, and handed to ArviZ."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError, real_numbers
-from mfd_bayes.runs import run as runs
-from mfd_bayes.runs.run import Run
 
 if TYPE_CHECKING:
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
     from mfd_bayes.runs.unit_system import System
-
-
-def open_run(folder: str | Path, *, trust: bool = False) -> Run:
-    """Finished calibration of a run folder, whose results can be drawn.
-
-    Parameters
-    ----------
-    folder : str or Path
-    trust : bool
-        Whether the run's own `model.py` is run although no calibration of yours on this machine
-        has run it. Read it first: it can do all that you can.
-
-    Raises
-    ------
-    StoreError
-        When the folder is no finished run, a file in it is not what the run wrote, or another
-        process changes it meanwhile; or it has a model of its own, which is not trusted.
-    """
-    return runs.open_run(folder, Notebook, trust=trust)
 
 
 @dataclass(frozen=True)
@@ -46,7 +24,7 @@ class Notebook:
 
     def plot_band(self, band: Band, axes: Any, displacement: Any) -> Any:
         """Axes with a band over time, or over a displacement, in."""
-        from mfd_bayes.evaluation.views import fan_of_band
+        from mfd_bayes.evaluation.scores import fan_of_band
         from mfd_bayes.reporting import figures
 
         along = None if displacement is None else _along(band, displacement)
@@ -54,7 +32,7 @@ class Notebook:
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
-        from mfd_bayes.evaluation.views import fan_of
+        from mfd_bayes.evaluation.scores import fan_of
         from mfd_bayes.reporting import figures
         from mfd_bayes.store.netcdf import load_groups
 
@@ -103,7 +81,7 @@ def _of_cycles(test: TestResult) -> Any:
     """Log density of each cycle given all others, (chain, draw, cycle)."""
     import xarray as xr
 
-    from mfd_bayes.evaluation.crossvalidate import cycle_log_likelihood, find_cycles
+    from mfd_bayes.calibration.cycles import cycle_log_likelihood, find_cycles
 
     stored, posterior = test.stored, test.posterior
     shape = stored.stats["lp"].shape

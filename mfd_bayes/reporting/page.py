@@ -1,9 +1,4 @@
-"""The files of a report: tables, figures, and HTML pages that load nothing from the network.
-
-A page holds each number once, in internal units, with its unit: `<span data-value="1.2"
-data-unit="kip">1.20</span>`. One small script writes all of them in the units that the reader
-chooses; without scripts they are in those of the campaign.
-"""
+"""Pages of a report."""
 
 from __future__ import annotations
 
@@ -31,17 +26,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from mfd_bayes.calibration.posterior import NOISES
+from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.views import (
-    FREE_EXPONENT,
-    Acceptance,
-    AdviceInWords,
-    CampaignView,
-    Datasheet,
-    TestView,
-    width_sentence,
-)
+from mfd_bayes.evaluation.scores import width_sentence
+from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, Datasheet, TestView
 from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, Quantity
@@ -62,7 +50,6 @@ from mfd_bayes.reporting.tables import (
     to_excel,
     to_json,
     to_latex,
-    to_units,
     to_word,
 )
 from mfd_bayes.runs.unit_system import System
@@ -191,8 +178,21 @@ class Units:
         return Markup(script_json(self.used))
 
 
+@dataclass(frozen=True)
+class Addition:
+    """What an application adds to a report: a value of its template, a figure, and its table."""
+
+    name: str
+    value: Any
+    figure: Any  # of matplotlib
+    table: str
+
+
 def render(
-    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None = None
+    view: CampaignView,
+    images: Mapping[str, bytes],
+    sheet: Datasheet | None = None,
+    additions: Sequence[Addition] = (),
 ) -> dict[str, str]:
     """HTML of the whole report, by the pages' paths from the run folder.
 
@@ -207,7 +207,8 @@ def render(
     def units() -> Units:
         return Units(view.systems, view.metric, words=words)
 
-    pages = {"report.html": _summary(view, images, sheet, units())}
+    added = {addition.name: addition.value for addition in additions}
+    pages = {"report.html": _summary(view, images, sheet, units(), added)}
     if sheet is not None:
         values = _datasheet(sheet, view, words)
         pages["datasheet.html"] = render_page("datasheet.html.j2", units(), view=view, **values)
@@ -226,7 +227,11 @@ def render(
 
 
 def _summary(
-    view: CampaignView, images: Mapping[str, bytes], sheet: Datasheet | None, units: Units
+    view: CampaignView,
+    images: Mapping[str, bytes],
+    sheet: Datasheet | None,
+    units: Units,
+    added: Mapping[str, Any],
 ) -> str:
     held_out = [test for test in view.tests if test.role == "validate"]
     explained = [test.shares for test in held_out if test.shares]
@@ -242,9 +247,6 @@ def _summary(
         left_out = score_sheet(
             [*view.left_out.rows, view.left_out.mean], "Scores, held out in turn"
         )
-    advice = None
-    if view.next_test is not None:
-        advice = AdviceInWords(view.next_test, view.system, view.actuation_unit)
     terms = (term for subject in read_glossary().values() for term in subject.items())
     return render_page(
         "report.html.j2",
@@ -268,7 +270,7 @@ def _summary(
         left_out=left_out,
         width=width_sentence(shares),
         exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
-        advice=advice,
+        advice=added.get("next"),
         words={name: text for name, text in terms if name in WORDS},
         **_datasheet(sheet, view, units.words),
     )
@@ -348,47 +350,6 @@ def read_glossary() -> dict[str, dict[str, Markup]]:
         subject: {name: Markup(meaning) for name, meaning in terms.items()}
         for subject, terms in tomllib.loads(text).items()
     }
-
-
-# --- devices that are compared with the others
-
-LOOPS = 2
-"""Most loops on the page of a device."""
-
-
-def acceptance_page(
-    device: Acceptance, about: Mapping[str, str], today: str, batch: int, system: System
-) -> str:
-    """HTML of the page of a device, which prints on one sheet of A4."""
-    from mfd_bayes.reporting.figures import draw_loops, to_png
-
-    pictures = []
-    for comparison in device.comparisons[:LOOPS]:
-        shown = comparison.trace, [comparison.expected.fan]
-        png = to_png(draw_loops(comparison.record.path.name, *shown, system))
-        pictures.append(picture("", png)["uri"])
-    return (
-        environment()
-        .get_template("acceptance.html.j2")
-        .render(
-            device=device,
-            about=about,
-            rows=to_units(device.rows, system).to_dict("records"),
-            number=_number,
-            unit_text=symbols.unit_text,
-            pictures=pictures,
-            batch=batch,
-            today=today,
-            policy=policy_of(),
-        )
-    )
-
-
-def _number(value: float, form: str = "") -> str:
-    """A number of the page's table, with three digits or in a format of Python's; "" for none."""
-    if not math.isfinite(value):
-        return ""
-    return f"{value:{form}}" if form else in_digits(value, 3)
 
 
 # --- the interactive plot of the loops, drawn by bokeh in the browser
@@ -578,6 +539,7 @@ def publish(
     observe: Callable[[Step], None],
     forms: Forms = PLAIN,
     sheet: Datasheet | None = None,
+    additions: Sequence[Addition] = (),
 ) -> None:
     """Write tables, figures and pages of a report into the run folder."""
     system, symbols, frames = view.system, Symbols(view.model), report_frames(view)
@@ -597,11 +559,13 @@ def publish(
     if forms.excel:
         write_bytes(out / "tables.xlsx", to_excel({name: frames[name] for name in sheets}))
     observe(Step("report", "figures"))
-    images = _draw(view, out, processes, forms)
+    images = _draw(view, out, processes, forms, additions)
     for name, text in shared_tables(view):
         write_text(out / name, text)
+    for addition in additions:
+        write_text(out / table_of(addition.name), addition.table)
     observe(Step("report", "pages"))
-    for name, page in render(view, images, sheet).items():
+    for name, page in render(view, images, sheet, additions).items():
         write_text(out / name, page)
     if forms.pdf:
         observe(Step("report", "PDF"))
@@ -610,7 +574,13 @@ def publish(
     observe(Step("report", State.DONE))
 
 
-def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[str, bytes]:
+def _draw(
+    view: CampaignView,
+    out: Path,
+    processes: int,
+    forms: Forms,
+    additions: Sequence[Addition],
+) -> dict[str, bytes]:
     """Draw all figures; the bytes that the pages need, by the figures' keys.
 
     Those of a test stand beside its page, which needs only the size at the begin of each.
@@ -625,7 +595,8 @@ def _draw(view: CampaignView, out: Path, processes: int, forms: Forms) -> dict[s
     functions = [partial(draw_test, out, replace(view, tests=()))] * len(tests)
     with several_processes(functions, processes) as evaluate:
         of_tests = list(evaluate(enumerate(tests)))
-    images = {key: figures.to_png(figure) for key, figure in figures.draw_shared(view)}
+    shared = [*figures.draw_shared(view), *((each.name, each.figure) for each in additions)]
+    images = {key: figures.to_png(figure) for key, figure in shared}
     for key, png in images.items():
         write_bytes(out / "figures" / f"{key}.png", png)
     return images | {key: png for drawn in of_tests for key, png in drawn.items()}

@@ -12,9 +12,10 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from mfd_bayes.calibration.posterior import known_quantities
+from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.model import Model, html_of
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.quantities import html_of
 from mfd_bayes.population.bands import KIND_NAMES
 
 _SYMBOLS = {

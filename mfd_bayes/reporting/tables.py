@@ -1,8 +1,4 @@
-"""Tables of a report as CSV, JSON, LaTeX, Excel and Word.
-
-A frame has a row for each value, for other programs. A `Sheet` is for reading: quantities are rows,
-tests are columns, numbers are in internal units.
-"""
+"""Tables of a report: frames, CSV, JSON, LaTeX, Word and Excel."""
 
 from __future__ import annotations
 
@@ -17,19 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.views import (
-    Acceptance,
-    AdviceInWords,
-    CampaignView,
-    Fan,
-    Row,
-    Rows,
-    TestView,
-)
-from mfd_bayes.population.bands import KIND_NAMES, Band
-from mfd_bayes.records.trace import Trace
+from mfd_bayes.evaluation.scores import Fan, Row, Rows
+from mfd_bayes.evaluation.views import CampaignView, TestView
+from mfd_bayes.population.bands import KIND_NAMES
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
-from mfd_bayes.runs.folder import ComparisonRow
+from mfd_bayes.runs.manifest import ComparisonRow
 from mfd_bayes.runs.unit_system import US, System
 from mfd_bayes.units import Axes, percent
 
@@ -592,86 +580,8 @@ def comparison_csv(rows: Iterable[ComparisonRow]) -> str:
     return to_csv(frame_of("comparison", rows))
 
 
-def acceptance_table(devices: Sequence[Acceptance], system: System) -> pd.DataFrame:
-    """A row for each device and quantity, in the units of a system."""
-    import pandas as pd
-
-    parts = []
-    for each in devices:
-        head = {
-            "device": each.device,
-            "records": "; ".join(c.record.path.name for c in each.comparisons),
-            "device_verdict": each.verdict,
-            "device_p_value": each.p_value,
-            "device_p_batch": each.p_batch,
-        }
-        rows = each.rows.rename(columns={"p_value": "p_adjusted"})
-        parts.append(pd.DataFrame([head] * len(rows)).join(rows.reset_index(names="name")))
-    return to_units(pd.concat(parts, ignore_index=True), system)
-
-
-def next_csv(advice: AdviceInWords) -> str:
-    """Candidates for the next test, the best first, and what each is expected to tell."""
-    import pandas as pd
-
-    return to_csv(pd.DataFrame(advice.rows()))
-
-
 def _by_column(table: str, rows: Rows) -> dict[str, list[Any]]:
     return {name: [row[key] for row in rows] for key, name in _columns(table).items()}
-
-
-def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "force") -> str:
-    """Derived quantities of a prediction, with intervals of this probability."""
-    about = (
-        f"derived quantities of the device, without offset and noise, of kind {rows[0]['role']}: "
-        f"equal-tailed {percent(probability)} % intervals",
-        f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
-        "as it is",
-    )
-    return _csv(about, _by_column("prediction", rows))
-
-
-def design_csv(rows: Rows, actuation: str, probability: float) -> str:
-    """Mean and bounding properties with their factors, by property, then by basis."""
-    about = (
-        "mean and bounding properties; each bound is exceeded with a probability of "
-        f"{50.0 * (1.0 - probability):g} %",
-        "lambda: bound over the nominal value, which is the mean of the mean property",
-        *([f"actuation {actuation}"] if actuation else []),
-    )
-    return _csv(about, _by_column("design", rows))
-
-
-def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
-    """Band of a prediction at every sample, with the measured force of the trace if it has one.
-
-    `about` are lines of its head, besides what the band is; the columns are in the units of
-    `system`.
-    """
-    forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
-    if band.shows_whole:
-        forces |= dict(zip(("whole_lower", "whole_upper"), band.whole, strict=True))
-    columns: dict[str, Any] = {
-        # may be seconds since 1970
-        "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
-        system.column("displacement", "in"): trace.displacement * system.factor("in"),
-    } | {
-        system.column(name, "kip"): values * system.factor("kip")
-        for name, values in forces.items()
-        if values is not None
-    }
-    head = [
-        f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
-        f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}"
-    ]
-    if band.shows_whole:
-        head.append("whole: band of the whole history, of the same probability")
-    if band.given is not None:
-        columns["given"] = band.given.holds(trace.time).astype(int)
-        head.append(system.text("given: 1 where the force was given, 0 elsewhere"))
-    head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(about)
-    return _csv(head, columns, 8)
 
 
 # --- tables behind the figures
@@ -706,9 +616,6 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
         yield table_of("laws"), to_csv(_laws(view, system))
     if view.truth:
         yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
-    if view.next_test is not None:
-        advice = AdviceInWords(view.next_test, system, view.actuation_unit)
-        yield table_of("next"), next_csv(advice)
 
 
 def record_table(test: TestView, system: System = US) -> str:

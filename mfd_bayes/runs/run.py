@@ -1,93 +1,48 @@
-"""A finished calibration, opened from its folder, and several of them that predict together.
-
-And the response of a building whose dampers are the device of a run.
-"""
+"""A finished run: its tests, its population, and predictions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
-from itertools import chain, pairwise
-from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mfd_bayes.calibration.posterior import PriorFile, find_noise, load_priors
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Extras, TestResult, load_result
-from mfd_bayes.campaign.campaign import GoalSettings, goal_settings
 from mfd_bayes.errors import (
-    MOST_DRAWS,
-    BuildingError,
     CampaignError,
     FitError,
     NotThereError,
     StoreError,
     path_of,
-    real_number,
-    whole_number,
 )
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
-from mfd_bayes.jobs.job import State, Step
-from mfd_bayes.planning.candidate import (
-    MOST,
-    NEW_DEVICE,
-    Candidate,
-    Goal,
-    Limits,
-    Parts,
-    Shown,
-    check_goal,
-    check_session,
-    grid_of,
-    harmonic_of,
-    parse_goal,
-    parse_limits,
-    parse_tests,
-    typical_of,
-)
-from mfd_bayes.planning.study import Advice, advise
-from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast, Predictor
+from mfd_bayes.jobs.job import State
+from mfd_bayes.population.bands import THIS_TEST, Band, Forecast, Predictor
+from mfd_bayes.population.conditioning import Forecaster, predict_given
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
-from mfd_bayes.population.given import Conditioned, Forecaster, predict_given
 from mfd_bayes.population.peaks import NO_EXCESS, SIDES, PeakExcess, Peaks, largest_speed
 from mfd_bayes.population.population import Ending, Population
 from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, check_trace
-from mfd_bayes.response.analysis import Response, response_of, seen_peaks
-from mfd_bayes.response.building import (
-    FEWEST as FEWEST_DRAWS,
-)
-from mfd_bayes.response.building import (
-    KINDS,
-    Building,
-    bound_dampers,
-    draw_dampers,
-    read_building,
-)
-from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.runs.folder import (
-    CAMPAIGN,
     MODEL,
     POPULATION,
     PRIORS,
-    Manifest,
-    Use,
     check_links,
     check_stored,
-    is_calibrated_model,
-    pooled_of,
     posterior_of,
-    read_manifest,
     record_of,
 )
+from mfd_bayes.runs.manifest import Manifest, Use, is_calibrated_model, read_manifest
+from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence, stored_pooled
 from mfd_bayes.runs.tested_range import (
-    MARGIN,
     Departure,
     Span,
     departures,
@@ -97,139 +52,17 @@ from mfd_bayes.runs.tested_range import (
 )
 from mfd_bayes.runs.unit_system import System, named_system
 from mfd_bayes.store.cards import counted, grid
-from mfd_bayes.store.netcdf import load_arrays, load_trace
+from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from mfd_bayes.applications.buildings.response import Response
+    from mfd_bayes.applications.next_test.study import Advice
 
 PEAK_DRAWS = 100  # of each test's force, by which the excess of measured peaks is learned
 
-NO_GAP = "after is without effect: the model of the run has no gap in which a motion could begin"
-
-
-@dataclass(frozen=True, eq=False)
-class TestSequence:
-    """The tests of a run in their order."""
-
-    __test__ = False
-
-    manifest: Manifest
-    tests: Mapping[str, TestResult]
-    motions: Mapping[str, Trace]
-    predictor: Predictor
-    pooled: Callable[[str], Mapping[str, Array]] = lambda _: {}
-
-    def values(self, name: str) -> Mapping[str, Array]:
-        """Draws of all quantities of a test with a posterior, (m,) each, with its start.
-
-        As pooled with the others: a short motion by itself says little of the gap. What is not
-        pooled has the median of the test's own posterior; where nothing is, its draws are taken.
-        """
-        test = self.tests[name]
-        own, pooled = test.stored.values(), self.pooled(name)
-        if not pooled or ("start" in test.posterior.names and "start" not in pooled):
-            return own
-        size = len(next(iter(pooled.values())))
-        return {**{k: np.full(size, np.median(v)) for k, v in own.items()}, **pooled}
-
-    def before(self, test: str, trace: Trace, forecast: Forecast) -> Ending | None:
-        """Where a test of the campaign begins; None where nothing is known of that."""
-        return self.ending(self.manifest.settings.tests[test].after, trace, forecast, test)
-
-    def begun(self, forecast: Forecast, trace: Trace, after: str | Ending) -> Forecast:
-        """The forecast of a motion that follows a test, or begins where one ended."""
-        if isinstance(after, Ending):
-            return replace(forecast, before=after)
-        names = [*self.tests, *self.motions]
-        if after not in names:
-            raise FitError(
-                f"after must be the id of a test of the run, one of {', '.join(names)}, got "
-                f"{after!r}"
-            )
-        return replace(forecast, before=self.ending(after, trace, forecast))
-
-    def ending(self, after: str, trace: Trace, forecast: Forecast, test: str = "") -> Ending | None:
-        """Where a motion begins that follows a test; None where nothing is known of that.
-
-        From the last displacement of the test to the first of the motion the device is moved
-        slowly, by way of what the fit windows leave out.
-        """
-        if not after or not self.predictor.model.has_gap:
-            return None
-        chain, order = [after], self.manifest.settings.order
-        while chain[-1] in self.motions and order.get(chain[-1], after) not in chain:
-            chain.append(order[chain[-1]])  # back to one with a posterior, or that follows none
-        place: Ending | None = None
-        for name, following in zip(reversed(chain), [*reversed(chain[:-1]), ""], strict=True):
-            place = self._ended(name, replace(forecast, before=place))
-            if place is None:
-                continue
-            last = self.tests[name].trace if name in self.tests else self.motions[name]
-            first = self.motions[following] if following else trace
-            way = self._between(name, following or test)
-            way = last.displacement[-1], *way, first.displacement[0]
-            place = place.moved(self.predictor.model, way)
-        return place
-
-    def _between(self, name: str, following: str) -> tuple[float, ...]:
-        """Ends and turns of the records between the fit windows of two tests, in.
-
-        Of two windows in one file it is what lies between them. "" is a new motion.
-        """
-        rest = self.manifest.tests[name].after
-        if not following:
-            return rest
-        lead, tests = self.manifest.tests[following].before, self.manifest.settings.tests
-        return lead if tests[name].file == tests[following].file else (*rest, *lead)
-
-    def _ended(self, name: str, forecast: Forecast) -> Ending | None:
-        """Where a test ended: by its posterior, or as it is predicted after the one before."""
-        model = self.predictor.model
-        if name in self.tests:
-            values = self.values(name)
-            total = len(values["start"])
-            pick = np.linspace(0, total - 1, min(forecast.draws, total)).astype(np.intp)
-            taken = {quantity: draws[pick] for quantity, draws in values.items()}
-            return Ending.of(model, name, self.tests[name].trace, taken)
-        if name not in self.motions:
-            return None  # it could not be calibrated
-        kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
-        settings, trace = self.manifest.settings, self.motions[name]
-        own = replace(
-            forecast,
-            kind=kind,
-            session=settings.sessions[name],
-            device=settings.devices[name],
-            conditions=settings.conditions[name],
-        )
-        drawn = self.predictor.draw(trace, own, np.random.default_rng((forecast.seed, 2)))
-        values = self.predictor.values(drawn)
-        return replace(Ending.of(model, name, trace, values, drawn.scales or None), predicted=True)
-
-
-def stored_pooled(
-    folder: Path, manifest: Manifest, population: Population, name: str
-) -> Mapping[str, Array]:
-    """Pooled quantities of a test that a run folder holds, (n,) each; empty where none are."""
-    file = pooled_of(name)
-    if not (folder / file).is_file():
-        return {}
-    path = check_stored(folder, file, manifest.files)
-    values, _ = load_arrays(path)
-    names = population.design.coordinates.names
-    if any(k not in values or values[k].shape != population.shape for k in names):
-        raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
-    return {k: np.ravel(values[k]).astype(np.float64) for k in names}
-
 
 Item = TypeVar("Item")
-
-Candidates = str | Candidate | Iterable[str | Candidate]
-"""Tests in words, or as they are."""
-
-DISAGREEMENT = 0.5
-"""Models disagree where their medians are apart by more than this share of half the band's width,
-root mean square."""
 
 
 class ByName(Mapping[str, Item]):
@@ -261,23 +94,31 @@ class ByName(Mapping[str, Item]):
         return name in self._names
 
 
-def open_run(
-    folder: str | Path,
-    make_extras: Callable[[System], Extras] | None = None,
-    *,
-    trust: bool = False,
-) -> Run:
+def open_run(folder: str | Path, *, trust: bool = False) -> Run:
     """Finished calibration of a run folder; posteriors and records are read when asked for.
 
-    With `trust`, a model of the run's own is run, whoever wrote it.
+    Parameters
+    ----------
+    folder : str or Path
+    trust : bool
+        Whether the run's own `model.py` is run although no calibration of yours on this machine
+        has run it. Read it first: it can do all that you can.
+
+    Raises
+    ------
+    StoreError
+        When the folder is no finished run, a file in it is not what the run wrote, or another
+        process changes it meanwhile; or it has a model of its own, which is not trusted.
     """
+    from mfd_bayes.reporting.notebook import Notebook
+
     folder = path_of("folder", folder, StoreError)
     check_links(folder)
     manifest = read_manifest(folder)
     model = model_of(folder, manifest, trust=trust)
     stored = check_stored(folder, PRIORS, manifest.files).name
     priors = load_priors(stored, folder, model, of_others=True)
-    extras = None if make_extras is None else make_extras(manifest.system)
+    extras = Notebook(manifest.system)
     done = [name for name in manifest.fitted if manifest.tests[name].status == State.DONE]
     held_out = [name for name in manifest.tests if name not in manifest.fitted]
     if not done:
@@ -646,80 +487,6 @@ class Run:
         forecast = replace(forecast, session=own)
         return self.predictor.repeat(trace, forecast, test.stored.values())
 
-    def respond(
-        self,
-        building: Building | str | PathLike[str],
-        grounds: Grounds,
-        draws: int = 300,
-        seed: int = 1,
-        *,
-        kind: str = "new_test",
-        tolerance: float = 0.01,
-        jobs: int = 1,
-        observe: Callable[[Step], None] = lambda step: None,
-    ) -> Response:
-        """Response of a building with this device as its dampers.
-
-        Parameters
-        ----------
-        building : Building or path
-            As `read_building` reads it.
-        grounds : Ground or path, or several
-            Paths as `read_ground` reads them; "FILE:0.01s" gives the step of a file without one.
-        draws : int
-        seed : int
-        kind : {"new_test", "device"}
-            With each damper's scatter from test to test, or the mean property alone.
-        tolerance : float
-            Largest estimated error of a draw's drift, relative; steps are shortened until then.
-        jobs : int
-            Processes; the result does not depend on them.
-
-        Returns
-        -------
-        Response
-            `drift` (draw, ground, storey), in, and others.
-
-        Raises
-        ------
-        BuildingError
-            When the building or a ground motion cannot be used, or the actuation is of another
-            kind than the run's.
-        """
-        if kind not in KINDS:
-            raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
-        whole_number("draws", draws, FEWEST_DRAWS, BuildingError, MOST_DRAWS)
-        whole_number("seed", seed, 0, BuildingError)
-        whole_number("jobs", jobs, 0, BuildingError)
-        tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
-        built = building if isinstance(building, Building) else read_building(building)
-        motions = grounds_of(grounds)
-        for device in built.devices:
-            where = f"the actuation of the damper at {device.name}"
-            check_kind(where, device.unit, self.actuation_unit)
-        model, bounds = self.predictor.model, {}
-        dampers = draw_dampers(self.population, model, built, kind, draws, seed)
-        if dampers.count and (model.slip_forces or model.laws):
-            bounds = bound_dampers(self.population, model, built, dampers, seed)
-        if not model.slip_forces:  # by which forces are judged to be in equilibrium
-            typical = np.median([self.manifest.tests[name].peak_force for name in self.tests])
-            dampers, *few = (
-                replace(one, slip=np.full_like(one.slip, typical))
-                for one in (dampers, *bounds.values())
-            )
-            bounds = dict(zip(bounds, few, strict=True))
-        response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
-        response = seen_peaks(response, self.peaks, seed, scatter=kind == "new_test")
-        remarks = [*chain.from_iterable(beyond_tests(self, response))]
-        remarks += [self.caution] if self.caution else []
-        remarks += _short_histories(built, motions)
-        if dampers.count and self.population.design.dependence:
-            remarks.append(
-                "quantities that depend on speed, amplitude, date, cycles or temperature are taken "
-                "at those of the typical, or the latest, test"
-            )
-        return replace(response, remarks=(*remarks, *response.faults))
-
     def follow(
         self,
         actuation: float,
@@ -796,327 +563,14 @@ class Run:
         forecaster.complete = complete
         return forecaster
 
-    def next_test(
-        self,
-        goal: str | Goal | None = None,
-        candidates: Candidates | None = None,
-        *,
-        limits: str | Limits | None = None,
-        draws: int = 2000,
-        seed: int = 0,
-    ) -> Advice:
-        """Table of tests that could be made next, and of what each is expected to tell.
+    def respond(self, building: Any, grounds: Any, **options: Any) -> Response:
+        """Response of a building with this device as its dampers, as by `mfd_bayes.respond`."""
+        from mfd_bayes.applications.buildings.respond import respond
 
-        Parameters
-        ----------
-        goal : str or Goal, optional
-            "energy at 1000 psi, 0.5 Hz, 1 in"; by default the campaign file's, or "band".
-        candidates : str or Candidate, or several, optional
-            "500|1350 psi, 0.5 Hz, 1 in"; by default a grid from the campaign's range.
-        limits : str or Limits, optional
-            Of the actuator, "10 in/s, 6 in, 20 kip".
+        return respond(self, building, grounds, **options)
 
-        Raises
-        ------
-        CampaignError
-            When an option is of another type or not understood, or the limits leave no candidate.
-        """
-        settings = self._goal_settings(goal, candidates, limits)
-        axes, design = self.system.axes, self.population.design
-        shown = Shown(
-            self.system.factor(self.actuation_unit),
-            self.system.factor("in"),
-            actuated=axes.actuated,
-            timed=axes.timed,
-        )
-        # an actuation that is next to nothing is zero in the population
-        done = tuple(
-            replace(harmonic_of(test.trace, shown), actuation=setting.actuation)
-            for test, setting in zip(self.tests.values(), design.settings, strict=True)
-        )
-        check_session(settings.goal.session, design.sessions)
-        typical = [test for test in typical_of(done) if test.actuation > 0.0]
-        # without an actuation of its own a test is one at each of the campaign's range
-        tests = [
-            parts.completed(level)
-            for parts in settings.candidates
-            for level in (typical if parts.actuation is None else typical[:1])
-        ]
-        if len(tests) > MOST:
-            raise CampaignError(f"more than {MOST} tests, the most of one question")
-        tests = tests or grid_of(done, shown)
-        if self.population.several_devices:  # the one that was tested last, or one more
-            among = NEW_DEVICE, design.settings[-1].device
-            tests = [
-                replace(c, device=d) for c in tests for d in ([c.device] if c.device else among)
-            ]
-        question = settings.goal, tests, settings.limits
-        advice = advise(self.predictor, done, *question, draws=draws, seed=seed)
-        if not settings.candidates:
-            return advice
-        reached = []
-        for span in self.tested:
-            values = [getattr(row.candidate, span.name) for row in advice]
-            reached.append(replace(span, lowest=min(values), highest=max(values)))
-        outside = departures(self.tested, reached)
-        return replace(advice, remarks=tuple(d.sentence(self.system) for d in outside))
+    def next_test(self, goal: Any = None, candidates: Any = None, **options: Any) -> Advice:
+        """Tests that could be made next, as by `mfd_bayes.next_test`."""
+        from mfd_bayes.applications.next_test.next_test import next_test
 
-    def _goal_settings(
-        self, goal: str | Goal | None, candidates: Candidates | None, limits: str | Limits | None
-    ) -> GoalSettings:
-        """What is given, checked, and for the rest what the campaign file says."""
-        unit = self.actuation_unit
-        table, laws = self.manifest.settings.goal, tuple(self.model.laws)
-        stored = (*laws, table.of) if table else laws
-        own = goal_settings(table, unit, self.folder / CAMPAIGN, stored)
-        if isinstance(goal, str):
-            goal = replace(parse_goal(goal, unit, of="goal", laws=laws), session=own.goal.session)
-        elif isinstance(goal, Goal):
-            check_goal(goal, of="goal", laws=laws)
-        elif goal is not None:
-            raise CampaignError(f"goal must be text such as 'band', or a Goal, got {goal!r}")
-        if isinstance(limits, str):
-            limits = parse_limits(limits, of="limits")
-        elif not isinstance(limits, Limits | None):
-            raise CampaignError(
-                f"limits must be text such as '10 in/s, 6 in, 20 kip', or Limits, got {limits!r}"
-            )
-        if candidates is None:
-            return GoalSettings(goal or own.goal, own.candidates, limits or own.limits)
-        several = [candidates] if isinstance(candidates, str | Candidate) else candidates
-        tests: list[Parts] = []
-        for test in several if isinstance(several, Iterable) else [several]:
-            if isinstance(test, Candidate):
-                tests.append(Parts(**vars(test)))
-            elif isinstance(test, str):
-                tests += parse_tests(test, unit, of="candidates")
-            else:
-                raise CampaignError(
-                    f"candidates must be tests in words or Candidates, one or several, got {test!r}"
-                )
-        tests = tests or parse_tests("", unit, of="candidates")
-        return GoalSettings(goal or own.goal, tests, limits or own.limits)
-
-
-@dataclass(frozen=True)
-class ModelAverage:
-    """Runs of the same tests with different models, which predict together.
-
-    Every run gives the same share of the draws: tests of full cycles say little about which model
-    is nearer in another motion, so none is preferred. Where the models agree the band is about as
-    wide as theirs; where they differ it holds what each of them says.
-
-    Attributes
-    ----------
-    runs : sequence of Run
-        Two or more; kept as a tuple.
-
-    Raises
-    ------
-    FitError
-        When there are fewer than two runs, one is no run, two of them have the same model and
-        noise, or not the same calibrated tests.
-    """
-
-    runs: Sequence[Run]
-
-    def __post_init__(self) -> None:
-        runs = tuple(self.runs) if isinstance(self.runs, Iterable) else (self.runs,)
-        if len(runs) < 2 or not all(isinstance(run, Run) for run in runs):
-            kinds = ", ".join(type(run).__name__ for run in runs) or "none"
-            raise FitError(
-                f"an average of models needs two or more runs, as open_run opens them, got {kinds}"
-            )
-        object.__setattr__(self, "runs", runs)
-        for first, second in pairwise(runs):
-            _check_same_records(first, second)
-        twice = [name for name in self.models if self.models.count(name) > 1]
-        if twice:
-            raise FitError(
-                f"two of the runs have the model {twice[0]}: an average of models needs others"
-            )
-
-    @property
-    def models(self) -> tuple[str, ...]:
-        """Model of each run, with its noise where two of them have the same model."""
-        settings = [run.manifest.settings for run in self.runs]
-        names = [own.model for own in settings]
-        if len(set(names)) == len(names):
-            return tuple(names)
-        return tuple(f"{own.model} ({own.noise})" for own in settings)
-
-    def predict(
-        self,
-        trace: Trace,
-        kind: str = "new_test",
-        probability: float = 0.95,
-        *,
-        draws: int = 500,
-        seed: int = 0,
-        session: str = "",
-        whole: bool = False,
-        given: tuple[float, float] | None = None,
-        after: str = "",
-    ) -> Band:
-        """Band of the force under any motion and actuation, by all models together.
-
-        Parameters
-        ----------
-        trace, kind, probability, seed, session, whole, given, after
-            As in `Run.predict`; not of kind `this_test`.
-        draws : int
-            Of all models together, 10 or more for each.
-
-        Returns
-        -------
-        Band
-            lower, median, upper (T,) and draws (n, T), kip. The draws of the first run come first.
-            `values` are empty, since each model has its own quantities.
-
-        Raises
-        ------
-        FitError
-            As `Run.predict` does, or when the kind is `this_test`.
-        """
-        if kind == THIS_TEST:
-            raise FitError("an average of models predicts a new test, not the kind this_test")
-        n = len(self.runs)
-        whole_number(f"draws (of {n} runs together)", draws, FEWEST * n, FitError, MOST_DRAWS)
-        options: dict[str, Any] = {"seed": seed, "session": session, "given": given, "after": after}
-        bands = [
-            run.predict(trace, kind, probability, draws=draws // n + (i < draws % n), **options)
-            for i, run in enumerate(self.runs)
-        ]
-        forecast = Forecast(kind, probability, draws, seed, session, whole)
-        together = np.concatenate([band.draws for band in bands])
-        remarks = dict.fromkeys(remark for band in bands for remark in band.remarks)
-        return replace(
-            Band.of(trace.time, together, forecast, self._source(bands)),
-            remarks=(*remarks, *_disagreement(bands)),
-            given=_worst_given([band.given for band in bands if band.given]),
-            extras=self.runs[0].extras,
-        )
-
-    def _source(self, bands: Sequence[Band]) -> str:
-        """Where the parameters come from."""
-        if len({band.source for band in bands}) == 1:
-            return f"{_listed(self.models)} in equal parts, {bands[0].source}"
-        each = [f"{name}, {b.source}" for name, b in zip(self.models, bands, strict=True)]
-        return f"equal parts of {_listed(each)}"
-
-
-def _check_same_records(first: Run, second: Run) -> None:
-    """Refuse runs that were not calibrated with the same records."""
-    where = f"{first.folder} and {second.folder}"
-    if odd := sorted({*first.tests} ^ {*second.tests}):
-        raise FitError(
-            f"test {odd[0]!r} is calibrated in only one of {where}: an average of models needs "
-            "runs of the same tests"
-        )
-    for name, test in first.tests.items():
-        force, other = (np.asarray(each.trace.force) for each in (test, second.tests[name]))
-        if not np.array_equal(force, other):
-            raise FitError(
-                f"the record of test {name!r} is not the same in {where}: an average of models "
-                "needs runs of the same records"
-            )
-
-
-def _listed(words: Sequence[str]) -> str:
-    """Words with commas, and "and" before the last."""
-    return f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def _disagreement(bands: Sequence[Band]) -> list[str]:
-    """A remark where the models disagree."""
-    medians = np.array([band.median for band in bands])
-    distance = float(np.sqrt(np.mean(np.var(medians, axis=0)))) * 2.0
-    half = float(np.mean([np.mean(band.upper - band.lower) for band in bands])) / 2.0
-    if distance <= DISAGREEMENT * half:
-        return []
-    return [
-        f"the models disagree: their medians are apart by {100.0 * distance / half:.0f} % of half "
-        "the width of one model's band (root mean square), and tests do not yet tell which one is "
-        "right here"
-    ]
-
-
-def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
-    """How the worst of the models took the given part in, with the effective draws of all."""
-    if not parts:
-        return None
-    worst = max(parts, key=lambda part: part.pareto_k)
-    return replace(worst, effective=sum(part.effective for part in parts))
-
-
-# --- a building whose dampers are the device of a run
-
-Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
-
-
-def grounds_of(
-    grounds: Grounds, *, unit: str = "", scale: float = 1.0, meant: bool = False
-) -> list[Ground]:
-    """Ground motions of what is given; `unit`, `scale` and `meant` are as in `read_ground`."""
-    motions = []
-    for given in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
-        if isinstance(given, Ground):
-            motions.append(given)
-            continue
-        path_of("a ground motion", given, BuildingError)
-        path, step, own = parse_ground(fspath(given), of="ground")
-        ground = read_ground(path, step=step, unit=own or unit, scale=scale, meant=meant)
-        motions.append(ground)
-    if not motions:
-        raise BuildingError("give at least one ground motion")
-    return motions
-
-
-def check_kind(where: str, unit: str, expected: str) -> None:
-    """Refuse an actuation whose internal unit is of another kind than the tests had."""
-    if unit != expected:
-        raise BuildingError(f"{where} must be {actuation_kind(expected)}, as in the campaign")
-
-
-def _short_histories(building: Building, grounds: Sequence[Ground]) -> list[str]:
-    """Actuation histories that do not go on for as long as a ground motion, in sentences."""
-    sentences = []
-    for device in building.devices:
-        if device.history is None:
-            continue
-        begin, end = device.history[0][[0, -1]].tolist()
-        for ground in grounds:
-            last = float(ground.time[-1])
-            if begin > MARGIN * last or end < (1 - MARGIN) * last:
-                sentences.append(
-                    f"the actuation of the damper at {device.name} is known from {begin:.4g} s to "
-                    f"{end:.4g} s, and the ground motion {ground.name} goes on to {last:.4g} s: "
-                    "the first and the last actuation are taken to stay"
-                )
-    return sentences
-
-
-def beyond_tests(run: Run, response: Response) -> list[list[str]]:
-    """Where the dampers leave what was tested: sentences of each ground motion, then of all.
-
-    The stroke is that of the damper which travels most, in the median draw.
-    """
-
-    def sentences(name: str, unit: str, low: float, high: float, of: str = "") -> list[str]:
-        outside = departures(run.tested, [Span(name, unit, low, high)])
-        return [f"{of}beyond the tests: {each.sentence(run.system)}" for each in outside]
-
-    if not response.dampers.count:
-        return [[]]
-    beyond = []
-    for g, ground in enumerate(response.grounds):
-        travel = response.travel[response.usable(g), g]
-        stroke = 2.0 * float(np.median(travel.max(axis=1))) if len(travel) else np.nan
-        beyond.append(sentences("stroke", "in", stroke, stroke, f"{ground.name}: "))
-    levels = np.concatenate(
-        [
-            [device.actuation] if device.history is None else device.history[1]
-            for device in response.building.devices
-        ]
-    )
-    return [*beyond, sentences("actuation", run.actuation_unit, levels.min(), levels.max())]
+        return next_test(self, goal, candidates, **options)

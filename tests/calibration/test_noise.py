@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.posterior import NOISES, find_noise, load_priors
+from mfd_bayes.calibration.noises import NOISES, find_noise
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.three_stage import LuGre

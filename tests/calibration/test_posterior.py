@@ -8,7 +8,9 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import derive_from_parameters
-from mfd_bayes.calibration.posterior import NOISES, Posterior, Prior, load_priors
+from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import Prior, load_priors
 from mfd_bayes.errors import FitError, PriorError
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.records.trace import Trace

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from mfd_bayes.calibration.posterior import Prior, find_priors, known_quantities, load_priors
+from mfd_bayes.calibration.priors import Prior, find_priors, known_quantities, load_priors
 from mfd_bayes.errors import PriorError
 
 SHIPPED = sorted(p.stem for p in (Path(__file__).parents[2] / "priors").glob("*.toml"))

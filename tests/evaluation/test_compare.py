@@ -9,10 +9,7 @@ import pytest
 from scipy import stats
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.diagnostics import psis
-from mfd_bayes.calibration.proposal import Evidence
-from mfd_bayes.errors import CampaignError, FitError
-from mfd_bayes.evaluation.crossvalidate import (
+from mfd_bayes.applications.comparison.models import (
     ALL,
     LARGEST_K,
     Validation,
@@ -23,6 +20,9 @@ from mfd_bayes.evaluation.crossvalidate import (
     psis_loo,
     standard_error,
 )
+from mfd_bayes.calibration.diagnostics import psis
+from mfd_bayes.calibration.proposal import Evidence
+from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.reporting.tables import comparison_csv
 from tests.command_line import said, write_csv

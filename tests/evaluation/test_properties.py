@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 
 from mfd_bayes import open_run
+from mfd_bayes.applications.properties.datasheet import datasheet, parse_condition
 from mfd_bayes.errors import MfdError
-from mfd_bayes.evaluation.properties import (
-    ANOTHER,
-    NOT_KNOWN,
-    bounds_of,
-    datasheet,
-    design_warnings,
-    is_missed,
-    parse_condition,
-)
+from mfd_bayes.evaluation.bounds import ANOTHER, NOT_KNOWN, bounds_of, design_warnings
+from mfd_bayes.evaluation.properties import is_missed
 from mfd_bayes.records.trace import Trace
 from tests.run_folders import FORCE, MOTION
 

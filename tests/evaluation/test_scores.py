@@ -3,7 +3,7 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.calibration.diagnostics import COVERAGES
-from mfd_bayes.evaluation.views import crps, rrse, score
+from mfd_bayes.evaluation.scores import crps, rrse, score
 
 
 def naive_crps(draws, y):

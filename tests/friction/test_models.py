@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mfd_bayes.calibration.posterior import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.models import MODELS, find_model
 from mfd_bayes.records.trace import Trace

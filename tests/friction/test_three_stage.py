@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.model import Model, Parameter
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.quantities import Parameter
 from mfd_bayes.friction.three_stage import LuGre, ThreeStage
 from mfd_bayes.records.trace import Trace
 from tests.friction.motions import off_after_cut, sine, solved

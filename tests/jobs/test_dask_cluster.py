@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from mfd_bayes.applications.comparison.crossvalidation import folds_of, run_folds
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
-from mfd_bayes.evaluation.crossvalidate import folds_of, run_folds
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibrate import calibrate

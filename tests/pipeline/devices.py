@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mfd_bayes.calibration.posterior import find_noise
+from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import factor

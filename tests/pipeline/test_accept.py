@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 import mfd_bayes as mb
+from mfd_bayes.applications.properties.datasheet import datasheet
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
-from mfd_bayes.evaluation.properties import datasheet
 from tests.command_line import here, write_csv
 
 

@@ -5,9 +5,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.posterior import load_priors
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign.campaign import load_campaign
-from mfd_bayes.pipeline.plan import inspect_campaign, system_of_records
+from mfd_bayes.pipeline.inspect import inspect_campaign, system_of_records
 from tests.command_line import refusal, said
 from tests.pipeline import devices
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mfd_bayes.applications.export.samples import Export, export
 from mfd_bayes.errors import CampaignError
-from mfd_bayes.pipeline.export import Export, export
 from tests.command_line import contents, refusal, said, write_csv
 
 CAMPAIGN = """\

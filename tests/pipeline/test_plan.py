@@ -13,9 +13,11 @@ import mfd_bayes as mb
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.campaign import synthetic
 from mfd_bayes.errors import MfdError
-from mfd_bayes.pipeline.plan import Options, plan_campaign, prior_check
+from mfd_bayes.pipeline.init import prior_check
+from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import hash_stored, read_begun
+from mfd_bayes.runs.folder import hash_stored
+from mfd_bayes.runs.manifest import read_begun
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import json_text
 from mfd_bayes.store.netcdf import save_trace

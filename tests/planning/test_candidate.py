@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.errors import CampaignError
-from mfd_bayes.evaluation.views import AdviceInWords
-from mfd_bayes.planning.candidate import (
+from mfd_bayes.applications.next_test.advice import AdviceInWords
+from mfd_bayes.campaign.candidate import (
     SETUP,
     Candidate,
     Goal,
@@ -23,6 +22,7 @@ from mfd_bayes.planning.candidate import (
     parse_tests,
     repeats,
 )
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.records.trace import Harmonic
 from mfd_bayes.runs.unit_system import US
 

@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.posterior import find_noise
-from mfd_bayes.errors import CampaignError, NotThereError
-from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.planning.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
-from mfd_bayes.planning.study import (
+from mfd_bayes.applications.next_test.study import (
     Devices,
     Goals,
     Loop,
@@ -18,6 +14,10 @@ from mfd_bayes.planning.study import (
     fit_left_out,
     gain_of,
 )
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.campaign.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
+from mfd_bayes.errors import CampaignError, NotThereError
+from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.design import Setting, setting_of
 from tests.population.made import THREE_STAGE, make_population, no_residual

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mfd_bayes.calibration.posterior import PriorFile, load_priors
+from mfd_bayes.calibration.priors import PriorFile, load_priors
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Convergence
-from mfd_bayes.calibration.posterior import find_noise, load_priors
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import Predictor
 from mfd_bayes.population.design import LAW_NAMES, Setting, design_of, setting_of, usual_shapes

@@ -8,7 +8,8 @@ import pytest
 from scipy import special
 
 from mfd_bayes.population.design import Setting, design_of
-from mfd_bayes.population.inference import ExactSampler, JointFit
+from mfd_bayes.population.exact_sampler import ExactSampler
+from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import MixedModel
 
 CHAINS = 32

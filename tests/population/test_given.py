@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from mfd_bayes.errors import FitError, RecordError
-from mfd_bayes.population import given as given_part
+from mfd_bayes.population import conditioning as given_part
 from mfd_bayes.population.bands import FEWEST, Forecast
+from mfd_bayes.population.conditioning import Forecaster, predict_given, stroke_likelihood
 from mfd_bayes.population.design import setting_of
-from mfd_bayes.population.given import Forecaster, predict_given, stroke_likelihood
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_predictor, no_residual
 

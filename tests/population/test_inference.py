@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.posterior import Posterior, find_noise
+from mfd_bayes.calibration.noises import find_noise
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import Forecast, Predictor
 from mfd_bayes.population.inference import InferenceSettings, infer_population

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.posterior import find_noise
+from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.bands import Forecast, Predictor

@@ -10,13 +10,12 @@ import pandas as pd
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Directions, Identifiability, Pair
+from mfd_bayes.evaluation.scores import Fan, Interval
 from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     CampaignView,
     Check,
     Datasheet,
-    Fan,
-    Interval,
     Judgement,
     LawView,
     LeftOutView,
@@ -27,7 +26,7 @@ from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.page import Forms, publish
-from mfd_bayes.runs.folder import Use, Verdict
+from mfd_bayes.runs.manifest import Use, Verdict
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
 UNITS = {"Fc_fwd": "kip", "k3": "kip/in", "gamma1": "1"}

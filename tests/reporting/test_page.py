@@ -18,7 +18,7 @@ from mfd_bayes.cli.console import say
 from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgement
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting.figures import draw_overview
-from mfd_bayes.runs.folder import Finding, Use, Verdict
+from mfd_bayes.runs.manifest import Finding, Use, Verdict
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.store.files import commented, quoted
 

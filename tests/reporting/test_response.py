@@ -2,14 +2,10 @@
 
 import numpy as np
 
-from mfd_bayes.pipeline.respond import (
-    ResponseView,
-    render_response,
-    sweep_sentence,
-)
+from mfd_bayes.applications.buildings.command import ResponseView, render_response, sweep_sentence
+from mfd_bayes.applications.buildings.response import Sweep
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.figures import to_png
-from mfd_bayes.response.analysis import Sweep
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, US
 

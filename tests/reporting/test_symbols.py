@@ -2,7 +2,7 @@
 
 import math
 
-from mfd_bayes.calibration.posterior import known_quantities
+from mfd_bayes.calibration.priors import known_quantities
 from mfd_bayes.reporting import symbols
 
 NAMES = symbols.Symbols()

@@ -12,9 +12,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from mfd_bayes.applications.prediction.tables import predicted_csv
 from mfd_bayes.evaluation.views import Check
-from mfd_bayes.reporting.tables import predicted_csv
-from mfd_bayes.runs.folder import Verdict
+from mfd_bayes.runs.manifest import Verdict
 
 KIP = 4.4482216  # kN
 SPECIAL = r"a_b%c&d#e$f\g{h}i~j^k|l<m>"

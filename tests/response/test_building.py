@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from mfd_bayes.applications.buildings.building import read_building
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.response.building import read_building
 
 GOOD = """
 [building]

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from mfd_bayes.applications.buildings.building import read_building
+from mfd_bayes.applications.buildings.dampers import SETTLE, Leftover, draw_dampers
 from mfd_bayes.population.population import KNOTS, Starts, TravelBasis
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.building import SETTLE, Leftover, draw_dampers, read_building
 from tests.population.made import make_predictor
 
 STOREY = '[[storey]]\nweight = "20 kip"\nheight = "144 in"\nstiffness = "8 kip/in"\n'

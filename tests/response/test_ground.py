@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mfd_bayes.applications.buildings.ground import Ground, parse_ground, read_ground
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.response.ground import Ground, parse_ground, read_ground
 from mfd_bayes.units import GRAVITY
 
 MOVES = 0.3 * np.sin(0.4 * np.arange(40)) * np.hanning(40)

@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 import mfd_bayes as mb
+from mfd_bayes.applications.buildings.building import read_building
+from mfd_bayes.applications.buildings.dampers import plain_friction
+from mfd_bayes.applications.buildings.ground import Ground, read_ground
+from mfd_bayes.applications.buildings.response import sweep_of, variance_shares
+from mfd_bayes.applications.buildings.time_integration import response_of
 from mfd_bayes.errors import BuildingError
-from mfd_bayes.evaluation.properties import design_rows
-from mfd_bayes.response.analysis import response_of, sweep_of, variance_shares
-from mfd_bayes.response.building import plain_friction, read_building
-from mfd_bayes.response.ground import Ground, read_ground
+from mfd_bayes.evaluation.bounds import design_rows
 from mfd_bayes.units import GRAVITY
 from tests.command_line import here, said, write_csv
 

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from mfd_bayes.applications.buildings.building import Content, building_of
+from mfd_bayes.applications.buildings.dampers import Dampers, no_dampers
+from mfd_bayes.applications.buildings.ground import Ground
+from mfd_bayes.applications.buildings.time_integration import equilibrium, integrate, settle
 from mfd_bayes.friction.bouc_wen import BoucWen
-from mfd_bayes.friction.model import Model, Parameter
+from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.friction.quantities import Parameter
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.response.analysis import equilibrium, integrate, settle
-from mfd_bayes.response.building import Content, Dampers, building_of, no_dampers
-from mfd_bayes.response.ground import Ground
 
 RATIO = 0.05
 FINE = 0.01

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline.calibrate import report
-from mfd_bayes.runs.folder import discard, prepare_folder, with_keys
+from mfd_bayes.pipeline.report import report
+from mfd_bayes.runs.folder import discard
+from mfd_bayes.runs.resume import prepare_folder, with_keys
 from mfd_bayes.runs.run import open_run
 
 

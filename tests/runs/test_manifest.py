@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from mfd_bayes.applications.comparison.crossvalidation import Fold, read_predictions
 from mfd_bayes.errors import StoreError
-from mfd_bayes.evaluation.crossvalidate import Fold, read_predictions
 from mfd_bayes.pipeline.plan import Options, plan_campaign
 from mfd_bayes.runs.run import open_run
 from tests.run_folders import RECORD

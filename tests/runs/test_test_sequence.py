@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.runs.run import TestSequence, open_run
+from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.test_sequence import TestSequence
 
 FORECAST = Forecast(draws=20)
 

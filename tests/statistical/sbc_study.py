@@ -9,13 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.posterior import (
-    Posterior,
-    Prior,
-    PriorFile,
-    known_quantities,
-    load_priors,
-)
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities, load_priors
 from mfd_bayes.calibration.sampling import Draws, sample
 from mfd_bayes.errors import MfdError
 from mfd_bayes.records.trace import Trace

@@ -8,9 +8,11 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from mfd_bayes.calibration.diagnostics import Effort
-from mfd_bayes.calibration.posterior import Posterior, Prior, PriorFile
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample
-from mfd_bayes.friction.model import Model, Quantity
+from mfd_bayes.friction.model import Model
+from mfd_bayes.friction.quantities import Quantity
 from mfd_bayes.records.trace import Trace
 
 NOISE = 0.2

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort, check_predictive, measure_draws, replicate
-from mfd_bayes.calibration.posterior import OU, Posterior, load_priors
+from mfd_bayes.calibration.noises import OU
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.proposal import climb, find_modes, nearest_modes
 from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.calibration.sampling import sample, sample_density

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mfd_bayes.calibration.posterior import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace

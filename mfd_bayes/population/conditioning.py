@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, special
 
 from mfd_bayes.calibration.diagnostics import psis, systematic
-from mfd_bayes.calibration.posterior import units
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, RecordError, real_numbers
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag

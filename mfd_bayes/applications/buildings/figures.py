@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from mfd_bayes.applications.buildings.building import Building
+from mfd_bayes.applications.buildings.response import Response, Sweep
 from mfd_bayes.reporting.figures import new_figure, style
 from mfd_bayes.reporting.symbols import BANDS, ORANGE, VERMILLION, plain
-from mfd_bayes.response.analysis import Response, Sweep
-from mfd_bayes.response.building import Building
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.units import GRAVITY
 

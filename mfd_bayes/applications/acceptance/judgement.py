@@ -22,7 +22,7 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +37,8 @@ from mfd_bayes.evaluation.properties import (
     properties_of,
     without_noise,
 )
-from mfd_bayes.evaluation.views import (
-    DEFAULT_LIMITS,
-    Acceptance,
-    ComparedRecord,
-    Expected,
-    Fan,
-    Interval,
-)
+from mfd_bayes.evaluation.scores import Fan, Interval
+from mfd_bayes.evaluation.views import DEFAULT_LIMITS
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.peaks import NO_EXCESS, Peaks, certain
@@ -55,6 +49,10 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.units import DAMPER, Axes, factor
+
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -529,3 +527,62 @@ def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:
         f"{worst['power']:.2f}, and a fault of any other quantity more surely. A deviation of "
         f"{worst['detectable']:.0f} % would be shown in four cases of five."
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What the population expects of a record of a device under a motion.
+
+    Where tests of one device are all that is known, `device` and `among` are the same.
+    """
+
+    nominal: Mapping[str, Array]  # draws (n,) of the nominal value of each quantity
+    device: Mapping[str, Array]  # of a record of a device at the nominal value
+    among: Mapping[str, Array]  # of a record of any device
+    fan: Fan  # band of a record of any device
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedRecord:
+    """One record, with its trace at the rate of the calibrated tests, and what was expected."""
+
+    record: Record
+    trace: Trace
+    measured: Mapping[str, float]  # value of each quantity that the record shows
+    expected: Expected
+
+
+@dataclass(frozen=True, eq=False)
+class Acceptance:
+    """A device, compared with the others.
+
+    Attributes
+    ----------
+    device : str
+    verdict : {"accepted", "rejected", "cannot tell"}
+    sentence : str
+        The verdict with its reason, and the power.
+    p_value, p_batch : float
+        That tests of one device scatter so much, over all quantities; and over the whole batch.
+    named : str
+        The quantity that differs most; "" where none does.
+    rows : DataFrame
+        A row for each quantity.
+    comparisons : tuple of ComparedRecord
+        One for each record.
+    """
+
+    device: str
+    verdict: str
+    sentence: str
+    p_value: float
+    p_batch: float
+    named: str
+    rows: pd.DataFrame
+    comparisons: tuple[ComparedRecord, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Reasons to trust the answer less."""
+        return tuple(dict.fromkeys(r for c in self.comparisons for r in c.expected.remarks))

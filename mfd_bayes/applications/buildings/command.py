@@ -1,4 +1,4 @@
-"""Response of a building with the device of a run, written as a folder with a page and tables."""
+"""The command `respond`: its options, and what is written."""
 
 from __future__ import annotations
 
@@ -12,13 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.errors import BuildingError, UnitError
-from mfd_bayes.jobs.job import Step
-from mfd_bayes.population.design import SAME_LEVEL
-from mfd_bayes.reporting.page import Units, picture, render_page
-from mfd_bayes.reporting.symbols import unit_text
-from mfd_bayes.reporting.tables import escape_tex, to_csv
-from mfd_bayes.response.analysis import (
+from mfd_bayes.applications.buildings.building import Building, read_building
+from mfd_bayes.applications.buildings.ground import Ground, parse_acceleration
+from mfd_bayes.applications.buildings.respond import beyond_tests, check_kind, grounds_of, respond
+from mfd_bayes.applications.buildings.response import (
     REFERENCES,
     REST,
     Response,
@@ -29,10 +26,15 @@ from mfd_bayes.response.analysis import (
     sweep_of,
     variance_shares,
 )
-from mfd_bayes.response.building import Building, read_building
-from mfd_bayes.response.ground import Ground, parse_acceleration
-from mfd_bayes.runs.folder import Use, check_folder
-from mfd_bayes.runs.run import Run, beyond_tests, check_kind, grounds_of, open_run
+from mfd_bayes.errors import BuildingError, UnitError
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.population.design import SAME_LEVEL
+from mfd_bayes.reporting.page import Units, picture, render_page
+from mfd_bayes.reporting.symbols import unit_text
+from mfd_bayes.reporting.tables import escape_tex, to_csv
+from mfd_bayes.runs.folder import check_folder
+from mfd_bayes.runs.manifest import Use
+from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Span
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, System
 from mfd_bayes.store.cards import counted
@@ -117,14 +119,14 @@ def _grounds(query: Query) -> list[Ground]:
     return [ground.with_peak(peak) for ground in grounds]
 
 
-def respond(prepared: Prepared, observe: Callable[[Step], None]) -> ResponseView:
+def run_respond(prepared: Prepared, observe: Callable[[Step], None]) -> ResponseView:
     """Response of a building with the device of a run; page and tables are written."""
     query, run = prepared.query, prepared.run
     system = SYSTEMS[run.system.name == "si"]
 
     def response_of(building: Building, prefix: str = "") -> Response:
-        return run.respond(
-            *(building, prepared.grounds, query.draws, query.seed),
+        return respond(
+            *(run, building, prepared.grounds, query.draws, query.seed),
             kind=query.kind,
             tolerance=query.tolerance,
             jobs=query.jobs,
@@ -312,7 +314,7 @@ def write_response(
     folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: System
 ) -> None:
     """Write page, tables and pictures; what an earlier response left beside them is removed."""
-    from mfd_bayes.reporting.building_figures import figures_of
+    from mfd_bayes.applications.buildings.figures import figures_of
     from mfd_bayes.reporting.figures import to_png
 
     for path in sorted(folder.glob("*")):  # files that not every response has

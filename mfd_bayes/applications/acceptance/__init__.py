@@ -1,0 +1,1 @@
+"""Is a device like the calibrated ones: `mfd-bayes accept`."""

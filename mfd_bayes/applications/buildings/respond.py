@@ -1,0 +1,178 @@
+"""Response of a building with the device of a run as its dampers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from itertools import chain
+from os import PathLike, fspath
+
+import numpy as np
+
+from mfd_bayes.applications.buildings.building import Building, read_building
+from mfd_bayes.applications.buildings.dampers import FEWEST as FEWEST_DRAWS
+from mfd_bayes.applications.buildings.dampers import KINDS, bound_dampers, draw_dampers
+from mfd_bayes.applications.buildings.ground import Ground, parse_ground, read_ground
+from mfd_bayes.applications.buildings.response import Response, seen_peaks
+from mfd_bayes.applications.buildings.time_integration import response_of
+from mfd_bayes.errors import (
+    MOST_DRAWS,
+    BuildingError,
+    path_of,
+    real_number,
+    whole_number,
+)
+from mfd_bayes.jobs.job import Step
+from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.tested_range import (
+    MARGIN,
+    Span,
+    departures,
+)
+from mfd_bayes.units import actuation_kind
+
+Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]
+
+
+def grounds_of(
+    grounds: Grounds, *, unit: str = "", scale: float = 1.0, meant: bool = False
+) -> list[Ground]:
+    """Ground motions of what is given; `unit`, `scale` and `meant` are as in `read_ground`."""
+    motions = []
+    for given in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
+        if isinstance(given, Ground):
+            motions.append(given)
+            continue
+        path_of("a ground motion", given, BuildingError)
+        path, step, own = parse_ground(fspath(given), of="ground")
+        ground = read_ground(path, step=step, unit=own or unit, scale=scale, meant=meant)
+        motions.append(ground)
+    if not motions:
+        raise BuildingError("give at least one ground motion")
+    return motions
+
+
+def check_kind(where: str, unit: str, expected: str) -> None:
+    """Refuse an actuation whose internal unit is of another kind than the tests had."""
+    if unit != expected:
+        raise BuildingError(f"{where} must be {actuation_kind(expected)}, as in the campaign")
+
+
+def _short_histories(building: Building, grounds: Sequence[Ground]) -> list[str]:
+    """Actuation histories that do not go on for as long as a ground motion, in sentences."""
+    sentences = []
+    for device in building.devices:
+        if device.history is None:
+            continue
+        begin, end = device.history[0][[0, -1]].tolist()
+        for ground in grounds:
+            last = float(ground.time[-1])
+            if begin > MARGIN * last or end < (1 - MARGIN) * last:
+                sentences.append(
+                    f"the actuation of the damper at {device.name} is known from {begin:.4g} s to "
+                    f"{end:.4g} s, and the ground motion {ground.name} goes on to {last:.4g} s: "
+                    "the first and the last actuation are taken to stay"
+                )
+    return sentences
+
+
+def beyond_tests(run: Run, response: Response) -> list[list[str]]:
+    """Where the dampers leave what was tested: sentences of each ground motion, then of all.
+
+    The stroke is that of the damper which travels most, in the median draw.
+    """
+
+    def sentences(name: str, unit: str, low: float, high: float, of: str = "") -> list[str]:
+        outside = departures(run.tested, [Span(name, unit, low, high)])
+        return [f"{of}beyond the tests: {each.sentence(run.system)}" for each in outside]
+
+    if not response.dampers.count:
+        return [[]]
+    beyond = []
+    for g, ground in enumerate(response.grounds):
+        travel = response.travel[response.usable(g), g]
+        stroke = 2.0 * float(np.median(travel.max(axis=1))) if len(travel) else np.nan
+        beyond.append(sentences("stroke", "in", stroke, stroke, f"{ground.name}: "))
+    levels = np.concatenate(
+        [
+            [device.actuation] if device.history is None else device.history[1]
+            for device in response.building.devices
+        ]
+    )
+    return [*beyond, sentences("actuation", run.actuation_unit, levels.min(), levels.max())]
+
+
+def respond(
+    run: Run,
+    building: Building | str | PathLike[str],
+    grounds: Grounds,
+    draws: int = 300,
+    seed: int = 1,
+    *,
+    kind: str = "new_test",
+    tolerance: float = 0.01,
+    jobs: int = 1,
+    observe: Callable[[Step], None] = lambda step: None,
+) -> Response:
+    """Response of a building with the device of a run as its dampers.
+
+    Parameters
+    ----------
+    run : Run
+    building : Building or path
+        As `read_building` reads it.
+    grounds : Ground or path, or several
+        Paths as `read_ground` reads them; "FILE:0.01s" gives the step of a file without one.
+    draws : int
+    seed : int
+    kind : {"new_test", "device"}
+        With each damper's scatter from test to test, or the mean property alone.
+    tolerance : float
+        Largest estimated error of a draw's drift, relative; steps are shortened until then.
+    jobs : int
+        Processes; the result does not depend on them.
+
+    Returns
+    -------
+    Response
+        `drift` (draw, ground, storey), in, and others.
+
+    Raises
+    ------
+    BuildingError
+        When the building or a ground motion cannot be used, or the actuation is of another
+        kind than the run's.
+    """
+    if kind not in KINDS:
+        raise BuildingError(f"unknown kind {kind!r}: expected one of {', '.join(KINDS)}")
+    whole_number("draws", draws, FEWEST_DRAWS, BuildingError, MOST_DRAWS)
+    whole_number("seed", seed, 0, BuildingError)
+    whole_number("jobs", jobs, 0, BuildingError)
+    tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
+    built = building if isinstance(building, Building) else read_building(building)
+    motions = grounds_of(grounds)
+    for device in built.devices:
+        where = f"the actuation of the damper at {device.name}"
+        check_kind(where, device.unit, run.actuation_unit)
+    model, bounds = run.predictor.model, {}
+    dampers = draw_dampers(run.population, model, built, kind, draws, seed)
+    if dampers.count and (model.slip_forces or model.laws):
+        bounds = bound_dampers(run.population, model, built, dampers, seed)
+    if not model.slip_forces:  # by which forces are judged to be in equilibrium
+        typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
+        dampers, *few = (
+            replace(one, slip=np.full_like(one.slip, typical))
+            for one in (dampers, *bounds.values())
+        )
+        bounds = dict(zip(bounds, few, strict=True))
+    response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
+    response = seen_peaks(response, run.peaks, seed, scatter=kind == "new_test")
+    remarks = [*chain.from_iterable(beyond_tests(run, response))]
+    remarks += [run.caution] if run.caution else []
+    remarks += _short_histories(built, motions)
+    if dampers.count and run.population.design.dependence:
+        remarks.append(
+            "quantities that depend on speed, amplitude, date, cycles or temperature are taken "
+            "at those of the typical, or the latest, test"
+        )
+    return replace(response, remarks=(*remarks, *response.faults))

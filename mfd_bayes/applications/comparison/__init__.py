@@ -1,0 +1,1 @@
+"""Parts of a campaign, and models, by what was left out: `crossvalidate` and `compare`."""

@@ -1,0 +1,1 @@
+"""A run for other programs: `mfd-bayes export`, `draws` and `serve`."""

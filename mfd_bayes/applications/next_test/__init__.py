@@ -1,0 +1,1 @@
+"""Which test to make next: `mfd-bayes next`."""

@@ -1,0 +1,1 @@
+"""The force band of a motion: `mfd-bayes predict`."""

@@ -1,0 +1,1 @@
+"""The data sheet and bounding properties for design."""

@@ -1,0 +1,304 @@
+"""The data sheet: measured, nominal and bounding properties of each tested condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mfd_bayes.errors import CampaignError, MfdError
+from mfd_bayes.evaluation.bounds import (
+    ANOTHER,
+    BASES,
+    bounds,
+    drawn_properties,
+    places_of,
+    sessions_of,
+)
+from mfd_bayes.evaluation.properties import Array, measured_of
+from mfd_bayes.evaluation.views import Datasheet
+from mfd_bayes.messages import Message
+from mfd_bayes.records.loops import (
+    FORMULAS,
+    MeasuredCycles,
+)
+from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
+from mfd_bayes.records.record import NO_ACTUATION
+from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
+from mfd_bayes.runs.manifest import Use
+from mfd_bayes.runs.run import Run
+from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+# --- the data sheet: measured values, nominal ones and bounds, at each condition
+
+PROBABILITY = 0.95  # of the interval between lower and upper bound
+BASIS = "observation"  # what the bounds are of: a measured value lies in them with PROBABILITY
+CYCLES = 3  # cycles of which the energy is given one by one
+HARMONIC = 0.2  # least share of the cycles at full stroke, by which a test counts as harmonic
+_QUANTITIES = (
+    ("slip_force", "forward", "slip_fwd"),
+    ("slip_force", "backward", "slip_bwd"),
+    ("peak_force", "forward", "peak_fwd"),
+    ("peak_force", "backward", "peak_bwd"),
+    ("effective_stiffness", "", "effective_stiffness"),
+    ("effective_damping", "", "effective_damping"),
+    ("energy", "", "energy"),
+    ("gap", "", "gap"),
+)
+
+
+_COLUMNS = [
+    *("condition", "actuation", "actuation_unit", "stroke", "frequency", "tested"),
+    *("quantity", "direction", "unit", "cycle", "measured_low", "measured", "measured_high"),
+    *("standard_error", "n_cycles", "n_tests", "n_outside", "of"),
+    *("nominal", "lower", "upper", "lambda_min", "lambda_max"),
+    *("lambda_min_other", "lambda_max_other", "note"),
+]
+"""Of `Datasheet.rows`, there even where no test is harmonic."""
+
+
+class Condition(NamedTuple):
+    """An actuation, ksi or kip, an amplitude, in, and a frequency, Hz, of harmonic motion."""
+
+    actuation: float
+    stroke: float
+    frequency: float
+
+
+def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:
+    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency."""
+    if not axes.actuated:
+        text = f"{NO_ACTUATION}, {text}"
+    level, _, motion = text.partition(",")
+    if text.count(",") != (2 if axes.timed else 1):
+        raise CampaignError(f"a condition reads '35 lbf, 1 in, 0.5 Hz', got {text!r}")
+    actuation, unit = parse_actuation(level.strip(), of=f"the actuation of {text!r}")
+    if unit != actuation_unit:
+        raise CampaignError(
+            f"the actuation of {text!r} must be {actuation_kind(actuation_unit)}, as in the tests"
+        )
+    harmonic = parse_sine(f"{motion}, {CYCLES} cycles", axes)
+    return Condition(actuation, harmonic.amplitude, harmonic.frequency)
+
+
+def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
+    """Data sheet of a run: every condition that was tested, and those of `at`."""
+    tests = _harmonic_tests(run)
+    table, lacking = [], []
+    for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *at]):
+        own = [test for test in tests if test[0] == condition]
+        label = condition_words(run, condition)
+        try:
+            table += _rows(run, condition, label, own)
+        except MfdError as error:
+            if condition in at:
+                raise
+            lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
+    import pandas as pd  # which takes long to import
+
+    rows = pd.DataFrame(table, columns=_COLUMNS)
+    return Datasheet(
+        rows=rows,
+        tested=_tested(run),
+        verdict=_verdict(run, rows),
+        not_known=(*lacking, *_not_known(run)),
+        formulas={
+            run.system.text(quantity): run.system.text(FORMULAS[quantity])
+            for quantity, _, name in _QUANTITIES
+            if run.system.axes.has(name)
+        },
+    )
+
+
+def condition_words(run: Run, condition: Condition) -> str:
+    """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
+    words, axes = run.system.words, run.system.axes
+    parts = [words([condition.stroke], "in", 3)]
+    if axes.actuated:
+        parts.insert(0, words([condition.actuation], run.actuation_unit, actuation=True))
+    if axes.timed:
+        parts.append(f"{condition.frequency:.3g} Hz")
+    return ", ".join(parts)
+
+
+Tested = tuple[Condition, str, Trace, MeasuredCycles]
+
+
+def _harmonic_tests(run: Run) -> list[Tested]:
+    """Condition and measured cycles of every harmonic test, also of those held out."""
+    traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
+    tests = []
+    for name in run.manifest.tests:
+        if name not in traces:
+            continue
+        cycles = measured_of(run.manifest, name)
+        full = cycles.full_stroke
+        if full.size and full.mean() >= HARMONIC:
+            amplitude = 0.5 * float(np.median(cycles.stroke[full]))
+            timed = run.system.axes.timed
+            frequency = float(np.median(cycles.frequency[full])) if timed else 1.0
+            level, by = traces[name].reference_actuation, run.system.factor("in")
+            condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
+            tests.append((condition, name, traces[name], cycles))
+    return tests
+
+
+def _rounded(value: float) -> float:
+    """A value with two digits where they are right within 2 %, else with three."""
+    two = float(f"{value:.2g}")
+    return two if abs(value - two) <= 0.02 * value else float(f"{value:.3g}")
+
+
+def _rows(
+    run: Run, condition: Condition, label: str, own: Sequence[Tested]
+) -> list[dict[str, object]]:
+    """Rows of one condition; `own` are its tests."""
+    axes = run.system.axes
+    if own:
+        trace = own[0][2]
+    else:
+        trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
+    devices = run.manifest.settings.devices
+    names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in own) or places_of(run)
+    drawn = drawn_properties(run, trace, list(names))
+    remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
+    head = {
+        "condition": label,
+        "actuation": condition.actuation,
+        "actuation_unit": run.actuation_unit,
+        "stroke": condition.stroke,
+        "frequency": condition.frequency,
+        "tested": bool(own),
+        "of": BASES[BASIS],
+        "note": "; ".join(remarks),
+    }
+    rows = []
+    for quantity, direction, name in _QUANTITIES:
+        if not axes.has(name):
+            continue
+        for cycle in range(CYCLES + 1 if name == "energy" else 1):
+            values = {basis: _of_cycle(of, name, cycle) for basis, of in drawn.items()}
+            if cycle and not np.any(np.isfinite(values[BASIS])):
+                continue
+            row = bounds(values["device"], values[BASIS], PROBABILITY)
+            other = bounds(values["device"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
+            rows.append(
+                head
+                | {"quantity": quantity, "direction": direction, "unit": CYCLE_UNITS[name]}
+                | {"cycle": cycle, **row}
+                | _measured(name, cycle, [cycles for *_, cycles in own], row)
+                | {f"{key}_other": other[key] for key in ("lambda_min", "lambda_max")}
+            )
+    return rows
+
+
+def _of_cycle(drawn: Mapping[str, Array], name: str, cycle: int) -> Array:
+    """Draws, (n,), of a property of a test, or of the energy of one of its cycles."""
+    if cycle:
+        return drawn["energy"][:, cycle - 1 : cycle].ravel()
+    return drawn["energy_per_cycle" if name == "energy" else name]
+
+
+def _measured(
+    name: str, cycle: int, tests: Sequence[MeasuredCycles], bounds: Mapping[str, float]
+) -> dict[str, float]:
+    """Measured value of tests, or of one cycle of them, with its smallest and largest cycle.
+
+    The standard error is that of the mean of the cycles, of all tests.
+    """
+    kept = slice(cycle - 1, cycle) if cycle else slice(None)
+    of_cycles = [getattr(test, name)[test.full_stroke][kept] for test in tests]
+    if cycle:
+        values, errors = np.concatenate([np.empty(0), *of_cycles]), np.empty(0)
+    else:
+        values = np.array([test.of_test()[name] for test in tests])
+        errors = np.array([test.standard_error(name) for test in tests])
+    if name.startswith("peak"):  # the largest value is no mean
+        errors = np.empty(0)
+    each = np.concatenate([np.empty(0), *of_cycles])
+    each, values = each[np.isfinite(each)], values[np.isfinite(values)]
+    outside = (values < bounds["lower"]) | (values > bounds["upper"])
+    nan = float("nan")
+    return {
+        "measured_low": float(each.min()) if each.size else nan,
+        "measured": float(values.mean()) if values.size else nan,
+        "measured_high": float(each.max()) if each.size else nan,
+        "standard_error": float(np.sqrt(np.sum(errors**2)) / errors.size) if errors.size else nan,
+        "n_cycles": each.size,
+        "n_tests": values.size,
+        "n_outside": int(outside.sum()),
+    }
+
+
+def _tested(run: Run) -> dict[str, Message]:
+    """Ranges and numbers of what was tested."""
+    more = {"stroke": " from end to end"}
+    ranges = {
+        run.system.text(span.name): Message(
+            f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)}
+        )
+        for span in run.tested
+        if run.system.axes.actuated or span.name != "actuation"
+    }
+    sessions = [session for session in sessions_of(run) if session]
+    return ranges | {
+        "devices": Message(f"{len(run.devices)}"),
+        "sessions": Message(f"{len(sessions)}" if sessions else "1 (none declared)"),
+        "tests": Message(f"{len(run.tests)} calibrated, {len(run.held_out)} held out"),
+    }
+
+
+def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
+    """What the run may be used for, how many measured values its bounds hold, and where."""
+    use = run.manifest.verdicts.get("campaign", "") or "not yet judged"
+    count = len(run.tests)
+    fine = " All tests are reproduced within tolerance." if use == Use.USABLE else ""
+    first = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
+    tested = rows[(rows["cycle"] == 0) & rows["tested"].astype(bool)]
+    values, outside = int(tested["n_tests"].sum()), int(tested["n_outside"].sum())
+    most = ""
+    if outside:
+        worst = tested.sort_values("n_outside").to_dict("records")[-1]
+        quantity = worst["quantity"].replace("_", " ")
+        most = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
+    second = Message("No test is harmonic: there are no measured cycles to compare.")
+    if values:
+        second = Message(
+            f"{outside} of {values} measured values ({100 * outside / values:.1f} %) lie outside "
+            "their 95 % bounds{most}.",
+            {"most": most},
+        )
+    spans = {span.name: span for span in run.tested}
+    actuated = ("actuation",) if run.system.axes.actuated else ()
+    where = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
+    third = Message(
+        "Bounds and λ, which are bounds over the nominal value, are of {of}, the device tested "
+        "again, within {where}; outside they rest on the form of the laws.",
+        {"of": BASES[BASIS], "where": ", ".join(span.words(run.system) for span in where)},
+    )
+    if len(run.devices) < 2:
+        return first, second, third
+    slip = rows[(rows["cycle"] == 0) & (rows["quantity"] == "slip_force")]
+    low, high = slip["lambda_min_other"].min(), slip["lambda_max_other"].max()
+    fourth = Message(
+        f"Another device of the make, from {len(run.devices)} devices: slip force of "
+        f"{low:.2f} to {high:.2f} times the nominal one."
+    )
+    return first, second, third, fourth
+
+
+def _not_known(run: Run) -> tuple[Message, ...]:
+    """What ASCE/SEI 7 and EN 15129 ask of property factors and these tests cannot tell."""
+    followed = {c for those in run.manifest.settings.dependence.values() for c in those}
+    ageing = "Ageing, wear and contamination: all tests are of a few cycles of a new device."
+    unknown = {
+        "Other devices of the same make: all tests are of one device.": len(run.devices) < 2,
+        ageing: not followed & {"date", "cycles"},
+        "Temperature: no law of these tests follows one.": "temperature" not in followed,
+    }
+    return tuple(Message(text) for text, lacking in unknown.items() if lacking)

@@ -1,0 +1,1 @@
+"""A test that is followed while it runs: `mfd-bayes watch`."""

@@ -1,0 +1,164 @@
+"""The command `watch`: a line for each cycle of a test that runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from mfd_bayes.errors import MfdError, RecordError
+from mfd_bayes.population.conditioning import NARROWING, Estimate, Forecaster, is_enough
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.stated import read_as_tests, stated_actuation, stated_conditions
+from mfd_bayes.runs.tested_range import conditions_of
+from mfd_bayes.runs.unit_system import System
+from mfd_bayes.units import parse_quantity
+
+# --- a test is watched while it runs
+
+POLL = 1.0  # seconds between two looks at the file
+SAMPLES = 64  # of the next cycle, of which the band is computed
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What is watched, and when it ends; the options of the command.
+
+    `narrowing` is the share by which one more cycle must narrow an interval, to be worth it. The
+    command ends when the file has not grown for `wait`.
+    """
+
+    record: Path
+    actuation: str = ""
+    session: str = ""
+    device: str = ""
+    date: str = ""
+    cycles: float | None = None
+    temperature: str = ""
+    narrowing: str = f"{100 * NARROWING:g} %"
+    wait: str = "10 s"
+    trust_model: bool = False
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """A cycle that has ended, with the estimates of the test so far.
+
+    `band` is the mean width, kip, of the 95 % band of the force in one more cycle of the same
+    motion, `misfit` whether the force is not that of a test of this device, and `enough` the cycle
+    after which the test was long enough, 0 where it is not yet.
+    """
+
+    number: int
+    estimates: Mapping[str, Estimate]
+    band: float
+    misfit: bool
+    enough: int
+    system: System
+
+    @property
+    def sentence(self) -> str:
+        """One line: properties with their intervals, beside the population, and what is next."""
+        words = self.system.words
+        parts = [
+            f"{e.name} {words([e.median], e.unit, 3)} ({words([e.lower, e.upper], e.unit, 3)}; "
+            f"{100 * e.percentile:.0f} % of new tests are below)"
+            for e in self.estimates.values()
+        ]
+        most = max(self.estimates.values(), key=lambda e: e.narrowing)
+        verdict = f"one more would narrow {most.name} by {100 * most.narrowing:.1f} %"
+        if self.misfit:
+            verdict = (
+                "warning: the force does not fit this device, and these figures are not reliable: "
+                "check the actuation, the columns and which device it is"
+            )
+        elif self.enough:
+            verdict = f"enough after cycle {self.enough}"
+        return (
+            f"cycle {self.number}: {', '.join(parts)}; band {words([self.band], 'kip', 3)} wide; "
+            f"{verdict}"
+        )
+
+
+def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
+    """Cycles of a test as they end in its file, which may still grow."""
+    run = open_run(out, trust=watched.trust_model)
+    run = replace(run, conditions=stated_conditions(watched))
+    watched = replace(watched, actuation=stated_actuation(run, watched.actuation))
+    level = run.level_of(watched.actuation)
+    narrowing = parse_quantity(watched.narrowing, "dimensionless", of="--narrowing")
+    wait = parse_quantity(watched.wait, "time", of="--wait")
+    follower: Forecaster | None = None
+    number = begin = enough = 0
+    for trace in _growing(run, watched, wait):
+        if trace.force is None:
+            raise RecordError(f"{watched.record} has no column of the force")
+        turns = trace.cycle_turns[::2]
+        for first, end in pairwise(turns[turns >= begin - 1].tolist()):
+            follower = follower or _follow(run, trace, level, watched)
+            part = slice(begin, end + 1)
+            follower.update(
+                trace.time[part], trace.displacement[part], None, np.asarray(trace.force)[part]
+            )
+            number, begin = number + 1, end + 1
+            estimates = follower.estimates(number)
+            misfit = follower.is_misfit
+            if not (enough or misfit) and is_enough(estimates, number, narrowing):
+                enough = number
+            width = _width(follower, trace, first, end)
+            yield Cycle(number, estimates, width, misfit, enough, run.system)
+    if not number:
+        raise RecordError(
+            f"{watched.record} has no full cycle: expected a motion that turns three times"
+        )
+
+
+def _follow(run: Run, trace: Trace, level: float, watched: Watched) -> Forecaster:
+    """Forecaster of a test with the stroke and the speed of its first cycle."""
+    reached = conditions_of(trace)
+    return run.follow(
+        level,
+        amplitude=0.5 * reached["stroke"],
+        velocity=reached.get("speed"),
+        session=watched.session,
+        device=watched.device,
+    )
+
+
+def _width(follower: Forecaster, trace: Trace, first: int, end: int) -> float:
+    """Mean width of the band of the cycle between two samples, made once more, kip."""
+    at = np.arange(first, end, max(1, (end - first) // SAMPLES))
+    later = trace.time[end] - trace.time[first] + trace.time[at[1]] - trace.time[at[0]]
+    again = Trace.from_arrays(trace.time[at] + later, trace.displacement[at], trace.actuation)
+    band = follower.band(again)
+    return float(np.mean(band.upper - band.lower))
+
+
+def _growing(run: Run, watched: Watched, wait: float) -> Iterator[Trace]:
+    """The record each time that its file has grown, until it has not for `wait` s.
+
+    The last line of a file that is being written may be half a line: while the file grows, what
+    cannot be read is read again.
+    """
+    seen = None
+    while True:
+        try:
+            state = watched.record.stat()
+        except OSError as error:
+            raise RecordError(f"cannot read {watched.record}: {error.strerror}") from error
+        idle = time.time() - state.st_mtime >= wait
+        if idle or state.st_size != seen:
+            seen = state.st_size
+            try:
+                yield read_as_tests(run, watched.record, watched.actuation).trace()
+            except MfdError:
+                if idle:
+                    raise
+        if idle:
+            return
+        time.sleep(POLL)

@@ -1,0 +1,109 @@
+"""Log likelihood of each cycle of a record, given all others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.errors import FitError
+from mfd_bayes.records.trace import Trace
+
+Array = NDArray[np.float64]
+
+FEWEST_CYCLES = 3  # least number of cycles of a record from which one can be left out
+_PIECE = 1 << 19  # size of the arrays of one piece, in numbers
+
+
+def find_cycles(trace: Trace, first: int = 0) -> NDArray[np.intp]:
+    """First sample of each cycle of a record, and the end of the record, (C + 1,).
+
+    A cycle ends at every second turn of the whole motion, as in a harmonic record. In an irregular
+    record small loops are joined until they last half the mean period 2π sd(x)/sd(v): a shorter
+    block would be predicted too easily from its neighbours. A short rest at the end joins the last
+    cycle. The cycles follow from the motion alone: they are the same for every model. Samples
+    before `first` are in no cycle.
+    """
+    time = trace.time
+    shortest = np.pi * trace.displacement[first:].std() / trace.velocity[first:].std()
+    edges, turns = [first], 0
+    for turn in trace.cycle_turns[trace.cycle_turns > first].tolist():
+        turns += 1
+        if turns >= 2 and time[turn] - time[edges[-1]] >= shortest:
+            edges.append(turn)
+            turns = 0
+    if len(edges) > 1 and time[-1] - time[edges[-1]] < shortest:
+        edges.pop()
+    if len(edges) < FEWEST_CYCLES:
+        raise FitError(
+            f"leaving out one cycle needs a record with at least {FEWEST_CYCLES} cycles, "
+            f"got {len(edges)}"
+        )
+    return np.array([*edges, trace.samples], dtype=np.intp)
+
+
+def cycle_log_likelihood(
+    posterior: Posterior, values: Mapping[str, Array], cycles: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Log density of every cycle given all others, and of all together.
+
+    log p(y_c | y_-c, θ), (n, C), and log p(y | θ), (n,), for draws of all quantities, (n,) each,
+    and `cycles` from `find_cycles` with the posterior's `first`.
+    """
+    kept, size = slice(cycles[0], None), max(1, _PIECE // posterior.trace.samples)
+    pieces = []
+    for begin in range(0, values["offset"].size, size):
+        some = {name: column[begin : begin + size] for name, column in values.items()}
+        residual = np.asarray(posterior.trace.force) - some["offset"][:, None]
+        residual -= posterior.force(some)
+        travel = posterior.travel(some)
+        decay, scale = posterior.noise.memory(
+            posterior.trace.time[kept], some, None if travel is None else travel[:, kept]
+        )
+        dof = some["noise_dof"] if "noise_dof" in posterior.noise.parameters else None
+        starts = cycles[:-1] - cycles[0]
+        pieces.append(conditional_density(residual[:, kept], decay, scale, starts, dof))
+    given, whole = zip(*pieces, strict=True)
+    return np.concatenate(given), np.concatenate(whole)
+
+
+def conditional_density(
+    residual: Array, decay: Array, scale: Array, starts: NDArray[np.intp], dof: Array | None = None
+) -> tuple[Array, Array]:
+    """Log density of every block of a Markov chain given all others, (n, C), and of all, (n,).
+
+    With a the first sample of a block and b the first sample after it,
+
+        p(y_c | y_-c) = Π_{n=a}^{b} p(e_n | e_{n−1}) / p(e_b | e_{a−1}),
+
+    where the last density bridges the gap: its φ is the product of all φ from a to b. That
+    is exact for Gaussian noise. A sum of Student-t innovations has no closed form: there a
+    Student-t with the same degrees of freedom `dof` (n,) and the sum's mean and variance is used.
+    `residual` is (n, T), kip; `decay` and `scale` are from `Noise.memory`, (n, T); `starts` are
+    the first samples of the blocks, (C,), beginning with 0.
+    """
+    standard = residual / scale
+    before = np.zeros_like(standard)
+    before[:, 1:] = standard[:, :-1]
+    link = _transition(standard, before, decay, dof)
+    density = np.add.reduceat(link - np.log(scale), starts, axis=1)
+    whole = density.sum(axis=1)
+    behind = starts[1:]
+    hole = np.add.reduceat(decay, starts, axis=1)[:, :-1] + decay[:, behind]
+    bridge = _transition(standard[:, behind], before[:, starts[:-1]], hole, dof)
+    density[:, :-1] += link[:, behind] - bridge
+    return np.asarray(density), np.asarray(whole)
+
+
+def _transition(after: Array, before: Array, decay: Array, dof: Array | None) -> Array:
+    """Log density of standardised noise given its previous value, with φ = exp(−decay)."""
+    shrink = -np.expm1(-2.0 * decay)
+    squares = (after - np.exp(-decay) * before) ** 2 / shrink
+    if dof is None:
+        return np.asarray(-0.5 * (squares + np.log(2 * np.pi * shrink)))
+    nu = dof[:, None]
+    peak = special.gammaln((nu + 1) / 2) - special.gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
+    return np.asarray(peak - 0.5 * (nu + 1) * np.log1p(squares / nu) - 0.5 * np.log(shrink))

@@ -1,0 +1,166 @@
+"""Mean and bounding properties of a device, for design."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mfd_bayes.evaluation.properties import (
+    UNITS,
+    Array,
+    cycle_energies,
+    properties_of,
+    without_noise,
+)
+from mfd_bayes.evaluation.scores import Rows
+from mfd_bayes.population.bands import KIND_NAMES, Band
+from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
+from mfd_bayes.population.peaks import certain
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.run import Run
+
+if TYPE_CHECKING:
+    pass
+
+
+# --- for design
+
+ANOTHER = "another_device"
+"""Another device of the same make: known where the calibrated tests are of several devices."""
+
+BASES: Mapping[str, str] = {
+    "device": KIND_NAMES["device"],
+    "new_test": KIND_NAMES["new_test"],
+    ANOTHER: "another device of the same make",
+    "observation": KIND_NAMES["observation"],
+}
+"""What bounds are about, in the order of tables; kinds of prediction but for `ANOTHER`."""
+
+DESIGN_DRAWS = 1000  # draws of each basis: few would leave the bounds to chance
+NOT_KNOWN = "not known: the calibrated tests are of one device"
+
+DESIGN_PROPERTIES = (
+    *("slip_fwd", "slip_bwd", "energy_per_cycle", "effective_stiffness", "effective_damping"),
+    *("c_eq", "peak_fwd", "peak_bwd", "gap"),
+)
+NEW = "\x00another"  # a session or a device that no campaign can declare
+
+
+def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
+    """Mean and bounding properties under a motion and an actuation, by property, then by basis.
+
+    "This device tested again" is a test of one of the calibrated devices in one of the declared
+    sessions, "another device" a test of a new one, in a new session where there are several. With
+    one device the latter is not known.
+    """
+    drawn = drawn_properties(run, trace, places_of(run))
+    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
+
+
+def drawn_properties(
+    run: Run, trace: Trace, places: Sequence[tuple[str, str]]
+) -> dict[str, dict[str, Array]]:
+    """Draws of the properties of a motion by basis of `BASES`, then by name, (n,) each.
+
+    `places` are session and device of the tests. The mean property has the mean excess of
+    measured peaks, the others its scatter too. Energies of the
+    cycles at full stroke, "energy", are (n, L).
+    """
+    peaks, axes, drawn = run.peaks, run.manifest.axes, {}
+
+    def draw(kind: str, session: str, device: str, draws: int) -> Band:
+        how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
+        return run.predict(trace, kind, **how)
+
+    n = n_draws(places)
+    bands = {k: [draw(k, *place, n) for place in places] for k in KIND_NAMES if k in BASES}
+    if len(run.devices) > 1:
+        session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
+        bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
+    for basis, several in bands.items():
+        excess = certain(peaks) if basis == "device" else peaks
+        quiet = bands["new_test"] if basis == "observation" else several
+        parts = [
+            properties_of(trace, band.draws, excess, smooth=without_noise(band, test))
+            | {"energy": cycle_energies(trace, band.draws)}
+            for band, test in zip(several, quiet, strict=True)
+        ]
+        drawn[basis] = {
+            name: np.concatenate([part[name] for part in parts])
+            for name in (*DESIGN_PROPERTIES, "energy")
+            if axes.has(name)
+        }
+    return drawn
+
+
+def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
+    """Bounds of draws (n,) by basis and property; "device" has the nominal values.
+
+    A basis of `BASES` that is missing is not known, and its bounds are NaN. The `note` is of
+    another device.
+    """
+    rows = []
+    for name in DESIGN_PROPERTIES:
+        mean = drawn["device"].get(name, np.empty(0))
+        if not np.any(np.isfinite(mean)):  # the motion has no full cycle
+            continue
+        for basis in BASES:
+            values = drawn.get(basis, {}).get(name, np.empty(0))
+            if basis in drawn and not np.any(np.isfinite(values)):
+                continue
+            about = note if basis == ANOTHER else ""
+            rows.append(
+                {"name": name, "unit": UNITS[name], "basis": basis, "of": BASES[basis]}
+                | bounds(mean, values, probability)
+                | {"note": about if basis in drawn else NOT_KNOWN}
+            )
+    return tuple(rows)
+
+
+def bounds(mean: Array, drawn: Array, probability: float) -> dict[str, float]:
+    """Nominal value, the mean of draws of any shape; equal-tailed bounds of others, and factors.
+
+    `lambda_min` and `lambda_max` are the bounds over the nominal value. What is not finite is left
+    out, and NaN where nothing remains.
+    """
+    mean, drawn = mean[np.isfinite(mean)], drawn[np.isfinite(drawn)]
+    tail, nan = 0.5 * (1.0 - probability), float("nan")
+    nominal = float(mean.mean()) if mean.size else nan
+    lower, upper = np.quantile(drawn, [tail, 1.0 - tail]).tolist() if drawn.size else (nan, nan)
+    factors = [bound / nominal if nominal else nan for bound in (lower, upper)]
+    names = ("nominal", "lower", "upper", "lambda_min", "lambda_max")
+    return dict(zip(names, (nominal, lower, upper, *factors), strict=True))
+
+
+def design_warnings(run: Run) -> tuple[str, ...]:
+    """Why bounds may be too narrow, in sentences."""
+    settings = with_zeros([setting_of(test.trace) for test in run.tests.values()])
+    count = len(levels_of(settings))
+    if count >= LEVELS:
+        return ()
+    return (
+        f"the calibrated tests have {count} level{'' if count == 1 else 's'} of actuation, and "
+        f"fewer than {LEVELS} do not show how far levels lie from a law: bounds at an actuation "
+        "that was not tested are too narrow",
+    )
+
+
+def n_draws(places: Sequence[tuple[str, str]]) -> int:
+    """Draws of the bands behind the bounds, for each session and device.
+
+    A band with as many, of one session and device, has the same draws as the bounds.
+    """
+    return DESIGN_DRAWS // len(places) + 10
+
+
+def places_of(run: Run) -> tuple[tuple[str, str], ...]:
+    """Session and device of the calibrated tests, each pair once."""
+    devices = run.manifest.settings.devices
+    return tuple(dict.fromkeys((run.session(name), devices[name]) for name in run.tests))
+
+
+def sessions_of(run: Run) -> tuple[str, ...]:
+    """Sessions of the calibrated tests; "" where none are declared."""
+    return tuple(dict.fromkeys(run.session(name) for name in run.tests))

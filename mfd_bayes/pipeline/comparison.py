@@ -1,0 +1,138 @@
+"""Cross-validation of a campaign, and its comparison under several models or noises."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mfd_bayes.applications.comparison.crossvalidation import (
+    fold_id,
+    folds_of,
+    part_kind,
+    parts_of,
+    run_folds,
+)
+from mfd_bayes.applications.comparison.models import (
+    Candidate,
+    candidates,
+    check_cycles,
+    compare_runs,
+)
+from mfd_bayes.errors import StoreError
+from mfd_bayes.evaluation.views import CampaignView
+from mfd_bayes.jobs.job import Observe, State, Step
+from mfd_bayes.pipeline.calibrate import calibrate_locked, working_in
+from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.report import write_report
+from mfd_bayes.population.design import setting_of
+from mfd_bayes.reporting.tables import comparison_csv
+from mfd_bayes.runs.folder import (
+    alone_in,
+    check_outputs,
+    remove_partial_files,
+)
+from mfd_bayes.runs.manifest import (
+    CampaignCrossValidation,
+    Comparison,
+)
+from mfd_bayes.runs.run import Run
+from mfd_bayes.store.files import write_text
+
+if TYPE_CHECKING:
+    pass
+
+
+def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:
+    """Calibrate a campaign, then predict every part of it from all the others."""
+    plan = plan_campaign(campaign, options)
+    parts = check_parts(plan)
+    for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
+        observe(Step(name, State.WAITING))
+    with working_in(plan, out):
+        run = leave_out_parts(calibrate_locked(plan, out, observe), options, observe)
+        return write_report(run, observe, jobs=options.jobs)
+
+
+def check_parts(plan: Plan) -> Collection[str]:
+    """Names of the parts that will be left out; a campaign with fewer than two is refused."""
+    sessions = plan.manifest.settings.sessions
+    settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
+    return parts_of(
+        settings,
+        part_kind(plan.options.by),
+        plan.campaign.settings.actuation_unit,
+        plan.campaign.path,
+    )
+
+
+def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
+    """The run with predictions of every part from all others; its folder must be locked."""
+    kind = part_kind(options.by)
+    try:
+        predictions = run_folds(run, folds_of(run, kind, options.effort), options, observe)
+        return run.rewrite(crossvalidation=CampaignCrossValidation(kind, predictions))
+    finally:
+        remove_partial_files(run.folder)
+
+
+def compare(
+    campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
+) -> tuple[Comparison, dict[str, CampaignView]]:
+    """Calibrate a campaign under several models or noises, and compare what they predict.
+
+    Returns the report of each too.
+    """
+    plans = _plan_models(campaign, out, candidates(models, options.noises), options)
+    for model, plan in plans.items():
+        for task in plan.tasks:
+            observe(Step(f"{model}/{task.id}", State.WAITING))
+    runs: dict[str, Run] = {}
+    with ExitStack() as locks:
+        locks.enter_context(alone_in(out))
+        for model, plan in plans.items():
+            locks.enter_context(working_in(plan, out / model))
+        for model, plan in plans.items():
+            observe_model = _observer_of(model, observe)
+            runs[model] = calibrate_locked(plan, out / model, observe_model)
+            if options.by:
+                runs[model] = leave_out_parts(runs[model], plan.options, observe_model)
+        observe(Step("comparison", "leaving out one cycle after another"))
+        comparison = compare_runs(runs)
+        write_text(out / "comparison.csv", comparison_csv(comparison.rows))
+        observe(Step("comparison", State.DONE))
+        views = {}
+        for model, run in runs.items():
+            run = run.rewrite(comparison=comparison)
+            views[model] = write_report(run, _observer_of(model, observe), jobs=options.jobs)
+    return comparison, views
+
+
+def _plan_models(
+    campaign: Path, out: Path, chosen: Sequence[Candidate], options: Options
+) -> dict[str, Plan]:
+    """Plan of a campaign under each candidate, checked for what the comparison needs."""
+    plans: dict[str, Plan] = {}
+    table, replaces = [out / "comparison.csv"], options.force or options.resume
+    check_outputs(table, [campaign], force=replaces)
+    for candidate in chosen:
+        own = replace(options, model=candidate.model, noise=candidate.noise)
+        plans[candidate.name] = plan = plan_campaign(campaign, own)
+        if options.by:
+            check_parts(plan)
+        check_outputs(table, [t.path for t in plan.campaign.tests], force=replaces)
+        for task in plan.tasks:
+            check_cycles(task)
+        folder = out / candidate.name
+        if folder.exists() and not replaces:
+            raise StoreError(
+                f"{folder} exists: give --resume to finish it or --force to replace it"
+            )
+    return plans
+
+
+def _observer_of(model: str, observe: Observe) -> Observe:
+    """Observer of the steps of one model's run, which adds the model's name to theirs."""
+    return lambda step: observe(replace(step, id=f"{model}/{step.id}"))

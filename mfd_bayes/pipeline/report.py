@@ -1,0 +1,90 @@
+"""The report of a finished run, and its checks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from mfd_bayes.applications.next_test.advice import AdviceInWords
+from mfd_bayes.applications.next_test.next_test import next_test
+from mfd_bayes.applications.properties.datasheet import datasheet, parse_condition
+from mfd_bayes.errors import MfdError, ReportError
+from mfd_bayes.evaluation.summary import assess, verdicts
+from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
+from mfd_bayes.jobs.job import Observe, Step
+from mfd_bayes.jobs.local import Workplace, get_ready
+from mfd_bayes.reporting.page import PLAIN, Addition, Forms
+from mfd_bayes.reporting.tables import CROSSVALIDATION
+from mfd_bayes.runs.folder import (
+    alone_in,
+    check_places,
+)
+from mfd_bayes.runs.manifest import (
+    Verdict,
+    read_manifest,
+)
+from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.unit_system import SI, named_system
+
+# --- the report of a run, its checks and the table of its draws
+
+
+def report(
+    out: Path,
+    observe: Observe = lambda _: None,
+    *,
+    jobs: int = 0,
+    forms: Forms = PLAIN,
+    units: str = "",
+    trust_model: bool = False,
+) -> CampaignView:
+    """Write the tables, figures and report of a finished run, from its stored results."""
+    forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
+    if Workplace(jobs).processes > 1:
+        get_ready()
+    with alone_in(out):
+        check_places(out)
+        run = open_run(out, trust=trust_model)
+        return write_report(run, observe, jobs=jobs, forms=forms, units=units)
+
+
+def write_report(
+    run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
+) -> CampaignView:
+    """Write the tables, figures and report of an open run, whose folder must be locked."""
+    from mfd_bayes.reporting.page import publish
+
+    try:
+        at = [parse_condition(text, run.actuation_unit, run.system.axes) for text in forms.at]
+    except MfdError as error:
+        raise ReportError(f"--at: {error}") from error
+    processes = Workplace(jobs).processes
+    observe(Step("report", "checks and bands"))
+    system = named_system(units, run.system)
+    # once, and of these tests: what an earlier report has stored may be of others
+    run = run.with_peaks()
+    view = replace(assess(run, processes), metric=system.name == SI.name)
+    additions: list[Addition] = []
+    if forms.next_test:
+        observe(Step("report", "which test next"))
+        advice = AdviceInWords(next_test(run), view.system, view.actuation_unit)
+        additions = [advice.section()]
+    run = run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
+    if view.left_out is None:  # a table that an earlier cross-validation wrote
+        (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
+    observe(Step("report", "data sheet"))
+    sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
+    publish(view, run.folder, processes, observe, forms, sheet, additions)
+    return view
+
+
+def check(out: Path, units: str = "", *, trust_model: bool = False) -> CampaignView:
+    """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing.
+
+    Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
+    """
+    run = open_run(out, trust=trust_model)
+    metric = named_system(units, run.system).name == SI.name
+    view = assess(run)
+    checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
+    return replace(view, metric=metric, checks=tuple(checks))

@@ -1,0 +1,311 @@
+"""Chains of the exact joint posterior of population and tests.
+
+Under the Gaussian likelihoods of the tests the
+population's h has known draws, and given h the coefficients z and the tests' own coordinates are
+affine in standard normal numbers e. A sweep of the sampler has three moves:
+
+1. the numbers of each test, each accepted by its own likelihood;
+2. the numbers of z, with another h from its draws, accepted by all tests;
+3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
+   from its Gaussian (Gibbs).
+
+The first two change the numbers by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ,
+which leaves the approximation as it is, and are accepted by the exact over the approximate
+likelihoods (Rudolf and Sprungk, 2018). The second is the non-centred and the third the centred
+form of one hierarchy: where one mixes slowly the other does not (Yu and Meng, 2011).
+
+While warming up the Gaussian likelihoods are fitted anew, by least squares, to the exact ones of
+what was proposed, each weighted by the probability of its acceptance (waste recycling: Frenkel,
+2004). With Gaussian likelihoods every move of the first two kinds is accepted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.diagnostics import (
+    Convergence,
+    measure,
+)
+from mfd_bayes.jobs.local import Evaluate, in_turn
+from mfd_bayes.population.joint_fit import Array, Index, JointFit
+from mfd_bayes.population.mixed_model import (
+    LARGEST,
+    MixedModel,
+    backward,
+    forward,
+)
+
+CHAINS = 4  # groups of independent chains; R̂ is taken across groups
+STORED = 2**26  # most numbers of the tests' coordinates that are held
+# how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
+# quarter is forgotten, and sweeps between looks at the convergence
+REFITS, WARM_UP, BLOCK = 3, 20, 40
+RIDGE = 3.0  # of the least squares, for the few draws of a large campaign
+LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
+ACCEPT = 0.3  # share of moves of the tests that is to be accepted
+ACCEPT_Z = 0.2  # the same of z
+RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
+
+
+# --- exact posterior ------------------------------------------------------------------------------
+
+
+class State(NamedTuple):
+    """All chains, n of them."""
+
+    h: Array  # (n, dim)
+    z: Array  # (n, Z)
+    x: Array  # (n, J, D): the tests' coordinates
+    excess: Array  # (n, J): exact less approximate log density of each test
+
+
+class Draws(NamedTuple):
+    """Kept draws, ordered by walker, and their convergence."""
+
+    h: Array  # (chain, draw, dim)
+    z: Array  # (chain, draw, Z)
+    x: Array  # (chain, draw, J, D)
+    convergence: Convergence  # of h and of the levels in z
+    sweeps: int
+    accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
+
+
+class ExactSampler:
+    """Chains of the exact posterior."""
+
+    def __init__(
+        self,
+        fit: JointFit,
+        approximate: Callable[[JointFit], tuple[MixedModel, Sequence[Array]]],
+        unpooled: NDArray[np.bool_],
+        choice: Index,
+        rng: np.random.Generator,
+        evaluate: Evaluate[Array, Array] | None = None,
+    ) -> None:
+        self.fit, self.approximate, self.unpooled, self.rng = fit, approximate, unpooled, rng
+        self.mixed, self.pool = mixed, _ = approximate(fit)
+        self.choice, self.d = choice, len(mixed.design.names)
+        self.evaluate = evaluate or in_turn([test.log_likelihood for test in fit.tests])
+        local = np.any(unpooled, axis=0)
+        local[mixed.free] = True
+        self.local = np.flatnonzero(local)
+        self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8  # step sizes
+        # while warming up: proposals x, their excess, and the share of it that each test accepts
+        self.proposals: list[tuple[Array, Array, Array]] = []
+        self.warming_up = True
+        self.rates: list[tuple[Array, float]] = []  # accepted shares: of each test, and of z
+        h = self._fresh_h()
+        e = rng.standard_normal((len(h), len(fit.mean), self.local.size))
+        self.state = self._at(h, mixed.marginal(h, choice)[1].draw(rng), e)
+
+    def _fresh_h(self) -> Array:
+        """Draws of h of every chain under the approximation."""
+        return np.stack([pool[self.rng.integers(len(pool))] for pool in self.pool])
+
+    def _linear(self, z: Array) -> Array:
+        """Levels, slopes and effects of the tests, (n, J, d)."""
+        return self.mixed.design.linear(z, self.mixed.rows)
+
+    def _sd(self, h: Array) -> Array:
+        """Scatter of the free quantities of the tests, (n, J, F)."""
+        return self.mixed.tau(h)[:, None] / np.sqrt(self.mixed.weight)
+
+    def _conditional(self, h: Array, z: Array) -> tuple[Array, Array]:
+        """Mean (n, J, D) of the tests given the population, and factor of the local precision.
+
+        Of the coordinates that are not local the mean is what the population says.
+        """
+        local, mean = self.local, np.zeros((len(h), *self.unpooled.shape))
+        mean[..., : self.d] = self.mixed.offsets(h, self.choice) + self._linear(z)
+        mean = np.where(self.unpooled, 0.0, mean)
+        sd = np.ones((len(h), len(self.unpooled), local.size))
+        sd[..., np.searchsorted(local, self.mixed.free)] = self._sd(h)
+        sd = np.where(self.unpooled[:, local], 1.0, sd)
+        p = self.fit.precision[:, local]
+        inner = p[:, :, local] + sd[..., None] ** -2.0 * np.eye(local.size)
+        pull = np.einsum("jla,nja->njl", p, self.fit.mean - mean)
+        mean[..., local] += forward(inner, pull)
+        return mean, np.asarray(np.linalg.cholesky(inner))
+
+    def _at(self, h: Array, z: Array, e: Array) -> State:
+        """State with standard normal numbers e (n, J, L) of the tests."""
+        x, factor = self._conditional(h, z)
+        x[..., self.local] += backward(factor, e)
+        return State(h, z, x, self._excess(x))
+
+    def _excess(self, x: Array) -> Array:
+        """Exact less approximate log density of each test, (n, J)."""
+        away = x - self.fit.mean
+        pairs = "nja,jab,njb->nj"
+        gaussian = -0.5 * np.einsum(pairs, away, self.fit.precision, away, optimize=True)
+        exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
+        excess = np.stack(list(exact), axis=1) - gaussian
+        for j, unpooled in enumerate(self.unpooled):
+            if np.any(unpooled):
+                excess[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)
+                excess[:, j] += 0.5 * np.sum(x[:, j][:, unpooled] ** 2, axis=1)
+        return np.where(np.isnan(excess), -np.inf, excess)
+
+    def sweep(self) -> None:
+        """One move of each kind; while warming up the step sizes are tuned."""
+        s, rng, marginal = self.state, self.rng, self.mixed.marginal
+        mean, factor = self._conditional(s.h, s.z)
+        e = np.einsum("njab,nja->njb", factor, (s.x - mean)[..., self.local])
+        # each test
+        moved = self._autoregressive(e, self.beta[:, None])
+        new = self._at(s.h, s.z, moved)
+        self._keep(s, new)
+        tests = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
+        own, e = tests[..., None], np.where(tests[..., None], moved, e)
+        excess = np.where(tests, new.excess, s.excess)
+        s = s._replace(x=np.where(own, new.x, s.x), excess=excess)
+        # z, with h from its draws
+        gaussian = marginal(s.h, self.choice)[1]
+        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
+        e_z, h = self._autoregressive(e_z, self.beta_z), self._fresh_h()
+        gaussian = marginal(h, self.choice)[1]
+        new = self._at(h, gaussian.mean + backward(gaussian.factor, e_z), e)
+        self._keep(s, new)
+        better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
+        accepted = np.log(rng.random(len(better))) < better
+        self.state = State(
+            *(
+                np.where(accepted.reshape(-1, *[1] * (a.ndim - 1)), b, a)
+                for a, b in zip(s, new, strict=True)
+            )
+        )
+        self._move_h()
+        each, together = tests.mean(axis=0), float(accepted.mean())
+        self.rates.append((each, together))
+        if self.warming_up:
+            self.beta = np.clip(self.beta * np.exp(0.1 * (each - ACCEPT)), 0.05, 1.0)
+            step = self.beta_z * np.exp(0.1 * (together - ACCEPT_Z))
+            self.beta_z = float(np.clip(step, 0.02, 1.0))
+
+    def _autoregressive(self, e: Array, beta: Array | float) -> Array:
+        """Standard normal numbers near others."""
+        return np.sqrt(1.0 - beta**2) * e + beta * self.rng.standard_normal(e.shape)
+
+    def _keep(self, state: State, new: State) -> None:
+        """Keep a proposal for the next fit."""
+        if self.warming_up:
+            possible = np.isfinite(new.excess)
+            excess = np.where(possible, new.excess, 0.0)
+            share = np.exp(np.minimum(excess - state.excess, 0.0)) * possible
+            self.proposals.append((new.x, excess, share))
+
+    def refit(self, x: Array, excess: Array, weight: Array) -> None:
+        """Take other Gaussian likelihoods of the tests, and go on from where the chains are.
+
+        Least squares on draws x (m, J, D) of the posterior: what the exact log densities have over
+        the Gaussian ones, `excess` (m, J), is a quadratic form (response surface).
+        """
+        old, size = self.fit, x.shape[-1]
+        mean, precision = old.mean.copy(), old.precision.copy()
+        i, k = np.triu_indices(size)
+        for j, p in enumerate(old.precision):
+            w = weight[:, j]
+            centre = np.average(x[:, j], axis=0, weights=w)
+            spread = np.cov(x[:, j].T, aweights=w)
+            root = np.asarray(np.linalg.cholesky(spread + 1e-9 * np.eye(size)), dtype=np.float64)
+            u = forward(root, x[:, j] - centre)
+            terms = np.column_stack([u, u[:, i] * u[:, k] - (i == k)])
+            weighted = (terms * w[:, None]).T
+            pairs = weighted @ terms + RIDGE * np.eye(terms.shape[1])
+            pulled = weighted @ (excess[:, j] - np.average(excess[:, j], weights=w))
+            linear, square = np.split(np.linalg.solve(pairs, pulled), [size])
+            quadratic = np.zeros((size, size))
+            quadratic[i, k] = square
+            inner = root.T @ p @ root - quadratic - quadratic.T
+            values, vectors = np.linalg.eigh(inner)
+            values = np.maximum(values, LEAST)
+            pull = root.T @ p @ (old.mean[j] - centre) + linear
+            mean[j] = centre + root @ (vectors / values) @ vectors.T @ pull
+            outer = np.linalg.solve(root.T, vectors)
+            precision[j] = (outer * values) @ outer.T
+        self.fit = replace(old, mean=mean, precision=precision)
+        self.mixed, self.pool = self.approximate(self.fit)
+        self.state = self.state._replace(excess=self._excess(self.state.x))
+
+    def _move_h(self) -> None:
+        """Random-walk Metropolis of each coordinate of h with z and x as they are."""
+        mixed, s, rng, v = self.mixed, self.state, self.rng, self.mixed.f + self.mixed.e
+        h, names = s.h.copy(), mixed.design.names
+        without_law = s.x[..., : self.d] - self._linear(s.z)
+        shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
+        log = self._log_given_tests(h, s.z, without_law)
+        for i in np.flatnonzero([*[True] * v, *shapes]).tolist():
+            new = h.copy()
+            new[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < v else 0.3)
+            other = self._log_given_tests(new, s.z, without_law)
+            accepted = np.log(rng.random(len(h))) < other - log
+            h[accepted], log[accepted] = new[accepted], other[accepted]
+        left = s.x[..., : self.d] - mixed.offsets(h, self.choice)
+        pooled = mixed.weight * ~self.unpooled[:, mixed.free]
+        z = mixed.draw_given_tests(h, left, pooled, s.z, rng)
+        self.state = s._replace(h=h, z=z)
+
+    def _log_given_tests(self, h: Array, z: Array, without_law: Array) -> Array:
+        """Log density of h given z and the tests' coordinates, (n,)."""
+        mixed, free, sd = self.mixed, self.mixed.free, self._sd(h)
+        away = (without_law - mixed.offsets(h, self.choice))[..., free]
+        terms = np.where(self.unpooled[:, free], 0.0, -0.5 * (away / sd) ** 2 - np.log(sd))
+        total = mixed.log_prior(h) + terms.sum(axis=(1, 2))
+        total += np.where(np.all(np.abs(h) < LARGEST, axis=1), 0.0, -np.inf)
+        omega = mixed.omega(h)
+        for e, precision in enumerate(mixed.effect_precision):
+            u = z[:, mixed.design.columns(e)]
+            squares = np.einsum("nmc,cd,nmd->n", u, precision, u, optimize=True)
+            total += -u[0].size * np.log(omega[:, e]) - 0.5 * squares / omega[:, e] ** 2
+        return np.asarray(total)
+
+    def run(
+        self,
+        r_hat: float,
+        ess: float,
+        limit: int,
+        kept: int,
+        report: Callable[[int, Convergence], None],
+    ) -> Draws:
+        """Sweep until targets or limit are reached; `kept` draws of each group are kept."""
+        for step in range(1, (REFITS + 1) * WARM_UP + 1):
+            self.sweep()
+            if step % WARM_UP == 0 and step <= REFITS * WARM_UP:
+                proposals = self.proposals[len(self.proposals) // 4 :]
+                self.refit(*(np.concatenate(part) for part in zip(*proposals, strict=True)))
+            if step % WARM_UP == 0:
+                self.proposals = []
+        self.warming_up = False
+        self.rates.clear()
+        stride = max(1, self.state.x.size * limit // STORED)
+        h, z, x = [], [], []  # x in single precision
+        while True:
+            for _ in range(BLOCK):
+                self.sweep()
+                h.append(self.state.h)
+                z.append(self.state.z)
+                if (len(h) - 1) % stride == 0:
+                    x.append(np.asarray(self.state.x, dtype=np.float32))
+            # of the coordinates of h and of the levels, across groups of chains
+            every = np.concatenate([np.array(h), np.array(z)[..., : self.d]], axis=2)
+            grouped = every.reshape(len(h), CHAINS, every.shape[1] // CHAINS, -1)
+            found = measure(np.swapaxes(grouped, 0, 1))
+            report(len(h), found)
+            if found.reached(r_hat, ess) or len(h) >= limit:
+                break
+        most = max(1, min(len(x), kept // (len(self.choice) // CHAINS)))
+        steps = np.linspace(0, len(x) - 1, most).astype(int)
+
+        def by_chain(history: Sequence[NDArray[Any]]) -> Array:
+            some = np.stack([history[t] for t in steps], axis=1).astype(np.float64)
+            return some.reshape(CHAINS, -1, *some.shape[2:])
+
+        tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
+        kept_draws = by_chain(h[::stride]), by_chain(z[::stride]), by_chain(x)
+        return Draws(*kept_draws, found, len(h), (tests, together))

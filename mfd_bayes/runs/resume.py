@@ -1,0 +1,223 @@
+"""What of an earlier session a run may keep."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from mfd_bayes.calibration.priors import PriorFile
+from mfd_bayes.errors import StoreError
+from mfd_bayes.friction.models import file_of
+from mfd_bayes.jobs.job import State
+from mfd_bayes.runs.folder import (
+    CROSSVALIDATION,
+    DISCARDED,
+    MANIFEST,
+    POPULATION,
+    check_links,
+    check_places,
+    discard,
+    folder_of,
+    is_free,
+    posterior_of,
+    remove_folder,
+)
+from mfd_bayes.runs.manifest import Manifest, Status, _damage, _damage_of_population, read_begun
+from mfd_bayes.store.files import (
+    json_text,
+)
+
+# --- a run is begun, resumed or replaced
+
+COMPARISON = "comparison"
+"""Name of the key of the comparison of models."""
+
+
+def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
+    """The manifest with the keys of what the run stores.
+
+    A key is the SHA-256 of all that a stored result rests on: where it is the same as before, the
+    result is kept. That of a test, named as its folder, has nothing of the other tests. There is
+    one for the population, one for what was left out of the campaign, and one for the comparison.
+    """
+    settings = manifest.settings
+    general = settings.campaign
+    of_all = {
+        "model": general.model,
+        **({"model_file": manifest.inputs[file]} if (file := file_of(general.model)) else {}),
+        "noise": general.noise,
+        "start": general.start,
+        "rate": general.rate,
+        "checks_noise": settings.checks_noise(manifest.effort.name),
+        "effort": asdict(manifest.effort),
+        "seed": manifest.seed,
+        "priors": {name: (p.family, dict(p.figures)) for name, p in priors.parameters.items()},
+    }
+    keys = {}
+    for name, test in settings.tests.items():
+        columns = {role: c.model_dump() for role, c in settings.columns_of(test).items()}
+        record = manifest.inputs[test.file], Path(test.file).suffix.lower()
+        own = name, test.role, record, columns, test.fit, str(test.actuation)
+        keys[folder_of(name)] = _digest(own, of_all)
+    fitted = {name: keys[folder_of(name)] for name in manifest.fitted}
+    keys[COMPARISON] = _digest([*fitted.items()])
+    keys[POPULATION] = _digest(
+        [*fitted.items()],
+        {name: settings.sessions[name] for name in fitted},
+        {name: settings.devices[name] for name in fitted if settings.devices[name]},
+        {name: settings.conditions[name] for name in fitted if settings.dependence},
+        (settings.laws, settings.dependence, settings.actuation_unit),
+        {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()},
+    )
+    followed = {name: (after, keys[folder_of(after)]) for name, after in settings.order.items()}
+    keys[CROSSVALIDATION] = _digest(keys[POPULATION], followed)
+    return manifest.changed(keys=keys)
+
+
+def _digest(*parts: object) -> str:
+    """SHA-256 of plain values, 64 hexadecimal digits."""
+    text = json.dumps(json.loads(json_text(parts)), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Resumed:
+    """What a run begins with: `before` is an earlier session whose population is the same."""
+
+    manifest: Manifest
+    before: Manifest | None = None
+    same_tests: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def check_free(home: Path, out: Path) -> None:
+    """Refuse a folder that exists, where it is neither to be resumed nor to be replaced."""
+    if not is_free(out, home):
+        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
+
+
+def prepare_folder(
+    manifest: Manifest, home: Path, out: Path, *, resume: bool = False, force: bool = False
+) -> Resumed:
+    """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
+
+    Of a run that is resumed, everything is kept whose key is the same as before; what is stored
+    under another key is removed.
+    """
+    check_links(out)
+    check_places(out)
+    if is_free(out, home):
+        return Resumed(manifest)
+    if not (resume or force):
+        check_free(home, out)
+    if force or (out / DISCARDED).exists():
+        discard(out)
+        return Resumed(manifest)
+    try:
+        before = read_begun(out)
+    except StoreError as error:
+        again = "--force to start again" if (out / MANIFEST).exists() else "another folder by -o"
+        raise StoreError(f"{out} cannot be resumed: {error}; give {again}") from error
+    _check_resumable(manifest, before, out)
+    same = {place for place, key in manifest.keys.items() if before.keys.get(place) == key}
+    damaged = {name: reason for name in manifest.tests if (reason := _damage(out, name, before))}
+    kept = [n for n in manifest.tests if folder_of(n) in same and n not in damaged]
+    notes = [f"{reason}; {name} is sampled again" for name, reason in damaged.items()]
+    if POPULATION in same and not damaged and (reason := _damage_of_population(out, before)):
+        notes.append(f"{reason}; the population is inferred again")
+        same.remove(POPULATION)
+    resumed = _with_results(manifest, before, kept, out)
+    if COMPARISON in same and all((out / posterior_of(n)).is_file() for n in manifest.fitted):
+        resumed = resumed.changed(comparison=before.comparison)
+    notes += _notes([*kept, *damaged], manifest, before, out)
+    if CROSSVALIDATION not in same:
+        remove_folder(out, CROSSVALIDATION)
+        before = before.changed(crossvalidation=None)
+    if POPULATION not in same or damaged:
+        before.changed(status=Status.RUNNING).write(out)  # what is left is no finished run
+    for name in {*before.tests, *manifest.tests}.difference(kept):
+        remove_folder(out, folder_of(name))
+    population = before if POPULATION in same else None
+    return Resumed(resumed, population, COMPARISON in same, tuple(notes))
+
+
+def _check_resumable(manifest: Manifest, before: Manifest, out: Path) -> None:
+    """Refuse to resume a run of other tests, or with another seed, effort or version."""
+    for key in ("seed", "effort", "versions"):
+        old, new = getattr(before, key), getattr(manifest, key)
+        if old != new:
+            names = _differing(old, new) if isinstance(old, Mapping) else []
+            raise StoreError(
+                f"{out} cannot be resumed: {key}{f' ({_listed(names)})' if names else ''} changed "
+                "since it was started; give --force to start again"
+            )
+    if not set(before.tests) & set(manifest.tests):
+        raise StoreError(
+            f"{out} cannot be resumed: it is a run of other tests ({_listed(before.tests)}); "
+            "give another folder, or --force to replace it"
+        )
+
+
+def _with_results(
+    manifest: Manifest, before: Manifest, kept: Collection[str], out: Path
+) -> Manifest:
+    """The manifest with what is kept of an earlier session.
+
+    Hashes of other files are dropped: such a file is written again before its hash is, and a kill
+    in between would leave a new file with an old hash.
+    """
+    files = [name for name in map(posterior_of, kept) if (out / name).is_file()]
+    truth = before.truth
+    if truth is not None:
+        tests = {name: values for name, values in truth.tests.items() if name in kept}
+        truth = truth.model_copy(update={"tests": tests})
+    machines = dict.fromkeys(tuple(m.items()) for m in (*before.machines, *manifest.machines))
+    resumed = manifest.changed(
+        files={n: before.files[n] for n in files if n in before.files},
+        truth=truth or manifest.truth,
+        started=before.started,
+        seconds=before.seconds,
+        machines=tuple(map(dict, machines)),
+    )
+    for name in kept:
+        if before.tests[name].status == State.DONE:
+            seconds = before.tests[name].seconds
+            resumed = resumed.with_test(name, status=State.DONE, seconds=seconds)
+    return resumed
+
+
+def _notes(kept: Collection[str], manifest: Manifest, before: Manifest, out: Path) -> Iterable[str]:
+    """Sentences on finished tests that are not kept, and on another machine that computed some."""
+    lost = [n for n in before.tests if n not in kept and (out / posterior_of(n)).is_file()]
+    again = [name for name in lost if name in manifest.fitted]
+    gone = [name for name in lost if name not in again]
+    if again:
+        yield f"what they rest on has changed, so they are sampled again: {_listed(again)}"
+    if gone:
+        yield f"no longer calibrated by this campaign, so removed: {_listed(gone)}"
+    (here,) = manifest.machines
+    for there in before.machines:
+        if names := _differing(there, here):
+            differ = "; ".join(
+                f"{name} was {there.get(name, 'none')}, is {here.get(name, 'none')}"
+                for name in names
+            )
+            yield (
+                "another machine has computed a part of this run, and draws that are kept can "
+                f"differ in their last digits from those of this one: {differ}"
+            )
+            return
+
+
+def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
+    """Keys whose values differ."""
+    return [name for name in {**old, **new} if old.get(name) != new.get(name)]
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Names with commas; the first ten of many."""
+    first, rest = [*names][:10], [*names][10:]
+    return ", ".join(first) + (f", and {len(rest)} more" if rest else "")

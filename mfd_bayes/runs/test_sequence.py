@@ -1,0 +1,144 @@
+"""Where in its gap each test ended, for the test that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfd_bayes.calibration.result import TestResult
+from mfd_bayes.errors import (
+    FitError,
+    StoreError,
+)
+from mfd_bayes.population.bands import THIS_TEST, Forecast, Predictor
+from mfd_bayes.population.population import Ending, Population
+from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.folder import (
+    check_stored,
+    pooled_of,
+)
+from mfd_bayes.runs.manifest import Manifest
+from mfd_bayes.store.netcdf import load_arrays
+
+Array = NDArray[np.float64]
+
+NO_GAP = "after is without effect: the model of the run has no gap in which a motion could begin"
+
+
+@dataclass(frozen=True, eq=False)
+class TestSequence:
+    """The tests of a run in their order."""
+
+    __test__ = False
+
+    manifest: Manifest
+    tests: Mapping[str, TestResult]
+    motions: Mapping[str, Trace]
+    predictor: Predictor
+    pooled: Callable[[str], Mapping[str, Array]] = lambda _: {}
+
+    def values(self, name: str) -> Mapping[str, Array]:
+        """Draws of all quantities of a test with a posterior, (m,) each, with its start.
+
+        As pooled with the others: a short motion by itself says little of the gap. What is not
+        pooled has the median of the test's own posterior; where nothing is, its draws are taken.
+        """
+        test = self.tests[name]
+        own, pooled = test.stored.values(), self.pooled(name)
+        if not pooled or ("start" in test.posterior.names and "start" not in pooled):
+            return own
+        size = len(next(iter(pooled.values())))
+        return {**{k: np.full(size, np.median(v)) for k, v in own.items()}, **pooled}
+
+    def before(self, test: str, trace: Trace, forecast: Forecast) -> Ending | None:
+        """Where a test of the campaign begins; None where nothing is known of that."""
+        return self.ending(self.manifest.settings.tests[test].after, trace, forecast, test)
+
+    def begun(self, forecast: Forecast, trace: Trace, after: str | Ending) -> Forecast:
+        """The forecast of a motion that follows a test, or begins where one ended."""
+        if isinstance(after, Ending):
+            return replace(forecast, before=after)
+        names = [*self.tests, *self.motions]
+        if after not in names:
+            raise FitError(
+                f"after must be the id of a test of the run, one of {', '.join(names)}, got "
+                f"{after!r}"
+            )
+        return replace(forecast, before=self.ending(after, trace, forecast))
+
+    def ending(self, after: str, trace: Trace, forecast: Forecast, test: str = "") -> Ending | None:
+        """Where a motion begins that follows a test; None where nothing is known of that.
+
+        From the last displacement of the test to the first of the motion the device is moved
+        slowly, by way of what the fit windows leave out.
+        """
+        if not after or not self.predictor.model.has_gap:
+            return None
+        chain, order = [after], self.manifest.settings.order
+        while chain[-1] in self.motions and order.get(chain[-1], after) not in chain:
+            chain.append(order[chain[-1]])  # back to one with a posterior, or that follows none
+        place: Ending | None = None
+        for name, following in zip(reversed(chain), [*reversed(chain[:-1]), ""], strict=True):
+            place = self._ended(name, replace(forecast, before=place))
+            if place is None:
+                continue
+            last = self.tests[name].trace if name in self.tests else self.motions[name]
+            first = self.motions[following] if following else trace
+            way = self._between(name, following or test)
+            way = last.displacement[-1], *way, first.displacement[0]
+            place = place.moved(self.predictor.model, way)
+        return place
+
+    def _between(self, name: str, following: str) -> tuple[float, ...]:
+        """Ends and turns of the records between the fit windows of two tests, in.
+
+        Of two windows in one file it is what lies between them. "" is a new motion.
+        """
+        rest = self.manifest.tests[name].after
+        if not following:
+            return rest
+        lead, tests = self.manifest.tests[following].before, self.manifest.settings.tests
+        return lead if tests[name].file == tests[following].file else (*rest, *lead)
+
+    def _ended(self, name: str, forecast: Forecast) -> Ending | None:
+        """Where a test ended: by its posterior, or as it is predicted after the one before."""
+        model = self.predictor.model
+        if name in self.tests:
+            values = self.values(name)
+            total = len(values["start"])
+            pick = np.linspace(0, total - 1, min(forecast.draws, total)).astype(np.intp)
+            taken = {quantity: draws[pick] for quantity, draws in values.items()}
+            return Ending.of(model, name, self.tests[name].trace, taken)
+        if name not in self.motions:
+            return None  # it could not be calibrated
+        kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
+        settings, trace = self.manifest.settings, self.motions[name]
+        own = replace(
+            forecast,
+            kind=kind,
+            session=settings.sessions[name],
+            device=settings.devices[name],
+            conditions=settings.conditions[name],
+        )
+        drawn = self.predictor.draw(trace, own, np.random.default_rng((forecast.seed, 2)))
+        values = self.predictor.values(drawn)
+        return replace(Ending.of(model, name, trace, values, drawn.scales or None), predicted=True)
+
+
+def stored_pooled(
+    folder: Path, manifest: Manifest, population: Population, name: str
+) -> Mapping[str, Array]:
+    """Pooled quantities of a test that a run folder holds, (n,) each; empty where none are."""
+    file = pooled_of(name)
+    if not (folder / file).is_file():
+        return {}
+    path = check_stored(folder, file, manifest.files)
+    values, _ = load_arrays(path)
+    names = population.design.coordinates.names
+    if any(k not in values or values[k].shape != population.shape for k in names):
+        raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
+    return {k: np.ravel(values[k]).astype(np.float64) for k in names}
