@@ -6,14 +6,9 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from mfd_bayes.applications.comparison.crossvalidation import (
-    FOLDER,
-    Fold,
-    folds_of,
-    left_out_view,
-    parts_of,
-)
+from mfd_bayes.applications.comparison.crossvalidation import FOLDER, Fold, folds_of, parts_of
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.evaluation.summary import left_out_view
 from mfd_bayes.population.design import Setting
 from mfd_bayes.runs.manifest import CampaignCrossValidation, Prediction, Score
 from mfd_bayes.runs.resume import with_keys

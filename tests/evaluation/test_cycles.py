@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.applications.comparison.models import FEWEST_CYCLES
-from mfd_bayes.calibration.cycles import conditional_density, cycle_log_likelihood, find_cycles
+from mfd_bayes.calibration.cycles import (
+    FEWEST_CYCLES,
+    conditional_density,
+    cycle_log_likelihood,
+    find_cycles,
+)
 from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import load_priors
