@@ -86,7 +86,7 @@ def write_run(folder: Path, *, small: bool) -> Path:
     rng = np.random.default_rng(1)
     under = []
     for task in plan.tasks:
-        posterior = Posterior(task.trace, plan.priors, task.noise, task.model, start=task.start)
+        posterior = Posterior(task.trace, plan.priors, task.noise, task.model, initial=task.initial)
         path = folder / "tests" / task.id / "posterior.nc"
         _write_posterior(path, posterior, rng)
         under.append(setting_of(task.trace))
@@ -110,7 +110,7 @@ def _write_posterior(path, posterior, rng):
     flat |= {name: theta[:, k] for k, name in enumerate(posterior.model.parameters)}
     density = posterior.log_prior(posterior.coordinates(flat)).reshape(2, 12)
     stats = dict.fromkeys(("lp", "log_prior", "log_likelihood"), density)
-    facts = {"model": posterior.model.name, "noise": posterior.noise.name, "start": "sample"}
+    facts = {"model": posterior.model.name, "noise": posterior.noise.name, "initial": "sample"}
     facts |= {"test": path.parent.name, "seed": [1, 2], "walkers": 6, "steps": 300}
     facts |= {"discarded": 100, "modes": 2, "mode_shares": [[0.4, 0.6], [0.5, 0.5]]}
     facts["autocorrelation"] = dict.fromkeys(posterior.names, 10.0)

@@ -38,7 +38,7 @@ Fc_fwd = "affine"
 id = "a"
 file = "a.csv"
 actuation = "500 psi"
-fit = "0 s to 60 s"
+window = "0 s to 60 s"
 """
 WORDS = (
     *("", "0", "-1", "nan", "inf", "1e999", "1e-400", "1_000", "0x10", "1,5", "9" * 5000, "null"),

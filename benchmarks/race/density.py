@@ -48,7 +48,7 @@ def _log_density(prior, q):
     if family == "normal":
         return _normal(q, f["mean"], f["sd"])
     if family == "lognormal":  # x = exp(q), whose Jacobian takes the 1/x away
-        return _normal(q, np.log(f["median"]), f["spread"])
+        return _normal(q, np.log(f["median"]), f["sigma"])
     logits = jax.nn.log_sigmoid(q), jax.nn.log_sigmoid(-q)
     if family == "uniform":
         return logits[0] + logits[1]

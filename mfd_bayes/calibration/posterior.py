@@ -37,7 +37,7 @@ class Posterior:
         A name in `noise.NOISES`: "ou", "iid", "student_t" or "staged".
     model : Model or str, optional
         The three-stage model when left out.
-    start : {"sample", "mask"}
+    initial : {"sample", "discard"}
         The place in the gap at the first sample is unknown: it is sampled, or the samples up to
         the first slip are left out of the likelihood.
 
@@ -70,20 +70,20 @@ class Posterior:
         noise: str = "ou",
         model: Model | str = "three_stage",
         *,
-        start: str = "sample",
+        initial: str = "sample",
     ) -> None:
         if check_trace("trace", trace, FitError).force is None:
             raise FitError("a posterior needs a trace with a measured force")
         chosen = find_model(model) if isinstance(model, str) else model
         if not isinstance(chosen, Model):
             raise FitError(f"model must be a name or a model such as LuGre(), got {chosen!r}")
-        if start not in ("sample", "mask"):
-            raise FitError(f"unknown start {start!r}: expected 'sample' or 'mask'")
+        if initial not in ("sample", "discard"):
+            raise FitError(f"unknown initial {initial!r}: expected 'sample' or 'discard'")
         file = priors if isinstance(priors, PriorFile) else load_priors(str(priors), model=chosen)
         kind = find_noise(noise)
-        own = priors_of_fit(file, chosen, kind, sampled_start=start == "sample")
+        own = priors_of_fit(file, chosen, kind, sampled_start=initial == "sample")
         names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
-        first = first_slip(trace, file, chosen) if start == "mask" else 0
+        first = first_slip(trace, file, chosen) if initial == "discard" else 0
         vars(self).update(
             trace=trace, model=chosen, noise=kind, priors=own, names=names, first=first
         )
@@ -222,13 +222,13 @@ def first_slip(trace: Trace, file: PriorFile, model: Model) -> int:
         return 0
     if gap is None:
         raise FitError(
-            f"start = 'mask' needs the width of the gap: {file.path.name} has no priors of d2 and "
-            "d3, and none of gap"
+            f"initial = 'discard' needs the width of the gap: {file.path.name} has no priors of d2 "
+            "and d3, and none of gap"
         )
     for begin, end in itertools.pairwise([0, *trace.turning_points.tolist()]):
         if abs(trace.displacement[end] - trace.displacement[begin]) >= 2.0 * gap:
             return int(end)
     raise FitError(
-        "start = 'mask' needs a record that goes on after a stroke of twice the prior's gap: what "
-        "comes before is not fitted"
+        "initial = 'discard' needs a record that goes on after a stroke of twice the prior's gap: "
+        "what comes before is not fitted"
     )

@@ -20,7 +20,7 @@ from mfd_bayes.errors import PriorError, UnitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import MODELS
 from mfd_bayes.friction.quantities import Quantity
-from mfd_bayes.store.files import TomlError, read_toml
+from mfd_bayes.store.files import RENAMED, TomlError, read_toml
 from mfd_bayes.units import DAMPER, parse_quantity
 
 Array = NDArray[np.float64]
@@ -86,9 +86,9 @@ def _truncated_quantile(u: Any, f: Figures) -> Any:
 FAMILIES: Mapping[str, Family] = MappingProxyType(
     {
         "lognormal": Family(
-            {"median": WIDTH, "spread": SHAPE},
-            lambda x, f: _normal(np.log(x), np.log(f["median"]), f["spread"]) - np.log(x),
-            lambda rng, n, f: rng.lognormal(np.log(f["median"]), f["spread"], n),
+            {"median": WIDTH, "sigma": SHAPE},
+            lambda x, f: _normal(np.log(x), np.log(f["median"]), f["sigma"]) - np.log(x),
+            lambda rng, n, f: rng.lognormal(np.log(f["median"]), f["sigma"], n),
             lambda f: f["median"],
         ),
         "normal": Family(
@@ -161,6 +161,7 @@ class Prior:
         needed = set(family.figures) - ({"upper"} if self.family == "truncated_normal" else set())
         if not needed <= set(figures) <= set(family.figures):
             got = f"{', '.join(sorted(figures)):.200}"
+            got += "".join(f": {key} is {RENAMED[key]} now" for key in figures if key in RENAMED)
             raise PriorError(f"{self.family} needs {' and '.join(sorted(needed))}, got {got}")
         for key, value in figures.items():
             if family.figures[key] != PLACE and not value > 0:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float]
 
-LEAST_AFTER = 20  # fewest samples that are fitted after a start that is masked
+LEAST_AFTER = 20  # fewest samples that are fitted after the samples that are discarded
 REPLICAS = 50  # posterior predictive records that are stored for each ensemble
 HALF = 0.5  # share of its 95 % interval by which a quantity may move
 QUANTILES = (0.025, 0.5, 0.975)
@@ -63,7 +63,7 @@ class Task:
     priors: PriorFile
     model: Model | str
     noise: str
-    start: str
+    initial: str
     effort: str | Effort
     seed: tuple[int, ...]
     checks_noise: bool = False
@@ -79,11 +79,11 @@ class Task:
 
     def posterior(self) -> Posterior:
         """Posterior of the test."""
-        posterior = Posterior(self.trace, self.priors, self.noise, self.model, start=self.start)
+        posterior = Posterior(self.trace, self.priors, self.noise, self.model, initial=self.initial)
         if (left := self.trace.samples - posterior.first) < LEAST_AFTER:
             raise FitError(
-                f"start = 'mask' leaves {left} samples of {self.id} after its first long stroke, "
-                f"and at least {LEAST_AFTER} are needed"
+                f"initial = 'discard' leaves {left} samples of {self.id} after its first long "
+                f"stroke, and at least {LEAST_AFTER} are needed"
             )
         return posterior
 
@@ -201,7 +201,7 @@ def _stored_of(
         "test": task.id,
         "model": posterior.model.name,
         "noise": task.noise,
-        "start": task.start,
+        "initial": task.initial,
         "seed": task.seed,
         "walkers": chains.walkers,
         "steps": chains.steps,
@@ -322,7 +322,7 @@ def load_result(
         if model is not None and facts["model"] != model.name:
             raise FitError(f"it is of the model {facts['model'][:60]!r}, not {model.name!r}")
         kind = model or facts["model"]
-        posterior = Posterior(stored.trace, priors, facts["noise"], kind, start=facts["start"])
+        posterior = Posterior(stored.trace, priors, facts["noise"], kind, initial=facts["initial"])
         if missing := {*posterior.names, *posterior.model.parameters, "offset"} - draws.keys():
             raise FitError(f"it holds no draws of {min(missing)}")
     except (MfdError, LookupError, TypeError) as error:

@@ -69,7 +69,7 @@ class Test:
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
         return read_record(
-            self.path, self.columns, None, self.actuation, fit=self.window, axes=self.axes
+            self.path, self.columns, None, self.actuation, window=self.window, axes=self.axes
         )
 
 
@@ -172,10 +172,10 @@ def load_campaign(
             settings = settings.with_test(entry.id, actuation=level)
             entry = settings.tests[entry.id]
         window = None
-        if entry.fit is not None:
+        if entry.window is not None:
             try:
-                of = f"fit of test {entry.id!r} in {path}"
-                window = parse_window(entry.fit, of=of, timed=axes.timed)
+                of = f"window of test {entry.id!r} in {path}"
+                window = parse_window(entry.window, of=of, timed=axes.timed)
             except UnitError as error:
                 raise CampaignError(str(error)) from error
         tests.append(
@@ -341,7 +341,7 @@ def _check_order(path: Path, tests: Sequence[Test]) -> None:
         if not (test.window and before.window and test.window[0] >= before.window[1]):
             raise CampaignError(
                 f"after of test {test.id!r} in {path} is a test of the same file, {before.id!r}: "
-                "the fit window of the one must begin where that of the other ends, or later, got "
+                "the window of the one must begin where that of the other ends, or later, got "
                 f"{_window_text(test.window)} after {_window_text(before.window)}"
             )
 

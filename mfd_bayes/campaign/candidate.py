@@ -60,7 +60,7 @@ AT_MOTIONS = {
 }
 OF_LAWS = {"slope": "slope of a law", "exponent": "exponent of a law"}
 GAP = "gap"
-KINDS = ("device", "new_test")
+KINDS = ("mean", "new_test")
 _FORM = re.compile(
     r"\s*(?P<name>[A-Za-z_]+(?: force)?)(?:\s+of\s+(?P<of>\w+))?(?:\s+at\s+(?P<at>.+))?\s*",
     re.DOTALL,
@@ -393,7 +393,7 @@ class Goal:
         A key of `AT_MOTIONS` or `OF_LAWS`, or "gap".
     of : str
         Quantity whose law is meant; "" for others.
-    kind : {"device", "new_test"}
+    kind : {"mean", "new_test"}
         Of the band: of the mean property, or with test-to-test scatter, of which no test can take
         anything away.
     at : tuple of Parts or Candidate
@@ -411,7 +411,7 @@ class Goal:
 
     quantity: str = "band"
     of: str = ""
-    kind: str = "device"
+    kind: str = "mean"
     at: tuple[Parts, ...] = ()
     probability: float = 0.95
     session: str = ""
@@ -471,7 +471,7 @@ def parse_goal(
     name, about = match["name"].removesuffix(" force").lower(), match["of"] or ""
     at = tuple(parse_tests(match["at"], unit, of=of)) if match["at"] else ()
     band, law = name == "band", name in OF_LAWS
-    goal = Goal(name, about if law else "", about if band and about else "device", at)
+    goal = Goal(name, about if law else "", about if band and about else "mean", at)
     check_goal(goal, of=of, laws=laws)
     if about and not law and not band:
         raise CampaignError(f"{form}: 'of {about}' is for slope, exponent and band alone")

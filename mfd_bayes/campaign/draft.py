@@ -477,7 +477,7 @@ LONG, SHORT = 5.0, 2.0
 _PRIORS_HEAD = """\
 # Written by mfd-bayes init. The scales below are read off the records of this folder, so the data
 # are used for orders of magnitude here and once more in the calibration. That is harmless only
-# because the priors are wide: a spread of 1.1 is a factor of 3 both ways. Replace what you know
+# because the priors are wide: a sigma of 1.1 is a factor of 3 both ways. Replace what you know
 # better. Families and keys: priors/mfd.toml of mfd_bayes.
 """
 _WIDE = 1.1
@@ -496,7 +496,7 @@ def knows(priors: str, scales: Mapping[str, Scales]) -> bool:
     """Whether a shipped prior file expects slip forces and lengths such as these."""
     file, usual = load_priors(priors), middle(scales.values())
     slip = file.parameters["Fc_fwd"].figures
-    away = abs(np.log(usual.force / slip["median"])) / slip["spread"]
+    away = abs(np.log(usual.force / slip["median"])) / slip["sigma"]
     gap = file.gap or usual.length
     return bool(away < OTHER and usual.length < LONG * gap and usual.stroke > SHORT * gap)
 
@@ -517,16 +517,16 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
     def quantity(value: float, kind: str) -> str:
         return f"{in_digits(value * convert(_INTERNAL_UNITS[kind], units[kind]), 3)} {units[kind]}"
 
-    def lognormal(value: float, kind: str, spread: float, reason: str) -> dict[str, object]:
-        reason = f"{reason}; spread a factor of {np.exp(spread):.2g}"
+    def lognormal(value: float, kind: str, sigma: float, reason: str) -> dict[str, object]:
+        reason = f"{reason}; sigma is a factor of {np.exp(sigma):.2g}"
         median = quantity(value, kind)
-        return {"family": "lognormal", "median": median, "spread": spread, "reason": reason}
+        return {"family": "lognormal", "median": median, "sigma": sigma, "reason": reason}
 
     forces = [own.force for own in scales.values()]
     ends = dict.fromkeys(quantity(f, "force") for f in (min(forces), max(forces)))
-    spread = max(_WIDE, 0.5 * float(np.log(max(forces) / min(forces))) + 0.7)
+    sigma = max(_WIDE, 0.5 * float(np.log(max(forces) / min(forces))) + 0.7)
     where = f"the slip force of {listed(list(scales), 1, str)}, {' to '.join(ends)}"
-    slip = lognormal(usual.force, "force", spread, where)
+    slip = lognormal(usual.force, "force", sigma, where)
     build_up = "the slope at which the force comes back"
     slope = lognormal(usual.build_up, "force/length", 1.5, build_up)
     noise = (
@@ -573,7 +573,7 @@ _HEAD_OWN = """\
 # Written by mfd-bayes init for a model of your own. Every size below is a guess: parameters in the
 # units of the response, the motion or their ratio have the size of the records, all others 0.3.
 # For a motion without a unit, such as strain, a stiffness looks like a response: give its size.
-# A spread of 1.5 is a factor of 4.5 both ways. Replace each by what you know, and say why.
+# A sigma of 1.5 is a factor of 4.5 both ways. Replace each by what you know, and say why.
 # The parameters of one group under [scatter] share one spread between tests, one between sessions
 # and one between levels: each has a group of its own here.
 """
@@ -609,7 +609,7 @@ def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
             scatter[name] = _with_unit(0.1 * size, unit)
         else:
             scatter[name] = "0.2"
-            prior = f'family = "lognormal", median = {_with_unit(size, unit)}, spread = 1.5'
+            prior = f'family = "lognormal", median = {_with_unit(size, unit)}, sigma = 1.5'
             if quantity.most == 1.0:
                 prior = 'family = "beta", a = 2, b = 2'
         reason = quoted(f"FIXME: a guess; {quantity.meaning}")
@@ -619,7 +619,7 @@ def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
     more = {
         "offset": f'family = "normal", mean = {zero}, sd = {offset}, reason = "zero of the sensor"',
         "noise_sd": f'family = "half_normal", sd = {noise}, reason = "what the model misses"',
-        "noise_time": f'family = "lognormal", median = {memory}, spread = 1.0, reason = "FIXME"',
+        "noise_time": f'family = "lognormal", median = {memory}, sigma = 1.0, reason = "FIXME"',
     }
     lines += [*(f"{name} = {{ {prior} }}" for name, prior in more.items()), "\n[scatter]"]
     scatter |= {"offset": offset, "noise_sd": "0.3", "noise_time": "0.3"}

@@ -399,8 +399,8 @@ class General(Table):
     rate: Annotated[float, Field(gt=0, strict=True), _quantity("rate")] | None = None
     """sampling rate to which records are thinned, a number in Hz or `"64 Hz"`; by default a
     rate that resolves the gap"""
-    start: Literal["sample", "mask"] = "sample"
-    """the position in the gap at the first sample is inferred; `"mask"` leaves out the samples
+    initial: Literal["sample", "discard"] = "sample"
+    """the position in the gap at the first sample is inferred; `"discard"` leaves out the samples
     before the first slip instead"""
     area: Annotated[float, Field(ge=1e-10, le=1e10, strict=True), _quantity("area")] | None = None
     """area of the actuator, a number in in² or `"1.5 in^2"` (1e-10 to 1e10 in²), for the
@@ -429,7 +429,7 @@ class TestTable(Table):
     nothing in a model of your own follows it"""
     rate: SampleRate | None = None
     """in place of a column of times: `"100 Hz"`, or the step, `"10 ms"`"""
-    fit: QuantityText | None = None
+    window: QuantityText | None = None
     """the part of the record that is used, `"0 s to 60 s"`, in its own time; `"0 to 300"`, in
     samples, where the model is rate-independent"""
     role: Role = "calibrate"
@@ -476,8 +476,8 @@ class GoalTable(Table):
     `"exponent"`"""
     of: Text = ""
     """quantity whose law is meant, for slope and exponent: `"Fc_fwd"`"""
-    kind: Literal["device", "new_test"] = "device"
-    """of the band: `"device"` for the mean property, `"new_test"` with test-to-test scatter"""
+    kind: Literal["mean", "new_test"] = "mean"
+    """of the band: `"mean"` for the mean property, `"new_test"` with test-to-test scatter"""
     at: Annotated[tuple[str, ...], Field(max_length=100)] = ()
     """motions and actuations, `["1000 psi, 0.5 Hz, 1 in"]`; none for the campaign's range"""
     probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.95

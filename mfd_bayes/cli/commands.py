@@ -762,7 +762,7 @@ def respond(
         ),
     ] = "mean",
     kind: Annotated[
-        Literal["new_test", "device"],
+        Literal["new_test", "mean"],
         Option(help="With each damper's scatter from test to test, or without."),
     ] = "new_test",
     draws: Annotated[int, Option(min=10, max=5000)] = 300,

@@ -181,7 +181,7 @@ Effort = Annotated[
     ),
 ]
 Kind = Annotated[
-    Literal["device", "new_test", "observation", "this_test"],
+    Literal["mean", "new_test", "observation", "this_test"],
     Option(
         help="What the band is about: the mean property, this device tested again, a measurement "
         "of it, or one calibrated test."

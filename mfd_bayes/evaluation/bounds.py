@@ -31,7 +31,7 @@ ANOTHER = "another_device"
 """Another device of the same make: known where the calibrated tests are of several devices."""
 
 BASES: Mapping[str, str] = {
-    "device": KIND_NAMES["device"],
+    "mean": KIND_NAMES["mean"],
     "new_test": KIND_NAMES["new_test"],
     ANOTHER: "another device of the same make",
     "observation": KIND_NAMES["observation"],
@@ -80,7 +80,7 @@ def drawn_properties(
         session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
         bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
     for basis, several in bands.items():
-        excess = certain(peaks) if basis == "device" else peaks
+        excess = certain(peaks) if basis == "mean" else peaks
         quiet = bands["new_test"] if basis == "observation" else several
         parts = [
             properties_of(trace, band.draws, excess, smooth=without_noise(band, test))
@@ -96,14 +96,14 @@ def drawn_properties(
 
 
 def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
-    """Bounds of draws (n,) by basis and property; "device" has the nominal values.
+    """Bounds of draws (n,) by basis and property; "mean" has the nominal values.
 
     A basis of `BASES` that is missing is not known, and its bounds are NaN. The `note` is of
     another device.
     """
     rows = []
     for name in DESIGN_PROPERTIES:
-        mean = drawn["device"].get(name, np.empty(0))
+        mean = drawn["mean"].get(name, np.empty(0))
         if not np.any(np.isfinite(mean)):  # the motion has no full cycle
             continue
         for basis in BASES:

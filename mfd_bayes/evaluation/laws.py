@@ -161,7 +161,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
                     tuple(row for row in scores if row["quantity"] == name),
                 ),
                 actuation=grid,
-                device=fan_of("device", starts * drawn["device"][name]),
+                device=fan_of("mean", starts * drawn["mean"][name]),
                 new_test=fan_of("new_test", starts * drawn["new_test"][name]),
                 tested=tuple(
                     (test.id, at, low, middle, high)
@@ -178,7 +178,7 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
     The tests are of the declared sessions; the numbers are the same at every actuation.
     """
     population, sessions, rng = run.population, sessions_of(run), np.random.default_rng(0)
-    names, kinds = population.design.laws, ("device", "new_test")
+    names, kinds = population.design.laws, ("mean", "new_test")
     parts: dict[str, dict[str, list[Array]]] = {kind: {n: [] for n in names} for kind in kinds}
     for session in sessions:
         n = DRAWS // len(sessions)
@@ -195,7 +195,7 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
             tested = population.within_levels(p)
             chosen, effects = (inside, within) if tested else (index, beyond)
             mean, scatter = population.parts(setting, chosen, numbers, effects)
-            values["device"].append(population.values(mean))
+            values["mean"].append(population.values(mean))
             values["new_test"].append(population.values(mean + scatter))
         for kind, at_levels in values.items():
             for name in names:

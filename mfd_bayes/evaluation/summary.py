@@ -351,7 +351,7 @@ def _parameters(
                 "contraction": shrunk,
                 "note": NOT_INFORMED if shrunk < INFORMED else note,
                 **dict.fromkeys(("joint_lower", "joint_median", "joint_upper"), np.nan),
-                "disagrees": False,
+                "joint_conflict": False,
             }
         )
     return tuple(rows)
@@ -375,7 +375,7 @@ def with_joint(run: Run, view: TestView) -> TestView:
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
         apart = name in (*model.parameters, "ell") and (low > row["upper"] or high < row["lower"])
         together = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
-        rows.append(row | together | {"disagrees": bool(apart)})
+        rows.append(row | together | {"joint_conflict": bool(apart)})
     return replace(view, rows=tuple(rows))
 
 
@@ -413,7 +413,7 @@ def noise_rows(
         | dict(zip(keys, own[name], strict=True))
         | {"other": fit["noise"]}
         | {f"other_{key}": value for key, value in zip(keys, other, strict=True)}
-        | {"decides": moves(own[name], other)}
+        | {"noise_sensitive": moves(own[name], other)}
         for fit in fits
         for name in ordered
         if None not in (other := fit["quantities"].get(name, [None]))
@@ -645,7 +645,7 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
     if weak := _counted(row["name"] for row in rows if row["contraction"] < INFORMED):
         texts.append(f"Parameters that the data do not determine (number of tests): {weak}.")
     texts += _of_identifiability(tests)
-    if apart := _counted(row["name"] for row in rows if row["disagrees"]):
+    if apart := _counted(row["name"] for row in rows if row["joint_conflict"]):
         texts.append(
             "Parameters whose interval in a test alone does not overlap that in the joint "
             f"posterior of all tests, which predictions use (number of tests): {apart}."

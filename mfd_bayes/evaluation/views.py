@@ -142,7 +142,7 @@ class TestView:
     quantity with R-hat, ESS, contraction and its joint posterior with all tests; `corner` the
     quantities of the corner plot, in its order; `derived` the properties, with those of the record
     as recorded; `loop_estimates` what a plain rule reads off the loop and off replicated records;
-    `noises` every quantity under other noises, and whether that choice `decides` it. Each of
+    `noises` every quantity under other noises, and whether it is `noise_sensitive`. Each of
     `modes` has the median of each quantity and its "share" of the draws. `stage` (1 slip, 2 stick,
     3 build-up, 4 gap) and `travel` in the gap since the last slip, in, are those of the posterior
     medians at each sample, (T,); None where the model has no gap. `shares` of each source in the

@@ -158,7 +158,7 @@ def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Faul
     if prior is None or prior.family != "lognormal" or not slip > 0.0:
         return
     ratio = slip / prior.figures["median"]
-    if abs(np.log(ratio)) > FAR * prior.figures["spread"] and test.level > 0.0:
+    if abs(np.log(ratio)) > FAR * prior.figures["sigma"] and test.level > 0.0:
         yield Fault.of(
             "beyond the priors",
             f"the loop's slip force of {{value}} is {ratio:.2g} times the one that the priors "

@@ -238,7 +238,7 @@ def _task(
         priors=priors,
         model=campaign.force_model if campaign.force_model.source else campaign.model,
         noise=campaign.noise,
-        start=campaign.settings.campaign.start,
+        initial=campaign.settings.campaign.initial,
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
         checks_noise=campaign.settings.checks_noise(options.effort),

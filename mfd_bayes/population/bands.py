@@ -30,7 +30,7 @@ THIS_TEST = "this_test"  # one calibrated test by itself: what is known of its o
 # test-to-test scatter; plus a record's offset and noise
 KIND_NAMES: Mapping[str, str] = MappingProxyType(
     {
-        "device": "mean property",
+        "mean": "mean property",
         "new_test": "this device tested again",
         "observation": "a measurement of it",
         THIS_TEST: "this very test",
@@ -248,7 +248,7 @@ class Predictor:
         """Band of the force under a motion and an actuation, tested or not."""
         rng = np.random.default_rng(forecast.seed)
         drawn = self.draw(trace, forecast, rng)
-        scatter = "" if forecast.kind == "device" else " with scatter"
+        scatter = "" if forecast.kind == "mean" else " with scatter"
         laws = "laws" if self.population.design.laws else "medians"
         return self.finish(trace, forecast, drawn, rng, f"population {laws}{scatter}")
 
@@ -274,7 +274,7 @@ class Predictor:
         grid, n = population.grid_of(trace), forecast.draws
         index = population.draw_index(n, setting.actuation, rng)
         numbers = population.draw_numbers(n, grid.size, rng)
-        scatter = forecast.kind != "device"
+        scatter = forecast.kind != "mean"
         drawn = self.drawn(trace, setting, index, numbers, grid, scatter=scatter, x=x)
         drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
         if forecast.before is None or not self.model.has_gap:

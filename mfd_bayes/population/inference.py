@@ -245,8 +245,8 @@ def _likelihoods(
     laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
     found = []
     for test, changes in zip(tests.values(), changing, strict=True):
-        start, trace = "mask" if test.posterior.first else "sample", test.trace
-        posterior = Posterior(trace, priors, "iid", model, start=start)
+        initial, trace = "discard" if test.posterior.first else "sample", test.trace
+        posterior = Posterior(trace, priors, "iid", model, initial=initial)
         relative = np.asarray(trace.actuation) / trace.reference_actuation if changes else None
         found.append(TestLikelihood(posterior, design.coordinates, relative, laws))
     return design, found

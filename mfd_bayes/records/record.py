@@ -603,8 +603,7 @@ def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, f
     return table.part(
         first,
         last,
-        f"{where} lie outside the window fit: {table.place(first)} to {table.place(last - 1)} "
-        "are read",
+        f"{where} lie outside the window: {table.place(first)} to {table.place(last - 1)} are read",
     )
 
 
@@ -641,7 +640,7 @@ class Record:
         Role to what it is made of, in words, where it is more than a column.
     gap : str
         Which piece of the file this is, where time has a gap.
-    fit : (float, float), s, or None
+    window : (float, float), s, or None
         Window that `trace` takes by default.
     given_actuation : str
         The constant actuation as it was given; "" where there is none.
@@ -668,7 +667,7 @@ class Record:
     clock: Clock
     derived: dict[str, str] = field(default_factory=dict)
     gap: str = ""
-    fit: Window | None = None
+    window: Window | None = None
     given_actuation: str = ""
     stated_units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -701,7 +700,7 @@ class Record:
         check_trace("trace", trace, RecordError)
         if since != -math.inf:
             since = real_number("since, in s,", since, RecordError)
-        if self.fit is None:
+        if self.window is None:
             return (), ()
         before = (self.time > since) & (self.time < trace.time[0])
         parts = (self.displacement[before], self.displacement[self.time > trace.time[-1]])
@@ -719,7 +718,7 @@ class Record:
             Decimated to this rate behind a low-pass filter without delay; every sample is kept
             where the record's own rate is lower.
         window : (float, float), s, optional
-            In the record's own time; `fit` by default.
+            In the record's own time; the record's by default.
         gap : float, in, optional
             Width of the device's gap: without a rate, one that resolves it is taken.
         """
@@ -727,7 +726,7 @@ class Record:
             gap = real_number("gap, in inches,", gap, RecordError, (0.0, math.inf), inside=True)
         if rate is not None:
             rate = real_number("rate, in Hz,", rate, RecordError, (0.0, math.inf), inside=True)
-        cut = _slice(self, self.fit if window is None else window)
+        cut = _slice(self, self.window if window is None else window)
         grid = self.time
         signals = {role: getattr(self, role) for role in ROLES if role != "time"}
         signals = {role: v for role, v in signals.items() if isinstance(v, np.ndarray)}
@@ -769,7 +768,7 @@ def read_record(
     units: Mapping[str, str] | None = None,
     actuation: str | None = None,
     *,
-    fit: str | Window | None = None,
+    window: str | Window | None = None,
     axes: Axes = DAMPER,
 ) -> Record:
     """Record of a file that `readers` can read, checked and in internal units.
@@ -786,7 +785,7 @@ def read_record(
         underscore or in brackets, or else from the file's row of units.
     actuation : str, optional
         Constant level: ``"500 psi"`` or ``"30 lbf"``. For a measured one, name its column.
-    fit : str or (float, float), s, optional
+    window : str or (float, float), s, optional
         Window that `Record.trace` takes by default: ``"0 s to 60 s"``.
     axes : Axes, optional
         `Model.axes` of a model with other quantities than displacement and force, or without time:
@@ -802,7 +801,8 @@ def read_record(
     path = path_of("path", path, RecordError)
     table = read_table(path)
     sources = sources_of(table, columns, units, actuation, axes)
-    window = parse_window(fit, timed=axes.timed) if isinstance(fit, str) else fit
+    if isinstance(window, str):
+        window = parse_window(window, timed=axes.timed)
     if window is not None:
         window = checked_window(window)
         table = part_for(table, sources, window)
@@ -841,7 +841,7 @@ def read_record(
             if not source.plain and source.column is not None
         },
         gap=gap,
-        fit=window,
+        window=window,
         given_actuation=actuation or "",
         stated_units={r: table.units[n] for r, (n, _) in names.items() if n in table.units},
         notes=table.notes,
@@ -849,7 +849,7 @@ def read_record(
         axes=axes,
     )
     displacement = mended(record.displacement[_slice(record, window)])
-    where = f"{path}" + (" in the fit window" if window else "")
+    where = f"{path}" + (" in the window" if window else "")
     if np.ptp(displacement) <= (STILL if axes.of_damper else 0.0):
         raise RecordError(f"{axes.motion.name} in {where} is constant")
     count = _turns(displacement).size

@@ -691,7 +691,7 @@ class Grid:
             again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
             has_numbers = names not in texts and "n" in "".join(map(kinds, texts))
             if end == len(rows) and has_numbers and len(group) >= TABLE:
-                continue  # no footer: the window `fit` may leave them out
+                continue  # no footer: the `window` may leave them out
             if end == len(rows) or again:
                 dropped.update(group)
                 below[end] = self.place(group[0])

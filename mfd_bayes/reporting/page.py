@@ -68,7 +68,7 @@ ELSEWHERE = frozenset(
 """Quantities that the tests' own pages show: those of a record, and those without a meaning."""
 
 WORDS = (
-    *("95\N{NO-BREAK SPACE}% interval", "Mean property (band of kind device)", "Coverage", "CRPS"),
+    *("95\N{NO-BREAK SPACE}% interval", "Mean property (band of kind mean)", "Coverage", "CRPS"),
     "This device tested again (band of kind new_test)",
     "A measurement of it (band of kind observation)",
     "This very test (band of kind this_test)",

@@ -243,7 +243,7 @@ CHAINS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, "#555555", "#b8a600")
 BANDS = {
     "observation": ("#d5e7f4", "#a5cce8", BLUE),
     "new_test": ("#cdeae0", "#93d2bd", GREEN),
-    "device": ("#f3e3ed", "#e0bcd3", PURPLE),
+    "mean": ("#f3e3ed", "#e0bcd3", PURPLE),
     "this_test": ("#f6c877", "#e08f1f", VERMILLION),
     "prior": ("#e6e6e6", "#c6c6c6", "#6f6f6f"),
 }

@@ -104,13 +104,13 @@ _SCORES = (
 )
 _COLUMNS = {
     "parameters": f"test name:parameter {_POSTERIOR} joint_lower:joint_q2.5 "
-    "joint_median:joint_q50 joint_upper:joint_q97.5 disagrees",
+    "joint_median:joint_q50 joint_upper:joint_q97.5 joint_conflict",
     "laws": f"test:group name:constant {_POSTERIOR}",
     "derived": f"test role name:quantity unit mean sd {_INTERVAL} measured note",
     "loop_estimates": f"test name:quantity unit value:loop_estimate {_INTERVAL} tolerance missed",
     "noises": (
         f"test name:quantity unit noise {_INTERVAL} other:other_noise "
-        "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 decides"
+        "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 noise_sensitive"
     ),
     "law_scores": (
         "quantity law chosen elpd elpd_se difference:elpd_difference "
@@ -314,7 +314,7 @@ def paper_sheets(view: CampaignView, symbols: Symbols) -> tuple[Sheet, Sheet]:
     tests = {test.id: test for test in view.tests if test.rows}
     levels = {n: view.system.actuation(t.trace, view.actuation_unit) for n, t in tests.items()}
     heads = {n: ", ".join(filter(None, (printable(n), level))) for n, level in levels.items()}
-    noises = [row for test in tests.values() for row in test.noises if row["decides"]]
+    noises = [row for test in tests.values() for row in test.noises if row["noise_sensitive"]]
     rows = [row for test in tests.values() for row in test.rows]
     laws = [row | {"test": "all tests"} for row in view.law_rows]
     return (
@@ -346,7 +346,7 @@ def _sheet(
         joint = tuple(row.get(f"joint_{key}", math.nan) for key in ("median", "lower", "upper"))
         middle, *ends = joint if math.isfinite(joint[0]) else alone
         lines = [Line("{}", (middle,)), Line("[{}, {}]", tuple(ends))]
-        if row.get("disagrees", False):
+        if row.get("joint_conflict", False):
             lines.append(Line("alone: {} [{}, {}]", alone, marked=True))
         lines += under.get((row["test"], row["name"]), [])
         of_quantity = cells.setdefault((row["name"], row["unit"]), {})

@@ -172,7 +172,7 @@ class Finding:
 
 # --- a test
 
-FORMAT: Literal[2] = 2
+FORMAT: Literal[3] = 3
 """Format of a run folder, raised when another version cannot read what this one writes."""
 
 
@@ -205,7 +205,7 @@ class Entry(Part):
     """Role to what the signal was made of, in words, where it is more than a column."""
     before: tuple[Figure, ...] = ()
     after: tuple[Figure, ...] = ()
-    """Displacements, in, at the ends and turns of the record before and after its fit window."""
+    """Displacements, in, at the ends and turns of the record before and after its window."""
     measured: Mapping[str, tuple[Figure, ...]]
     """Values of each cycle as recorded: `MeasuredCycles.to_content`."""
     seconds: Figure = 0.0
@@ -327,7 +327,7 @@ class Manifest(Part):
     """Content of a run's manifest.json."""
 
     status: Status = Status.RUNNING
-    format: Literal[2] = FORMAT
+    format: Literal[3] = FORMAT
     title: str
     command: str
     started: str

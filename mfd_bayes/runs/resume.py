@@ -49,7 +49,7 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
         "model": general.model,
         **({"model_file": manifest.inputs[file]} if (file := file_of(general.model)) else {}),
         "noise": general.noise,
-        "start": general.start,
+        "initial": general.initial,
         "rate": general.rate,
         "checks_noise": settings.checks_noise(manifest.effort.name),
         "effort": asdict(manifest.effort),
@@ -60,7 +60,7 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
     for name, test in settings.tests.items():
         columns = {role: c.model_dump() for role, c in settings.columns_of(test).items()}
         record = manifest.inputs[test.file], Path(test.file).suffix.lower()
-        own = name, test.role, record, columns, test.fit, str(test.actuation)
+        own = name, test.role, record, columns, test.window, str(test.actuation)
         keys[folder_of(name)] = _digest(own, of_all)
     fitted = {name: keys[folder_of(name)] for name in manifest.fitted}
     keys[COMPARISON] = _digest([*fitted.items()])

@@ -364,8 +364,8 @@ class Run:
         ----------
         trace : Trace
             With its actuation, in `actuation_unit`, if the tests have one.
-        kind : {"new_test", "device", "observation", "this_test"}
-            What the band is about. "device": the mean property, with the uncertainty of the laws
+        kind : {"new_test", "mean", "observation", "this_test"}
+            What the band is about. "mean": the mean property, with the uncertainty of the laws
             and of the level's effect. "new_test": this device tested again, also with test-to-test
             scatter. "observation": a measurement of it, also with the record's offset and noise.
             "this_test", instead of these: what is known of one calibrated test.

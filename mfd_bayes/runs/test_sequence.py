@@ -74,7 +74,7 @@ class TestSequence:
         """Where a motion begins that follows a test; None where nothing is known of that.
 
         From the last displacement of the test to the first of the motion the device is moved
-        slowly, by way of what the fit windows leave out.
+        slowly, by way of what the windows leave out.
         """
         if not after or not self.predictor.model.has_gap:
             return None
@@ -94,7 +94,7 @@ class TestSequence:
         return place
 
     def _between(self, name: str, following: str) -> tuple[float, ...]:
-        """Ends and turns of the records between the fit windows of two tests, in.
+        """Ends and turns of the records between the windows of two tests, in.
 
         Of two windows in one file it is what lies between them. "" is a new motion.
         """

@@ -196,8 +196,14 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise TomlError(f"is not valid TOML: {why_invalid(error)}") from error
 
 
+RENAMED = {"fit": "window", "start": "initial", "spread": "sigma"}
+"""Keys of files that have another name now."""
+
+
 def nearest(name: str, known: Collection[str]) -> str:
     """Hint for a name that is not among those known."""
+    if RENAMED.get(name) in known:
+        return f"it is {RENAMED[name]!r} now"
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(islice(known, 20))}"
 

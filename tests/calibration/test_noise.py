@@ -139,7 +139,7 @@ def test_white_noise_decides_nothing_and_a_noise_without_priors_is_an_error_of_i
         ),
         model="lugre",
         noise="ou",
-        start="sample",
+        initial="sample",
         effort=quick,
         seed=(1, 2),
         checks_noise=True,

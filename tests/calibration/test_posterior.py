@@ -21,20 +21,20 @@ MOTION = np.sin(2 * np.pi * 0.5 * TIME)
 FORCE = 2.0 * np.tanh(20 * np.cos(2 * np.pi * 0.5 * TIME))
 TRACE = Trace.from_arrays(TIME, MOTION, actuation=0.03, force=FORCE)
 CASES = pytest.mark.parametrize(
-    ("model", "noise", "start"),
+    ("model", "noise", "initial"),
     [
         ("three_stage", "ou", "sample"),
-        ("three_stage", "student_t", "mask"),
+        ("three_stage", "student_t", "discard"),
         ("lugre", "iid", "sample"),
         ("bouc_wen", "ou", "sample"),
-        ("backlash", "staged", "mask"),
+        ("backlash", "staged", "discard"),
     ],
 )
 
 
-def build(model="three_stage", noise="ou", start="sample", *, trace=TRACE, priors=None):
+def build(model="three_stage", noise="ou", initial="sample", *, trace=TRACE, priors=None):
     file = replace(FILE, parameters=FILE.parameters | (priors or {}))
-    return Posterior(trace, file, noise, model, start=start)
+    return Posterior(trace, file, noise, model, initial=initial)
 
 
 def points(posterior, n=20, seed=0):
@@ -46,8 +46,8 @@ def with_force(force):
 
 
 @CASES
-def test_the_density_is_prior_times_the_likelihood_computed_by_hand(model, noise, start):
-    posterior = build(model, noise, start)
+def test_the_density_is_prior_times_the_likelihood_computed_by_hand(model, noise, initial):
+    posterior = build(model, noise, initial)
     drawn, first = posterior.draw_prior(np.random.default_rng(0), 20), posterior.first
     q = posterior.coordinates(drawn)
     values = posterior.values(q)
@@ -112,7 +112,7 @@ def test_a_fixed_prior_removes_a_dimension():
 
 
 def test_a_mask_drops_the_samples_before_the_first_slip():
-    posterior = build(start="mask")
+    posterior = build(initial="discard")
     assert "start" not in posterior.names
     assert np.abs(MOTION[: posterior.first + 1] - MOTION[0]).max() > 2 * FILE.gap
     q = points(posterior)
@@ -120,7 +120,7 @@ def test_a_mask_drops_the_samples_before_the_first_slip():
     for sample, matters in ((posterior.first - 1, False), (posterior.first, True)):
         changed = FORCE.copy()
         changed[sample] += 5.0
-        masked = build(start="mask", trace=with_force(changed))
+        masked = build(initial="discard", trace=with_force(changed))
         assert np.all((masked.log_likelihood(q) != expected) == matters)
     # where the device began does not matter afterwards
     values = posterior.draw_prior(np.random.default_rng(5), 10)
@@ -170,9 +170,9 @@ def test_what_makes_no_posterior_is_refused():
         (TRACE, {"model": 3}, "model"),
         (TRACE, {"noise": "pink"}, "pink"),
         (TRACE, {"priors": "brdf"}, "brdf"),
-        (TRACE, {"start": "masked"}, "start"),
-        (SLOW, {"start": "mask"}, "mask"),
-        (LATE, {"start": "mask"}, "mask"),
+        (TRACE, {"initial": "masked"}, "initial"),
+        (SLOW, {"initial": "discard"}, "discard"),
+        (LATE, {"initial": "discard"}, "discard"),
     ):
         with pytest.raises((FitError, PriorError), match=name):
             Posterior(trace, **{"priors": "brfd"} | changed)
@@ -181,7 +181,7 @@ def test_what_makes_no_posterior_is_refused():
 def test_a_prior_that_allows_what_no_damper_has_is_refused():
     for model, name, prior in (
         ("three_stage", "k3", Prior("normal", {"mean": 1.0, "sd": 1.0})),
-        ("bouc_wen", "exponent", Prior("lognormal", {"median": 2.0, "spread": 0.5})),
+        ("bouc_wen", "exponent", Prior("lognormal", {"median": 2.0, "sigma": 0.5})),
         ("bouc_wen", "exponent", Prior("fixed", {"value": 0.5})),
         ("bouc_wen", "alpha", Prior("half_normal", {"sd": 0.1})),
     ):

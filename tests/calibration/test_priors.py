@@ -12,7 +12,7 @@ from mfd_bayes.errors import PriorError
 
 SHIPPED = sorted(p.stem for p in (Path(__file__).parents[2] / "priors").glob("*.toml"))
 CASES = {
-    "lognormal": (Prior("lognormal", {"median": 2.0, "spread": 0.7}), stats.lognorm(0.7, scale=2)),
+    "lognormal": (Prior("lognormal", {"median": 2.0, "sigma": 0.7}), stats.lognorm(0.7, scale=2)),
     "normal": (Prior("normal", {"mean": -1.0, "sd": 0.2}), stats.norm(-1.0, 0.2)),
     "truncated above and below": (
         Prior("truncated_normal", {"mean": 1.0, "sd": 2.0, "lower": 0.5, "upper": 2.0}),
@@ -58,7 +58,7 @@ def test_a_family_is_scipys(prior, law):
     assert stats.kstest(draws + law.std() / 8, law.cdf).pvalue < 0.001
 
 
-GOOD = 'family = "lognormal"\nmedian = "2 kip"\nspread = 0.7\nreason = "r"\n'
+GOOD = 'family = "lognormal"\nmedian = "2 kip"\nsigma = 0.7\nreason = "r"\n'
 SPARSE = '[scatter.k]\nparameters = ["k3"]\nabove = 0.2\nprobability = 0.05\n'
 STATED = '[scales]\nforce = "1.5 kip"\nlength = "0.25 in"\nspeed = "3 in/s"\n'
 
@@ -68,7 +68,7 @@ def prior_text(body, name="Fc_fwd"):
 
 
 def multiple(value="1 force", scales=STATED):
-    return scales + prior_text(f'family = "lognormal"\nmedian = "{value}"\nspread = 1\n')
+    return scales + prior_text(f'family = "lognormal"\nmedian = "{value}"\nsigma = 1\n')
 
 
 def write(folder, text):
@@ -81,10 +81,10 @@ def write(folder, text):
     ("text", "name"),
     [
         (prior_text('family = "cauchy"\n'), "Fc_fwd"),
-        (prior_text('family = "lognormal"\nmedian = "2 kip"\n'), "spread"),
-        (prior_text('family = "lognormal"\nmedian = "-2 kip"\nspread = 1\n'), "median"),
-        (prior_text('family = "lognormal"\nmedian = "2 in"\nspread = 1\n'), "median"),
-        (prior_text('family = "lognormal"\nmedian = "2 kip"\nspread = nan\n'), "spread"),
+        (prior_text('family = "lognormal"\nmedian = "2 kip"\n'), "sigma"),
+        (prior_text('family = "lognormal"\nmedian = "-2 kip"\nsigma = 1\n'), "median"),
+        (prior_text('family = "lognormal"\nmedian = "2 in"\nsigma = 1\n'), "median"),
+        (prior_text('family = "lognormal"\nmedian = "2 kip"\nsigma = nan\n'), "sigma"),
         (prior_text('family = "uniform"\nlower = "1 kip"\nupper = "1 kip"\n'), "upper"),
         (prior_text('family = "truncated_normal"\nmean = "0 kip"\nsd = "1 kip"\n'), "lower"),
         (prior_text(f'family = "normal"\nmean = "1 kip"\nsd = {10**400}\n', "offset"), "sd"),
@@ -163,3 +163,8 @@ def test_shipped_priors_are_complete_and_say_why(name, tmp_path):
         assert medians["k3"] == pytest.approx(2 * 1.5 / 0.25)
         assert medians["sigma2"] == pytest.approx(0.03 * 1.5 / 3)
         assert medians["noise_time"] == pytest.approx(0.5 * 0.25 / 3)
+
+
+def test_the_old_name_of_sigma_is_refused_with_the_new_one():
+    with pytest.raises(PriorError, match="spread is sigma now"):
+        Prior("lognormal", {"median": 2.0, "spread": 0.5})

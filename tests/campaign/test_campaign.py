@@ -60,7 +60,7 @@ def test_everything_can_be_said(folder):
     model = "lugre"
     noise = "student_t"
     rate = "64 Hz"
-    start = "mask"
+    initial = "discard"
     area = "645.16 mm^2"
     [laws]
     Fc_fwd = "compare"
@@ -71,14 +71,14 @@ def test_everything_can_be_said(folder):
     [tolerances]
     energy = "2 %"
     """
-    entry = '\nfit = "1 s to 9 s"\nrole = "validate"\nsession = "Monday"\n'
+    entry = '\nwindow = "1 s to 9 s"\nrole = "validate"\nsession = "Monday"\n'
     entry += 'columns.force = { name = "pressure_psi" }\n'
     second = TEST.replace("p500_f0.05", "other").replace("a.csv", "./b.csv") + entry
     campaign = load(folder, text + COLUMNS + TEST + second)
     settings = campaign.settings
     assert (campaign.title, campaign.priors, campaign.rate) == ("Brake", "my/priors.toml", 64)
     assert settings.area == pytest.approx(1)
-    assert settings.campaign.start == "mask"
+    assert settings.campaign.initial == "discard"
     assert settings.laws["Fc_fwd"] == "compare"
     assert settings.dependence == {"sigma0": ("velocity", "amplitude")}
     assert settings.tolerances == {"energy": 0.02}
@@ -125,7 +125,7 @@ def order(**after):
 def parts(*windows):
     """A test, and one after it in the same file, with their windows."""
     first, second = TEST.replace("p500_f0.05", "x"), TEST.replace("p500_f0.05", "y")
-    fits = [f'fit = "{window}"\n' if window else "" for window in windows]
+    fits = [f'window = "{window}"\n' if window else "" for window in windows]
     return f'{first}{fits[0]}{second}{fits[1]}after = "x"\n'
 
 
@@ -152,7 +152,7 @@ REFUSED = [
     (given("dependence", "Fc_fwd", '["date"]'), "dependence.Fc_fwd"),
     (given("columns", "force", f"{{ {FORCE}, column = 3 }}"), "columns.force"),
     (TEST + f'rate = "10 ms"\ncolumns.time = {{ {TIME} }}\n', "'p500_f0.05'"),
-    (TEST + 'fit = "60 s"\n', "0 s to 60 s"),
+    (TEST + 'window = "60 s"\n', "0 s to 60 s"),
     (TEST.replace("500 psi", "500"), "no unit"),
     (TEST.replace('"500 psi"', "500"), "actuation"),
     (TEST.replace('"500 psi"', '{ name = "p" }'), "needs a unit"),
@@ -216,3 +216,15 @@ def test_a_backslash_in_a_path_is_told_what_to_write(folder):
     ):
         with pytest.raises(CampaignError, match=rf"{why}.*write / in place of"):
             load(folder, TEST.replace("a.csv", path))
+
+
+def test_an_old_key_is_refused_with_its_new_name(tmp_path):
+    for table, line, new in (
+        ("[campaign]", 'start = "mask"', "it is 'initial' now"),
+        ("[[test]]", 'fit = "1 s to 2 s"', "it is 'window' now"),
+    ):
+        path = tmp_path / "campaign.toml"
+        path.write_text('[campaign]\ntitle = "t"\npriors = "mfd"\n[[test]]\nid = "a"\n')
+        path.write_text(path.read_text().replace(table, f"{table}\n{line}"))
+        with pytest.raises(CampaignError, match=new):
+            load_campaign(path)

@@ -120,7 +120,7 @@ def test_a_cell_that_is_no_number_is_named_by_line_and_column(folder):
 
 
 CAMPAIGNS = [
-    ('role = "calibrate"', 'fit = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
+    ('role = "calibrate"', 'window = "9 s to 20 s"', ("p500.csv", "4 s", "window")),
     ('priors = "mfd"', 'priors = "mdf"', ("'mdf'", "brfd", "mfd")),
     ('priors = "mfd"', "priors = mfd", ("campaign.toml", "not valid TOML", "line 3")),
     ('actuation = "500 psi"', 'actuation = "1,000 psi"', ("without thousands separators",)),

@@ -66,7 +66,7 @@ def test_it_runs_as_a_module_too():
 
 def test_a_typing_error_is_named_in_the_last_line_with_a_suggestion():
     for words, error in [
-        ("predict out --kind nope", "'--kind': 'nope' is not one of 'device', 'new_test'"),
+        ("predict out --kind nope", "'--kind': 'nope' is not one of 'mean', 'new_test'"),
         ("respond out --draws -5", r"'--draws'.* 10\b"),
         ("calibrate campaign.toml", "-o: missing: give the run folder"),
         ("calibrat", "No such command 'calibrat'. Did you mean 'calibrate'"),

@@ -73,7 +73,7 @@ def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
     moved = {name: [900.0, 950.0, 999.0] for name in ("sigma0", "k3", "Fc_bwd")}
     fit = {"noise": "staged", "quantities": quantities | moved, "error": ""}
     rows = noise_rows("80lb", POSTERIOR, drawn, {"other_noises": [fit]})
-    decided = [row["name"] for row in rows if row["decides"]]
+    decided = [row["name"] for row in rows if row["noise_sensitive"]]
     assert decided == ["Fc_bwd", "k3", "sigma0"]
     assert noise_rows("80lb", POSTERIOR, drawn, {}) == ()
 
@@ -242,7 +242,7 @@ def test_intervals_alone_and_together_that_do_not_overlap_disagree(monkeypatch):
 
     monkeypatch.setattr(StoredTest, "values", higher)
     view = assess(run)
-    assert [row["name"] for row in view.tests[0].rows if row["disagrees"]] == ["Fc_bwd"]
+    assert [row["name"] for row in view.tests[0].rows if row["joint_conflict"]] == ["Fc_bwd"]
     table, _ = paper_sheets(view, Symbols(run.model))
     middle, ends, other = next(r.cells[0].lines for r in table.rows if r.name == "Fc_bwd")
     assert [middle.text(), ends.text()] == ["0.829", "[0.789, 0.868]"]

@@ -91,11 +91,11 @@ def test_cycles_of_a_harmonic_record_are_its_periods():
 
 
 @pytest.mark.parametrize(
-    ("model", "noise", "start"),
-    [("three_stage", "staged", "sample"), ("backlash", "student_t", "mask")],
+    ("model", "noise", "initial"),
+    [("three_stage", "staged", "sample"), ("backlash", "student_t", "discard")],
 )
-def test_cycles_have_the_posteriors_own_likelihood(model, noise, start):
-    posterior = Posterior(harmonic(), FILE, noise, model, start=start)
+def test_cycles_have_the_posteriors_own_likelihood(model, noise, initial):
+    posterior = Posterior(harmonic(), FILE, noise, model, initial=initial)
     q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), 7))
     cycles = find_cycles(posterior.trace, posterior.first)
     given, whole = cycle_log_likelihood(posterior, posterior.values(q), cycles)

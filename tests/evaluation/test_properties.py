@@ -16,7 +16,7 @@ from tests.run_folders import FORCE, MOTION
 
 UNIT = (np.arange(2000) + 0.5) / 2000.0
 DRAWN = {
-    "device": {"slip_fwd": 2.0 + 0.2 * (UNIT - 0.5), "energy_per_cycle": np.full(2000, 4.0)},
+    "mean": {"slip_fwd": 2.0 + 0.2 * (UNIT - 0.5), "energy_per_cycle": np.full(2000, 4.0)},
     "new_test": {"slip_fwd": 2.0 + 2.0 * (UNIT - 0.5), "energy_per_cycle": 3.0 + 2.0 * UNIT},
     "observation": {"energy_per_cycle": 2.0 + 4.0 * UNIT},
 }
@@ -45,7 +45,7 @@ def test_a_property_is_missed_that_is_both_extreme_and_beyond_its_tolerance(name
 def test_what_a_basis_or_a_motion_does_not_have_is_left_out_or_not_known():
     assert ("slip_fwd", "observation") not in bounds()
     assert ("energy_per_cycle", "observation") in bounds()
-    none = {basis: {"energy_per_cycle": np.full(9, np.nan)} for basis in ("device", "new_test")}
+    none = {basis: {"energy_per_cycle": np.full(9, np.nan)} for basis in ("mean", "new_test")}
     assert bounds_of(none, 0.9) == ()
     row = bounds()["slip_fwd", ANOTHER]
     assert np.isnan(row["upper"])

@@ -35,14 +35,14 @@ class Viscous(mb.Model):
 """
 PRIORS = """
 [parameters]
-c = { family = "lognormal", median = "2 kN", spread = 0.6 }
-alpha = { family = "lognormal", median = 0.6, spread = 0.4 }
+c = { family = "lognormal", median = "2 kN", sigma = 0.6 }
+alpha = { family = "lognormal", median = 0.6, sigma = 0.4 }
 offset = { family = "normal", mean = "0 kip", sd = "0.05 kip" }
 noise_sd = { family = "half_normal", sd = "0.1 kip" }
 """
 STEEL_PRIORS = """
 [parameters]
-E = { family = "lognormal", median = "200 GPa", spread = 0.1 }
+E = { family = "lognormal", median = "200 GPa", sigma = 0.1 }
 b = { family = "beta", a = 1, b = 9 }
 offset = { family = "normal", mean = "0 ksi", sd = "0.05 ksi" }
 noise_sd = { family = "half_normal", sd = "0.1 ksi" }

@@ -210,7 +210,7 @@ def test_a_quantity_that_follows_the_date_needs_the_date(run, record):
     trace, medians = replace(record.trace(32.0), force=None), {}
     for year in (None, 2020.0, 2024.0):
         conditions = {"date": year} if year else {}
-        band = run.predict(trace, "device", conditions=conditions)
+        band = run.predict(trace, "mean", conditions=conditions)
         assert any("date" in remark for remark in band.remarks) == (year is None)
         medians[year] = np.median(band.values["Fc_fwd"])
     assert medians[2024.0] == medians[None]

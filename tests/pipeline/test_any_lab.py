@@ -61,10 +61,10 @@ def test_priors_of_a_device_hold_its_truth_and_its_force_and_are_kept(tmp_path):
     for values in truth.values():
         for name in ("Fc_fwd", "Fc_bwd", "sigma0", "k3", "d2", "d3", "noise_sd"):
             figures = priors.parameters[name].figures
-            assert abs(np.log(values[name] / figures["median"])) < 2.5 * figures["spread"], name
+            assert abs(np.log(values[name] / figures["median"])) < 2.5 * figures["sigma"], name
     text = (tmp_path / "priors.toml").read_text(encoding="utf-8")
     assert "the slip force of 3bar_0.5Hz.txt" in text
-    assert "spread a factor of 3" in text
+    assert "sigma is a factor of 3" in text
     assert all(len(table["reason"]) > 5 for table in tomllib.loads(text)["parameters"].values())
     (tmp_path / "campaign.toml").unlink()
     assert "give --force to replace it" in refusal("init", tmp_path)

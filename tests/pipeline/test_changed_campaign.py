@@ -27,7 +27,7 @@ def entry(name, psi, role="calibrate", more=""):
 
 A, B, C = entry("a", 500), entry("b", 1000), entry("c", 1500)
 HELD_OUT = entry("v", 800, "validate")
-SHORTER = entry("b", 1000, more='fit = "0 s to 1.9 s"')
+SHORTER = entry("b", 1000, more='window = "0 s to 1.9 s"')
 USUAL = (A, B, C, HELD_OUT)
 
 

@@ -156,15 +156,15 @@ def width(band):
 
 def test_the_kinds_of_prediction_are_nested_and_the_device_is_the_law_everywhere(run):
     for actuation in (1.0, 0.7):  # tested, and not
-        bands = [predicted(run, actuation, kind=k) for k in ("device", "new_test", "observation")]
+        bands = [predicted(run, actuation, kind=k) for k in ("mean", "new_test", "observation")]
         for band in bands:
             assert band.probability == 0.95
             assert band.draws.shape == (300, TIME.size)
             assert band.lower.shape == band.median.shape == band.upper.shape == TIME.shape
             assert np.all(np.isfinite(band.draws))
-        assert [band.kind for band in bands] == ["device", "new_test", "observation"]
+        assert [band.kind for band in bands] == ["mean", "new_test", "observation"]
         assert [*map(width, bands)] == sorted(map(width, bands))
-    at, near = (predicted(run, p, kind="device") for p in (1.0, 1.02))
+    at, near = (predicted(run, p, kind="mean") for p in (1.0, 1.02))
     assert at.source == near.source == "population laws"
     assert width(near) == pytest.approx(width(at), rel=0.3)
 

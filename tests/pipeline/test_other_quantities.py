@@ -35,8 +35,8 @@ class Steel(mb.Model):
 """
 PRIORS = """
 [parameters]
-E = { family = "lognormal", median = "30000 ksi", spread = 0.3 }
-strength = { family = "lognormal", median = "400 MPa", spread = 0.3 }
+E = { family = "lognormal", median = "30000 ksi", sigma = 0.3 }
+strength = { family = "lognormal", median = "400 MPa", sigma = 0.3 }
 offset = { family = "normal", mean = "0 MPa", sd = "1 MPa" }
 noise_sd = { family = "half_normal", sd = "20 MPa" }
 
@@ -159,7 +159,7 @@ FAULTS = [
     ("all.toml", ', unit = "%"', "", ("bar1.csv", "'eps'", "no unit", "strain")),
     ("all.toml", "strain =", "displacement =", ("all.toml", "'displacement'", "strain")),
     ("all.toml", '"iid"', '"iid"\nrate = "64 Hz"', ("all.toml", "rate", "rate-independent")),
-    ("all.toml", 'file = "bar1', 'fit = "0 s to 2 s"\nfile = "bar1', ("bar1", "0 to 300")),
+    ("all.toml", 'file = "bar1', 'window = "0 s to 2 s"\nfile = "bar1', ("bar1", "0 to 300")),
     ("all.toml", 'file = "bar1', 'actuation = "5 psi"\nfile = "bar1', ("bar2", "in all tests")),
     ("steel.py", "rate_independent = True", "", ("bar1.csv", "no column for time", "rate")),
     ("steel.py", '"stress, MPa"', '"tension"', ("steel.py", "Steel", "response", "unit")),

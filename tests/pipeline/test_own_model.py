@@ -44,8 +44,8 @@ class Viscous(mb.Model):
 # alpha is a name of Bouc-Wen hysteresis too, with other limits
 PRIORS = """
 [parameters]
-c = { family = "lognormal", median = "9 kN", spread = 0.6 }
-alpha = { family = "lognormal", median = 0.6, spread = 0.4 }
+c = { family = "lognormal", median = "9 kN", sigma = 0.6 }
+alpha = { family = "lognormal", median = 0.6, sigma = 0.4 }
 lean = { family = "normal", mean = "0 kip", sd = "0.1 kip" }
 offset = { family = "normal", mean = "0 kip", sd = "0.001 kip" }
 noise_sd = { family = "half_normal", sd = "0.2 kip" }

@@ -157,8 +157,8 @@ def test_priors_are_not_wrong_for_a_test_without_actuation_where_others_have_one
 
 
 def test_the_order_is_in_the_plan_with_the_turns_outside_the_windows(tmp_path):
-    follows = 'after = "t0"\nfit = "0 s to 8.2 s"\nrole = "validate"'
-    path = write_campaign(tmp_path, 'fit = "1.1 s to 6.2 s"', follows, "")
+    follows = 'after = "t0"\nwindow = "0 s to 8.2 s"\nrole = "validate"'
+    path = write_campaign(tmp_path, 'window = "1.1 s to 6.2 s"', follows, "")
     replace_in(path, ("lugre", "three_stage"))
     manifest = manifest_of(path)
     assert manifest.settings.order == {"t1": "t0"}

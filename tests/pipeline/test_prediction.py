@@ -129,7 +129,7 @@ REFUSED = [
     (("--motion", "m.csv", "--given", "0 s to 60 s"), "must lie within the record"),
     (("--motion", "m.csv", "--given", "1 ms to 2 ms"), "holds 0 samples"),
     (("--motion", "quiet.csv", "--given", "0 s to 1 s"), "needs a column of the force"),
-    ((*GIVEN, "--kind", "device"), "for the kinds new_test and observation"),
+    ((*GIVEN, "--kind", "mean"), "for the kinds new_test and observation"),
     ((*GIVEN, "--design"), "--design cannot be combined with --given"),
     ((*GIVEN, "--test", "p500_f0.5", "--extrapolate"), "a calibrated test ('p500_f0.5')"),
     ((*GIVEN, "--after", "p500_f0.5"), "cannot be combined with after"),

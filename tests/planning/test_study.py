@@ -184,7 +184,7 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions():
     rng = np.random.default_rng(0)
     settings = [setting_of(loop.trace)]
     devices = Devices.draw(predictor, settings, 1600, rng)
-    for kind, scattered in (("device", False), ("new_test", True)):
+    for kind, scattered in (("mean", False), ("new_test", True)):
         ours = devices.damper(loop, "", scattered=scattered, seed=(1,))
         band = predictor.predict(loop.trace, Forecast(kind, draws=1600))
         middle = (3 * loop.first + loop.trace.samples) // 4 + 3  # in slip, backward

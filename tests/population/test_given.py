@@ -184,7 +184,7 @@ def test_what_cannot_be_given_or_follow_is_one_sentence():
     made = predictor("lugre")
     record, _, _ = truth_of(made)
     for trace, kind, window, words in (
-        (record, "device", (0.0, 1.0), "given is for the kinds"),
+        (record, "mean", (0.0, 1.0), "given is for the kinds"),
         (record, "new_test", (0.0, 60.0), "within the record"),
         (record, "new_test", (1.0, 1.03), "too few"),
         (replace(record, force=0.0 * TIME), "new_test", (0.0, 1.0), "force is zero"),

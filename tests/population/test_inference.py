@@ -30,7 +30,7 @@ def made_test(priors, name, actuation, rng, luck=0.0):
     """A result of one test: its record is made of the law, with scatter and noise."""
     model = find_model(name)
     blank = Trace.from_arrays(TIME, MOTION, actuation, np.ones(TIME.size))
-    posterior = Posterior(blank, priors, "iid", model, start="sample")
+    posterior = Posterior(blank, priors, "iid", model, initial="sample")
     names = [n for n in posterior.names if n in priors.parameters]
     values = {n: priors.parameters[n].typical for n in names}
     force = slip(blank.reference_actuation) * np.exp(luck)
@@ -40,7 +40,7 @@ def made_test(priors, name, actuation, rng, luck=0.0):
     measured = computed + NOISE * rng.standard_normal(TIME.size)
     trace = Trace.from_arrays(TIME, MOTION, actuation, measured)
     near = {k: (v * 1.02 if k != "offset" else 0.01, v, v) for k, v in values.items()}
-    own = Posterior(trace, priors, "iid", model, start="sample")
+    own = Posterior(trace, priors, "iid", model, initial="sample")
     return SimpleNamespace(trace=trace, posterior=own, intervals=near)
 
 

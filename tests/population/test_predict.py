@@ -135,7 +135,7 @@ def test_a_new_session_or_device_is_wider_than_a_known_one(what):
     rel = 4.0 / np.sqrt(2.0 * DRAWS)
     assert spread(known) == pytest.approx(0.05, rel=rel)
     assert spread(new) == pytest.approx(np.hypot(0.05, 0.2), rel=rel)
-    mean = made.predict(motion(), Forecast("device", draws=DRAWS, **{what: "new"}))
+    mean = made.predict(motion(), Forecast("mean", draws=DRAWS, **{what: "new"}))
     assert spread(mean) < 1e-6  # the mean property is that of the devices tested
 
 

@@ -64,7 +64,7 @@ def stored(tmp_path_factory, population):
 def test_predictions_and_what_tables_show_come_back_bit_by_bit(population, stored, priors):
     back = load_population(stored, priors)
     for actuation, kind, session in (
-        (0.8, "device", "b"),
+        (0.8, "mean", "b"),
         (3.0, "new_test", "new"),
         (np.linspace(0.5, 1.5, TIME.size), "observation", "b"),
     ):

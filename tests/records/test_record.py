@@ -136,12 +136,12 @@ def test_a_number_is_taken_in_every_form_and_what_is_none_is_refused(record):
 def test_a_window_is_two_times_in_every_form(record, path):
     for window in (5, (0, True), ("0", "4"), {0, 4}, ([0], 4), (4, 0), b"04", ()):
         refused("two times", record.trace, window=window)
-        refused("two times", mb.read_record, path, fit=window)
+        refused("two times", mb.read_record, path, window=window)
         refused("given", checked_window, window, "given", FitError)
     expected = record.trace(window=(0, 4)).time
     assert expected[-1] == 4.0
     for window in ([0, 4], np.array([0, 4]), (-np.inf, 4), "0 s to 4000 ms"):
-        fitted = mb.read_record(path, fit=window)
+        fitted = mb.read_record(path, window=window)
         np.testing.assert_array_equal(fitted.trace().time, expected)
     assert fitted.trace(window=(0, 10)).samples == TIME.size
 
@@ -216,8 +216,8 @@ def test_what_is_no_record_is_refused_in_one_sentence(tmp_path):
         ({"time_s": PIECES, "displacement_in": np.sin(PIECES)}, {}, "20 samples"),
         (COLUMNS | {"displacement_in": 0 * TIME}, {}, "constant"),
         (COLUMNS | {"displacement_in": np.sin(TIME / 3.2)}, {}, "1 turning points"),
-        (COLUMNS, {"fit": "20 s to 30 s"}, "0 samples"),
-        (COLUMNS, {"fit": "2 s to 3 s"}, "turning points"),
+        (COLUMNS, {"window": "20 s to 30 s"}, "0 samples"),
+        (COLUMNS, {"window": "2 s to 3 s"}, "turning points"),
     ):
         refused(named, mb.read_record, write(tmp_path, **columns), **options)
 
@@ -229,7 +229,7 @@ def test_of_a_time_with_gaps_the_longest_piece_inside_the_window_is_used(tmp_pat
     assert record.time[-1] == 6.0
     assert "2 gaps, the longest of 4.005 s" in record.gap
     assert "39% of the record" in record.gap
-    inside = mb.read_record(path, fit="7 s to 10.5 s")
+    inside = mb.read_record(path, window="7 s to 10.5 s")
     assert (inside.time[0], inside.time[-1]) == (7.505, 10.5)
     np.testing.assert_array_equal(inside.displacement, MOTION[(TIME > 6) & (TIME <= 9)])
     paused = TIME + 0.02 * np.cumsum(np.arange(TIME.size) % 400 == 399)
@@ -303,7 +303,7 @@ def test_what_a_window_leaves_out_is_given_by_its_ends_and_turns(tmp_path, left)
     time = np.arange(400) / 100
     motion = np.sin(2 * np.pi * time)
     path = write(tmp_path, time_s=time, displacement_in=motion)
-    record = mb.read_record(path, fit=(time[left], time[-1 - left]))
+    record = mb.read_record(path, window=(time[left], time[-1 - left]))
     before, after = record.around(record.trace())
     assert (before[0], before[-1]) == pytest.approx((motion[0], motion[left - 1]))
     assert (after[0], after[-1]) == pytest.approx((motion[-left], motion[-1]))
@@ -417,7 +417,7 @@ def test_a_clock_that_starts_again_outside_the_window_is_left_out_and_said(tmp_p
         table = np.column_stack([clock, x, x])
         header = "time_s,displacement_in,force_kip"
         np.savetxt(path, table, delimiter=",", header=header, comments="")
-        return mb.read_record(path, fit=fit)
+        return mb.read_record(path, window=fit)
 
     record = read(np.concatenate([time, more]), "0 s to 8 s")
     assert record.time.size == 400

@@ -183,11 +183,11 @@ def test_cells_outside_the_window_need_not_be_numbers(tmp_path):
     for cell in ("#N/A", "", "nan"):
         bad = "".join(f"{t:.2f},{x:.4f},{cell}\n" for t, x, _ in ROWS[200:])
         (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
-        assert "samples 161 over 8 s" in inspected(tmp_path, test='fit = "0 s to 8 s"')
-        assert "line 202" in inspected(tmp_path, test='fit = "3 s to 11 s"', code=2)
+        assert "samples 161 over 8 s" in inspected(tmp_path, test='window = "0 s to 8 s"')
+        assert "line 202" in inspected(tmp_path, test='window = "3 s to 11 s"', code=2)
     bad = "".join(f"stopped,{x:.4f},{f:.2f}\n" for _, x, f in ROWS[200:])
     (tmp_path / "a.csv").write_text(HEAD + text(ROWS[:200]) + bad)
-    assert "samples 161 over 8 s" in inspected(tmp_path, test='fit = "0 s to 8 s"')
+    assert "samples 161 over 8 s" in inspected(tmp_path, test='window = "0 s to 8 s"')
 
 
 # --- channels that begin at different times
@@ -421,7 +421,7 @@ STAMPED = "Timestamp,Displacement (mm),Force (N)"
 @pytest.mark.parametrize("form", STAMPS)
 def test_time_stamps_are_seconds_since_the_first_row(tmp_path, form):
     write(tmp_path / "a_5bar.csv", STAMPED, STAMPS[form], TRAVEL, FORCE)
-    record = mb.read_record(tmp_path / "a_5bar.csv", ROLES, fit="2 s to 8 s")
+    record = mb.read_record(tmp_path / "a_5bar.csv", ROLES, window="2 s to 8 s")
     np.testing.assert_allclose(record.time, TIME, atol=1e-9)
     assert record.trace().time[[0, -1]] == pytest.approx([2.0, 8.0])
     printed, campaign = init(tmp_path)
@@ -454,7 +454,7 @@ def test_a_cell_that_is_no_stamp_is_named_or_left_out(tmp_path):
         write(tmp_path / "a.csv", STAMPED, clock, TRAVEL, FORCE)
         with pytest.raises(mb.MfdError, match=r"line 202 of .*, column 'Timestamp'"):
             mb.read_record(tmp_path / "a.csv", ROLES)
-        assert mb.read_record(tmp_path / "a.csv", ROLES, fit="0 s to 8 s").time.size == 200
+        assert mb.read_record(tmp_path / "a.csv", ROLES, window="0 s to 8 s").time.size == 200
 
 
 def test_stamps_that_are_too_coarse_ask_for_the_rate(tmp_path):

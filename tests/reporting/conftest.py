@@ -47,7 +47,7 @@ def make_row(test: str, name: str, unit: str, lower=0.8, median=1.0, upper=1.2, 
     row |= {"lower": lower, "median": median, "upper": upper, "note": ""}
     row |= {"r_hat": 1.002, "ess_bulk": 900.0, "ess_tail": 700.0, "contraction": 0.98}
     row |= dict.fromkeys(("joint_lower", "joint_median", "joint_upper"), NAN)
-    return row | {"disagrees": False} | more
+    return row | {"joint_conflict": False} | more
 
 
 def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> TestView:
@@ -68,7 +68,7 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
         role=role,
         trace=trace,
         first=5,
-        device=make_fan("device", force),
+        device=make_fan("mean", force),
         observation=make_fan("observation", noisy),
         rows=tuple(make_row(identity, n, u, contraction=contraction[n]) for n, u in UNITS.items()),
         marginals=tuple(
@@ -108,7 +108,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     level = np.linspace(0.0, 1.5, 20)
     draws = level * np.linspace(0.9, 1.1, 40)[:, None]
     tested = (("a", 0.8, 0.7, 0.8, 0.9), ("b", 0.8, 0.75, 0.85, 0.95))
-    fans = (make_fan("device", draws), make_fan("new_test", 1.1 * draws))
+    fans = (make_fan("mean", draws), make_fan("new_test", 1.1 * draws))
     best = {"quantity": "Fc_fwd", "law": "power", "chosen": False, "elpd": 3.2, "elpd_se": 0.9}
     best |= {"difference": 0.0, "difference_se": 0.0, "weight": 0.7, "pareto_k": 0.25}
     left = {"part": "800 psi", "test": "p800_f0.25", "whole_95": NAN} | SCORES

@@ -80,7 +80,7 @@ def test_bands_follow_each_stretch_of_motion_and_do_not_close_the_loop(campaign)
 
 def test_every_kind_of_band_a_motion_without_force_and_odd_names_are_drawn(campaign):
     test = replace(campaign.tests[0], id="$\\frac{x$ 試験 \n<script>")
-    for kind in ("device", "prior"):
+    for kind in ("mean", "prior"):
         fan = replace(test.observation, kind=kind, intervals=test.observation.intervals[1:])
         figure = draw_loops(test.id, test.trace, [fan])
         assert "95 %" in figure.legends[0].get_texts()[1].get_text()

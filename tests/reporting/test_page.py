@@ -150,7 +150,7 @@ def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, writ
     bad = Check(test.id, PREDICTIVE, "energy", 3.3, 4.1, Verdict.FAIL, "kip*in")
     k3 = {"test": test.id, "name": "k3", "unit": "kip/in"}
     k3 |= {"lower": 0.8, "median": 1.0, "upper": 1.2}
-    other = k3 | {"noise": "ou", "other": "staged", "decides": True}
+    other = k3 | {"noise": "ou", "other": "staged", "noise_sensitive": True}
     other |= {"other_lower": 39.0, "other_median": 42.2, "other_upper": 45.6}
     test = replace(
         test,

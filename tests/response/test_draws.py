@@ -13,7 +13,7 @@ STOREY = '[[storey]]\nweight = "20 kip"\nheight = "144 in"\nstiffness = "8 kip/i
 CHANGING = '{{ file = "{}.csv", column = "pressure_ksi", unit = "ksi" }}'
 VALVE, SLOWER = CHANGING.format("valve"), CHANGING.format("slower")
 SD = 0.3
-CHOICE = {"kind": "device", "draws": 2000, "seed": 1, "session": "another"}
+CHOICE = {"kind": "mean", "draws": 2000, "seed": 1, "session": "another"}
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def path(tmp_path_factory):
 @pytest.fixture(scope="module")
 def device(run, path):
     """The response of a few draws of the mean device."""
-    return run.respond(path, GROUND, draws=12, seed=1, kind="device")
+    return run.respond(path, GROUND, draws=12, seed=1, kind="mean")
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_the_call_of_the_contract(run, path, device):
     assert device.force.shape == device.travel.shape == device.energy.shape == (12, 1, 2)
     assert np.all(device.energy > 0)
     assert device.imbalance.max() < 1e-3
-    again = run.respond(path, [GROUND], draws=12, seed=1, kind="device")
+    again = run.respond(path, [GROUND], draws=12, seed=1, kind="mean")
     assert np.array_equal(again.drift, device.drift)
     rows = [row for row in device.rows() if row["quantity"] == "drift"]
     narrow, wide = (rows[0]["bands"][share] for share in ("50", "95"))
@@ -151,7 +151,7 @@ def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tm
         got = [float(getattr(bounds[name], f"peak_{side}")[0, 0, 0]) for name in ("lower", "upper")]
         assert got == pytest.approx([design["lower"], design["upper"]], rel=0.1)
         middle = np.median(getattr(response, f"peak_{side}"))
-        assert middle == pytest.approx(rows[f"peak_{side}", "device"]["nominal"], rel=0.05)
+        assert middle == pytest.approx(rows[f"peak_{side}", "mean"]["nominal"], rel=0.05)
 
 
 @pytest.mark.parametrize("count", [2, 3])
@@ -161,7 +161,7 @@ def test_dampers_side_by_side_are_one_of_their_force(run, device, tmp_path, coun
     storey = STOREY.replace("20 kip", f"{20 * count} kip").replace("8 kip", f"{8 * count} kip")
     places = PLACES.replace("storey =", f"count = {count}\nstorey =")
     path.write_text(f"{2 * storey}{places}")
-    several = run.respond(path, GROUND, draws=12, seed=1, kind="device")
+    several = run.respond(path, GROUND, draws=12, seed=1, kind="mean")
     assert not np.any(several.unstable | several.unsettled)
     assert several.imbalance.max() < 1e-3
     for name, one in device.references.items():
@@ -177,7 +177,7 @@ def test_bounds_that_do_not_bound_the_median_are_named(respond, tmp_path, small_
     for period, peak, told in ((0.6, 40.0, True), (1.1, 120.0, False)):
         sine = peak * np.sin(2.0 * np.pi * time / period)
         write_csv(quake, time, sine, names=("time_s", "acceleration_in/s^2"))
-        words = ("--building", path, "--ground", quake, "--kind", "device")
+        words = ("--building", path, "--ground", quake, "--kind", "mean")
         printed = " ".join(respond(*words).output.split())
         assert ("the median of the draws and do not bound it" in printed) == told, printed
         assert ("†</td>" in (tmp_path / "r" / "report.html").read_text()) >= told
@@ -229,7 +229,7 @@ def test_a_history_that_ends_early_or_leaves_the_tests_is_told(run, tmp_path):
         ("1000,1.2", None),
     ):
         (tmp_path / "valve.csv").write_text(f"time_s,pressure_ksi\n0,1.0\n{last}\n")
-        response = run.respond(path, GROUND, draws=12, kind="device", tolerance=0.2)
+        response = run.respond(path, GROUND, draws=12, kind="mean", tolerance=0.2)
         told = [remark for remark in response.remarks if "actuation" in remark]
         assert bool(told) == (words is not None)
         assert all(words in remark for remark in told)

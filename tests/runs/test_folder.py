@@ -37,7 +37,7 @@ def wider_scatter(priors):
 
 
 def other_k3(priors):
-    k3 = replace(priors.parameters["k3"], figures={"median": 1.0, "spread": 0.1})
+    k3 = replace(priors.parameters["k3"], figures={"median": 1.0, "sigma": 0.1})
     return replace(priors, parameters={**priors.parameters, "k3": k3})
 
 
@@ -53,7 +53,7 @@ CHANGES = {
     "session": (lambda s: s.with_test("a", session="Monday"), None, "ab", False, False),
     "laws": (lambda s: updated(laws={**s.laws, "sigma0": "constant"})(s), None, "ab", False, False),
     "scatter": (updated(), wider_scatter, "ab", False, False),
-    "window": (lambda s: s.with_test("a", fit="0 s to 1 s"), None, "b", False, False),
+    "window": (lambda s: s.with_test("a", window="0 s to 1 s"), None, "b", False, False),
     "actuation": (lambda s: s.with_test("b", actuation="999 psi"), None, "a", False, False),
     "prior": (updated(), other_k3, "", False, False),
 }

@@ -63,7 +63,7 @@ class Ranked:
 def narrow_priors(sampled: Iterable[str] = QUANTITIES, **medians: float) -> PriorFile:
     """The shipped priors, narrowed to sensible loops; what is not `sampled` has one value."""
     middle = MEDIANS | medians
-    narrow = {n: Prior("lognormal", {"median": m, "spread": SPREAD}) for n, m in middle.items()}
+    narrow = {n: Prior("lognormal", {"median": m, "sigma": SPREAD}) for n, m in middle.items()}
     narrow["offset"] = Prior("normal", {"mean": 0.0, "sd": 0.05})
     narrow["n"] = Prior("truncated_normal", {"mean": 3.0, "sd": 0.7, "lower": 1.0})
     shipped = load_priors("mfd")

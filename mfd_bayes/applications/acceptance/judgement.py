@@ -224,7 +224,7 @@ def expect(
         return {name: value * resolution.get(name, 1.0) for name, value in values.items()}
 
     def nominal_of(of: str) -> dict[str, Array]:
-        band = predict("device", of)
+        band = predict("mean", of)
         return quantities(band, band, certain(peaks))
 
     known = [name for name in run.devices if name]

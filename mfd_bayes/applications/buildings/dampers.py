@@ -26,7 +26,7 @@ Rows = NDArray[np.intp]
 
 # --- its dampers, and springs that yield
 
-KINDS = ("new_test", "device")
+KINDS = ("new_test", "mean")
 """With each damper's own scatter from test to test, or the mean property alone."""
 
 FEWEST = 10  # fewest draws of a response
@@ -314,7 +314,7 @@ def bound_dampers(
     each = replace(building, devices=tuple(replace(plain, actuation=a) for a in levels.tolist()))
     mean, scattered = (
         draw_dampers(population, model, each, kind, BOUND_DRAWS, seed)
-        for kind in ("device", "new_test")
+        for kind in ("mean", "new_test")
     )
     names, standard, residual = model.parameters, model.standard_names, population.residual
     slips = [names.index(name) for name in model.slip_forces]

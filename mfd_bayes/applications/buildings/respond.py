@@ -125,7 +125,7 @@ def respond(
         Paths as `read_ground` reads them; "FILE:0.01s" gives the step of a file without one.
     draws : int
     seed : int
-    kind : {"new_test", "device"}
+    kind : {"new_test", "mean"}
         With each damper's scatter from test to test, or the mean property alone.
     tolerance : float
         Largest estimated error of a draw's drift, relative; steps are shortened until then.

@@ -185,8 +185,8 @@ def _rows(
             values = {basis: _of_cycle(of, name, cycle) for basis, of in drawn.items()}
             if cycle and not np.any(np.isfinite(values[BASIS])):
                 continue
-            row = bounds(values["device"], values[BASIS], PROBABILITY)
-            other = bounds(values["device"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
+            row = bounds(values["mean"], values[BASIS], PROBABILITY)
+            other = bounds(values["mean"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
             rows.append(
                 head
                 | {"quantity": quantity, "direction": direction, "unit": CYCLE_UNITS[name]}
