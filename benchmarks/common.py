@@ -33,7 +33,8 @@ import numpy as np
 import mfd_bayes
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.pipeline.calibrate import calibrate
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.run import Run
 from tests.statistical.uniformity import LEVEL, Uniformity, failures
@@ -177,7 +178,7 @@ def calibrated(options: argparse.Namespace, session: str, model: str = "three_st
     out = options.out / f"{session}_{model}_{effort}"
     place = options.out / f"campaign_{out.name}"
     campaign = lay_out(options.data, place, session, model, only)
-    chosen = Options(effort=effort, seed=options.seed, jobs=options.jobs, resume=out.exists())
+    chosen = RunOptions(effort=effort, seed=options.seed, jobs=options.jobs, resume=out.exists())
 
     def report(step: Step) -> None:
         print(step.id, step.stage, file=sys.stderr)

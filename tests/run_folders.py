@@ -14,7 +14,8 @@ from mfd_bayes.applications.comparison.crossvalidation import Fold
 from mfd_bayes.calibration.diagnostics import Convergence
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import find_priors, units
-from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import Plan, plan_campaign
 from mfd_bayes.population.design import LAW_NAMES, design_of, setting_of
 from mfd_bayes.population.population import (
     KNOTS,
@@ -75,7 +76,7 @@ def plan_of(*, small: bool) -> Plan:
         (folder / "campaign.toml").write_text(head + "".join(entries))
         (folder / "own.toml").write_text(PRIORS, encoding="utf-8")
         (folder / "a.csv").write_text(RECORD)
-        return plan_campaign(folder / "campaign.toml", Options(effort="quick"))
+        return plan_campaign(folder / "campaign.toml", RunOptions(effort="quick"))
 
 
 def write_run(folder: Path, *, small: bool) -> Path:

@@ -22,7 +22,7 @@ from scipy.stats import norm
 
 import mfd_bayes as mb
 from mfd_bayes.applications.comparison.crossvalidation import Fold, run_folds
-from mfd_bayes.pipeline.plan import Options
+from mfd_bayes.pipeline.options import RunOptions
 
 QUOFEM = {
     # parameter: mean and sd between coupons in the state of its chain that quoFEM's example 28
@@ -114,7 +114,7 @@ def main() -> None:
     print(f"coupons alone: R-hat <= {figures[:, 0].max():.4f}, ESS >= {figures[:, 1:].min():.0f}\n")
 
     folds = folds_of(run, options.folds, effort)[: 1 if options.quick else None]
-    predictions = run_folds(run, folds, Options(jobs=options.jobs), lambda _: None)
+    predictions = run_folds(run, folds, RunOptions(jobs=options.jobs), lambda _: None)
     scores = {p.test: p.score for p in predictions}
     others = [least_squares_crps(run, folds, slice(0, letters)) for letters in (2, 1, 0)]
     print("CRPS, MPa                                       least squares with its residual sd, of")

@@ -26,7 +26,7 @@ import pandas as pd
 import mfd_bayes as mb
 from mfd_bayes.applications.comparison.crossvalidation import folds_of, run_folds
 from mfd_bayes.evaluation.scores import rrse, score
-from mfd_bayes.pipeline.plan import Options
+from mfd_bayes.pipeline.options import RunOptions
 from mfd_bayes.runs.manifest import Score
 
 DRAWS = 800
@@ -88,7 +88,7 @@ def table(title: str, rows: list[dict]) -> pd.DataFrame:
 def left_out(run: mb.Run, by: str, jobs: int, chosen=lambda _: True) -> list:
     """Predictions of the parts of a run that are left out, from populations of little effort."""
     folds = [f for f in folds_of(run, by, "quick") if any(map(chosen, f.left_out))]
-    return list(run_folds(run, folds, Options(jobs=jobs), lambda _: None))
+    return list(run_folds(run, folds, RunOptions(jobs=jobs), lambda _: None))
 
 
 def score_of(source: mb.Run, name: str, trace: mb.Trace) -> Score:

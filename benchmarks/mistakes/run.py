@@ -24,7 +24,8 @@ import pandas as pd
 
 from benchmarks.mistakes.plants import MISTAKES, Planned, neutral, plant
 from mfd_bayes.errors import MfdError
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 
 NAMED = {"own": 36, "neutral": 32}  # least number of mistakes that are named in every place
 PLACES = (("2022-07", 3), ("2022-07", 7), ("2023-04", 4))
@@ -83,7 +84,7 @@ Said = list[tuple[str, str]]
 def said_by(campaign: Path) -> Said:
     """Warnings of the dry run, by test; a refusal is of none."""
     try:
-        plan = plan_campaign(campaign, Options(effort="quick"))
+        plan = plan_campaign(campaign, RunOptions(effort="quick"))
     except MfdError as error:
         return [("", str(error))]
     return [(warning.subject, str(warning.message)) for warning in plan.manifest.warnings]

@@ -22,7 +22,8 @@ from typing import Any
 
 from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.result import Bounds, load_result, moves, quantiles_of
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 
 TESTS = tuple(f"{tension}lb_0.50Hz_1.0in" for tension in (25, 35, 70, 80))
 EVERY = sorted(NOISES, key=lambda name: (name != "ou", name != "staged", name))
@@ -43,7 +44,7 @@ def fits_of(campaign: Path, noises: Sequence[str], effort: str) -> dict[str, dic
     """Fit of every test under every noise; what is stored is not sampled again."""
     folder, fits = campaign.parent, {}
     for noise in noises:
-        plan = plan_campaign(campaign, Options(noise=noise, effort=effort))
+        plan = plan_campaign(campaign, RunOptions(effort=effort), noise=noise)
         for task in plan.tasks:
             file = folder / f"{task.id}_{noise}.nc"
             clock = file.with_suffix(".seconds")

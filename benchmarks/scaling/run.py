@@ -21,7 +21,8 @@ from pathlib import Path
 
 from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.pipeline.calibrate import calibrate_plan
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 from mfd_bayes.runs.folder import MANIFEST
 from mfd_bayes.store.files import read_json
 
@@ -89,7 +90,7 @@ def campaign(tests):
     with tempfile.TemporaryDirectory() as home:
         path, out = lay_out(Path(home) / "campaign", tests), Path(home) / "out"
         threading.Thread(target=watched.follow, daemon=True).start()
-        plan = plan_campaign(path, Options(effort="quick", seed=1, jobs=WORKERS))
+        plan = plan_campaign(path, RunOptions(effort="quick", seed=1, jobs=WORKERS))
         view = calibrate_plan(plan, out, watched.observe)
         own = sum(test["seconds"] for test in read_json(out / MANIFEST)["tests"].values())
         stored = sum(file.stat().st_size for file in out.rglob("*.nc")) / tests / 2**20

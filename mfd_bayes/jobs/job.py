@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -24,6 +25,24 @@ class State(StrEnum):
     """No work, but a sentence that the user must see."""
     HELD_OUT = "held out"
     """A test that is predicted and never fitted."""
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """Where jobs are done."""
+
+    jobs: int = 0
+    """Number of processes of this machine; 0 for one per processor that this process may use."""
+    scheduler: str = ""
+    """Address of a dask.distributed scheduler whose workers do the jobs, as "tcp://host:8786"."""
+
+    @property
+    def processes(self) -> int:
+        """Number of processes of this machine, by default as many as `taskset` allows."""
+        if self.jobs:
+            return self.jobs
+        affinity = getattr(os, "sched_getaffinity", None)
+        return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

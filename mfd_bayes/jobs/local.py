@@ -19,7 +19,6 @@ from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import resource_tracker
 from multiprocessing.context import ForkServerContext, SpawnContext
@@ -28,7 +27,7 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.jobs.job import Job, Outcome, State, Step
+from mfd_bayes.jobs.job import Job, Outcome, State, Step, Workplace
 
 PRELOAD = "mfd_bayes.pipeline.preload"
 """Module that imports what the processes of a run need."""
@@ -50,24 +49,6 @@ _TIDIED = "ignore:resource_tracker"
 
 # In a worker process: the run folder, and what sends a step to the parent.
 _WORKER: ContextVar[tuple[Path, Callable[[Step], Any]]] = ContextVar("_WORKER")
-
-
-@dataclass(frozen=True)
-class Workplace:
-    """Where jobs are done."""
-
-    jobs: int = 0
-    """Number of processes of this machine; 0 for one per processor that this process may use."""
-    scheduler: str = ""
-    """Address of a dask.distributed scheduler whose workers do the jobs, as "tcp://host:8786"."""
-
-    @property
-    def processes(self) -> int:
-        """Number of processes of this machine, by default as many as `taskset` allows."""
-        if self.jobs:
-            return self.jobs
-        affinity = getattr(os, "sched_getaffinity", None)
-        return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def run_jobs(

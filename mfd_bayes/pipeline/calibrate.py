@@ -9,7 +9,6 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
@@ -19,7 +18,8 @@ from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import Observe, Progress, State, Step
 from mfd_bayes.jobs.local import check_workers, run_jobs
-from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.population.population import save_population
@@ -53,10 +53,6 @@ from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
 from mfd_bayes.store.netcdf import save_arrays, save_trace
 
-if TYPE_CHECKING:
-    pass
-
-
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""
 
@@ -77,7 +73,7 @@ def calibrate_plan(plan: Plan, out: Path, observe: Observe) -> CampaignView:
         return write_report(run, observe, jobs=plan.options.jobs)
 
 
-def demo(out: Path, options: Options, observe: Observe) -> CampaignView:
+def demo(out: Path, options: RunOptions, observe: Observe) -> CampaignView:
     """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it."""
     check_workers(options)
     check_links(out, ["campaign"])

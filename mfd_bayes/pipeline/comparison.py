@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mfd_bayes.applications.comparison.crossvalidation import (
     fold_id,
@@ -25,7 +24,8 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import Observe, State, Step
 from mfd_bayes.pipeline.calibrate import calibrate_locked, working_in
-from mfd_bayes.pipeline.plan import Options, Plan, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.reporting.tables import comparison_csv
@@ -41,36 +41,38 @@ from mfd_bayes.runs.manifest import (
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import write_text
 
-if TYPE_CHECKING:
-    pass
 
+def crossvalidate(
+    campaign: Path, out: Path, by: str, options: RunOptions, observe: Observe
+) -> CampaignView:
+    """Calibrate a campaign, then predict every part of it from all the others.
 
-def crossvalidate(campaign: Path, out: Path, options: Options, observe: Observe) -> CampaignView:
-    """Calibrate a campaign, then predict every part of it from all the others."""
+    Parts are by "test", "level" or "session".
+    """
     plan = plan_campaign(campaign, options)
-    parts = check_parts(plan)
+    parts = check_parts(plan, by)
     for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
         observe(Step(name, State.WAITING))
     with working_in(plan, out):
-        run = leave_out_parts(calibrate_locked(plan, out, observe), options, observe)
+        run = leave_out_parts(calibrate_locked(plan, out, observe), by, plan.options, observe)
         return write_report(run, observe, jobs=options.jobs)
 
 
-def check_parts(plan: Plan) -> Collection[str]:
+def check_parts(plan: Plan, by: str) -> Collection[str]:
     """Names of the parts that will be left out; a campaign with fewer than two is refused."""
     sessions = plan.manifest.settings.sessions
     settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
     return parts_of(
         settings,
-        part_kind(plan.options.by),
+        part_kind(by),
         plan.campaign.settings.actuation_unit,
         plan.campaign.path,
     )
 
 
-def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
+def leave_out_parts(run: Run, by: str, options: RunOptions, observe: Observe) -> Run:
     """The run with predictions of every part from all others; its folder must be locked."""
-    kind = part_kind(options.by)
+    kind = part_kind(by)
     try:
         predictions = run_folds(run, folds_of(run, kind, options.effort), options, observe)
         return run.rewrite(crossvalidation=CampaignCrossValidation(kind, predictions))
@@ -79,13 +81,20 @@ def leave_out_parts(run: Run, options: Options, observe: Observe) -> Run:
 
 
 def compare(
-    campaign: Path, out: Path, models: Sequence[str], options: Options, observe: Observe
+    campaign: Path,
+    out: Path,
+    models: Sequence[str],
+    noises: Sequence[str],
+    by: str,
+    options: RunOptions,
+    observe: Observe,
 ) -> tuple[Comparison, dict[str, CampaignView]]:
     """Calibrate a campaign under several models or noises, and compare what they predict.
 
+    With `by`, every part of each run is predicted from all its others too, as by `crossvalidate`.
     Returns the report of each too.
     """
-    plans = _plan_models(campaign, out, candidates(models, options.noises), options)
+    plans = _plan_models(campaign, out, candidates(models, noises), by, options)
     for model, plan in plans.items():
         for task in plan.tasks:
             observe(Step(f"{model}/{task.id}", State.WAITING))
@@ -97,8 +106,8 @@ def compare(
         for model, plan in plans.items():
             observe_model = _observer_of(model, observe)
             runs[model] = calibrate_locked(plan, out / model, observe_model)
-            if options.by:
-                runs[model] = leave_out_parts(runs[model], plan.options, observe_model)
+            if by:
+                runs[model] = leave_out_parts(runs[model], by, plan.options, observe_model)
         observe(Step("comparison", "leaving out one cycle after another"))
         comparison = compare_runs(runs)
         write_text(out / "comparison.csv", comparison_csv(comparison.rows))
@@ -111,17 +120,17 @@ def compare(
 
 
 def _plan_models(
-    campaign: Path, out: Path, chosen: Sequence[Candidate], options: Options
+    campaign: Path, out: Path, chosen: Sequence[Candidate], by: str, options: RunOptions
 ) -> dict[str, Plan]:
     """Plan of a campaign under each candidate, checked for what the comparison needs."""
     plans: dict[str, Plan] = {}
     table, replaces = [out / "comparison.csv"], options.force or options.resume
     check_outputs(table, [campaign], force=replaces)
     for candidate in chosen:
-        own = replace(options, model=candidate.model, noise=candidate.noise)
-        plans[candidate.name] = plan = plan_campaign(campaign, own)
-        if options.by:
-            check_parts(plan)
+        plan = plan_campaign(campaign, options, candidate.model, candidate.noise)
+        plans[candidate.name] = plan
+        if by:
+            check_parts(plan, by)
         check_outputs(table, [t.path for t in plan.campaign.tests], force=replaces)
         for task in plan.tasks:
             check_cycles(task)

@@ -6,11 +6,12 @@ import hashlib
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -22,8 +23,8 @@ from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError, hash_file
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import State
-from mfd_bayes.jobs.local import Workplace
 from mfd_bayes.pipeline.inspect import findings_of, findings_together, gap_of, look_at
+from mfd_bayes.pipeline.options import Effort, RunOptions
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
@@ -46,36 +47,21 @@ from mfd_bayes.runs.unit_system import System
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options(Workplace):
-    """How a campaign is calibrated, and where."""
-
-    effort: str = "standard"
-    seed: int = 1
-    resume: bool = False
-    force: bool = False
-    command: str = ""
-    model: str | None = None
-    noise: NoiseName | None = None
-    by: str = ""
-    noises: tuple[str, ...] = ()
-
-
 # forces that a test needs at the standard effort, draws that are timed, and minutes for a test
 # from which a model is called slow
 FORCES, DRAWS, LONG = 50_000, 48, 5.0
 
 
-def effort_of(out: Path, effort: str | None, *, resume: bool) -> str:
-    """The given effort, else that of the run which is resumed, else "standard".
+def effort_of(out: Path, effort: Effort, *, resume: bool) -> Effort:
+    """The effort that was typed, else that of the run which is resumed, else "standard".
 
     `out` is a run folder, or one that holds a run folder for each model.
     """
-    if effort is not None:
+    if effort:
         return effort
     for path in [out / MANIFEST, *sorted(out.glob(f"*/{MANIFEST}"))] if resume else ():
         if path.is_file():
-            return read_begun(path.parent).effort.name
+            return cast(Effort, read_begun(path.parent).effort.name)
     return "standard"
 
 
@@ -84,7 +70,7 @@ class Plan:
     """A campaign, read and checked, before anything is written."""
 
     campaign: Campaign
-    options: Options
+    options: RunOptions
     priors: PriorFile
     tasks: tuple[Task, ...]
     held_out: Mapping[str, Trace]
@@ -116,9 +102,15 @@ class Plan:
         )
 
 
-def plan_campaign(path: Path, options: Options) -> Plan:
-    """Plan of a campaign, after all checks; nothing is written."""
-    campaign = load_campaign(path, options.model, options.noise)
+def plan_campaign(
+    path: Path, options: RunOptions, model: str | None = None, noise: NoiseName | None = None
+) -> Plan:
+    """Plan of a campaign, after all checks; nothing is written.
+
+    By default its model and noise are the campaign's, and the effort is "standard".
+    """
+    options = replace(options, effort=options.effort or "standard")
+    campaign = load_campaign(path, model, noise)
     if campaign.force_model.source:
         check_symbols(campaign.force_model)
     under = campaign.folder, campaign.force_model
@@ -227,7 +219,7 @@ def _task(
     priors: PriorFile,
     test: Test,
     trace: Trace,
-    options: Options,
+    options: RunOptions,
 ) -> Task:
     """Job that calibrates a test, of whose prior some draws must give a usable force."""
     digest = hashlib.sha256(test.id.encode()).digest()

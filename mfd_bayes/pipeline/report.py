@@ -11,9 +11,10 @@ from mfd_bayes.applications.properties.datasheet import datasheet, parse_conditi
 from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
-from mfd_bayes.jobs.job import Observe, Step
-from mfd_bayes.jobs.local import Workplace, get_ready
-from mfd_bayes.reporting.page import PLAIN, Addition, Forms
+from mfd_bayes.jobs.job import Observe, Step, Workplace
+from mfd_bayes.jobs.local import get_ready
+from mfd_bayes.reporting.options import ReportOptions
+from mfd_bayes.reporting.page import Addition, check_forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
 from mfd_bayes.runs.folder import (
     alone_in,
@@ -30,42 +31,38 @@ from mfd_bayes.runs.unit_system import SI, named_system
 
 
 def report(
-    out: Path,
-    observe: Observe = lambda _: None,
-    *,
-    jobs: int = 0,
-    forms: Forms = PLAIN,
-    units: str = "",
-    trust_model: bool = False,
+    options: ReportOptions, observe: Observe = lambda _: None, *, jobs: int = 0
 ) -> CampaignView:
     """Write the tables, figures and report of a finished run, from its stored results."""
-    forms.check(tuple(read_manifest(out).tests))  # no lock for what is no finished run
+    out = options.out
+    check_forms(options, tuple(read_manifest(out).tests))  # no lock for what is no finished run
     if Workplace(jobs).processes > 1:
         get_ready()
     with alone_in(out):
         check_places(out)
-        run = open_run(out, trust=trust_model)
-        return write_report(run, observe, jobs=jobs, forms=forms, units=units)
+        run = open_run(out, trust=options.trust_model)
+        return write_report(run, observe, jobs=jobs, options=options)
 
 
 def write_report(
-    run: Run, observe: Observe, *, jobs: int, forms: Forms = PLAIN, units: str = ""
+    run: Run, observe: Observe, *, jobs: int, options: ReportOptions | None = None
 ) -> CampaignView:
     """Write the tables, figures and report of an open run, whose folder must be locked."""
     from mfd_bayes.reporting.page import publish
 
+    options = options or ReportOptions(run.folder)
     try:
-        at = [parse_condition(text, run.actuation_unit, run.system.axes) for text in forms.at]
+        at = [parse_condition(text, run.actuation_unit, run.system.axes) for text in options.at]
     except MfdError as error:
         raise ReportError(f"--at: {error}") from error
     processes = Workplace(jobs).processes
     observe(Step("report", "checks and bands"))
-    system = named_system(units, run.system)
+    system = named_system(options.units, run.system)
     # once, and of these tests: what an earlier report has stored may be of others
     run = run.with_peaks()
     view = replace(assess(run, processes), metric=system.name == SI.name)
     additions: list[Addition] = []
-    if forms.next_test:
+    if options.next_test:
         observe(Step("report", "which test next"))
         advice = AdviceInWords(next_test(run), view.system, view.actuation_unit)
         additions = [advice.section()]
@@ -74,7 +71,7 @@ def write_report(
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
     sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
-    publish(view, run.folder, processes, observe, forms, sheet, additions)
+    publish(view, options, processes, observe, sheet, additions)
     return view
 
 

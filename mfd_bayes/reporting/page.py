@@ -34,6 +34,7 @@ from mfd_bayes.jobs.job import State, Step
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting import symbols
+from mfd_bayes.reporting.options import ReportOptions
 from mfd_bayes.reporting.symbols import BANDS, DATA, SKY, Symbols
 from mfd_bayes.reporting.tables import (
     ACTUATION,
@@ -486,62 +487,36 @@ _PRINTING = 180.0
 """Longest time for printing, s; a report takes a few."""
 
 
-@dataclass(frozen=True)
-class Forms:
-    """Parts of a report that are made only where asked for: they need more software or time.
-
-    PDFs of the pages, the tables for Word and Excel, the section on the next test; pictures of
-    `tests` where there are more than `ALL_DRAWN`, or of all; and conditions that the data sheet has
-    besides those that were tested: `at` "500 psi, 1 in, 0.5 Hz".
-    """
-
-    pdf: bool = False
-    word: bool = False
-    excel: bool = False
-    next_test: bool = False
-    tests: tuple[str, ...] = ()
-    all_tests: bool = False
-    at: tuple[str, ...] = ()
-
-    def drawn(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Those of a report's tests whose pictures are drawn."""
-        if self.all_tests or len(names) <= ALL_DRAWN:
-            return tuple(names)
-        return tuple(name for name in names if name in self.tests)
-
-    def check(self, names: Sequence[str]) -> None:
-        """Refuse what cannot be made of a run with these tests, before anything is written."""
-        for name in self.tests:
-            if name not in names:
-                near = get_close_matches(name, names, 1)
-                hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}"
-                raise ReportError(f"--tests: the run has no test {name!r}; {hint}")
-        if self.pdf:
-            find_browser()
-        for requested, library, extra in (
-            (self.word, "docx", "word"),
-            (self.excel, "openpyxl", "excel"),
-        ):
-            if requested and find_spec(library) is None:
-                raise ReportError(
-                    f"this form needs {library}, which is not installed: pip install "
-                    f'"mfd_bayes[{extra}]"'
-                )
-
-
-PLAIN = Forms()
+def check_forms(options: ReportOptions, names: Sequence[str]) -> None:
+    """Refuse what cannot be made of a run with these tests, before anything is written."""
+    for name in options.tests:
+        if name not in names:
+            near = get_close_matches(name, names, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}"
+            raise ReportError(f"--tests: the run has no test {name!r}; {hint}")
+    if options.pdf:
+        find_browser()
+    for requested, library, extra in (
+        (options.word, "docx", "word"),
+        (options.excel, "openpyxl", "excel"),
+    ):
+        if requested and find_spec(library) is None:
+            raise ReportError(
+                f"this form needs {library}, which is not installed: pip install "
+                f'"mfd_bayes[{extra}]"'
+            )
 
 
 def publish(
     view: CampaignView,
-    out: Path,
+    options: ReportOptions,
     processes: int,
     observe: Callable[[Step], None],
-    forms: Forms = PLAIN,
     sheet: Datasheet | None = None,
     additions: Sequence[Addition] = (),
 ) -> None:
-    """Write tables, figures and pages of a report into the run folder."""
+    """Write tables, figures and pages of a report into the run folder of its options."""
+    out = options.out
     system, symbols, frames = view.system, Symbols(view.model), report_frames(view)
     sheets = dict(zip(("parameters", "laws"), paper_sheets(view, symbols), strict=True))
     if sheet is not None:
@@ -553,13 +528,13 @@ def publish(
         write_text(out / f"{name}.json", to_json(view.title, name, frames[name]))
     for name, table in sheets.items():
         write_text(out / f"{name}.tex", to_latex(name, table, symbols, system))
-    if forms.word:
+    if options.word:
         made = to_word(view.title, sheets.values(), symbols, system)
         write_bytes(out / "tables.docx", made)
-    if forms.excel:
+    if options.excel:
         write_bytes(out / "tables.xlsx", to_excel({name: frames[name] for name in sheets}))
     observe(Step("report", "figures"))
-    images = _draw(view, out, processes, forms, additions)
+    images = _draw(view, options, processes, additions)
     for name, text in shared_tables(view):
         write_text(out / name, text)
     for addition in additions:
@@ -567,7 +542,7 @@ def publish(
     observe(Step("report", "pages"))
     for name, page in render(view, images, sheet, additions).items():
         write_text(out / name, page)
-    if forms.pdf:
+    if options.pdf:
         observe(Step("report", "PDF"))
         for name in ("report", *(["datasheet"] if sheet is not None else [])):
             write_bytes(out / f"{name}.pdf", print_page(out / f"{name}.html"))
@@ -576,9 +551,8 @@ def publish(
 
 def _draw(
     view: CampaignView,
-    out: Path,
+    options: ReportOptions,
     processes: int,
-    forms: Forms,
     additions: Sequence[Addition],
 ) -> dict[str, bytes]:
     """Draw all figures; the bytes that the pages need, by the figures' keys.
@@ -587,8 +561,8 @@ def _draw(
     """
     from mfd_bayes.reporting import figures
 
-    chosen = forms.drawn([test.id for test in view.tests])
-    tests = [test for test in view.tests if test.id in chosen]
+    out, every = options.out, options.all_tests or len(view.tests) <= ALL_DRAWN
+    tests = [test for test in view.tests if every or test.id in options.tests]
     for test in view.tests:  # what an earlier report has drawn may have nothing to show now
         for name in (*(f"{name}.png" for name in figures.OF_TEST), "record.csv"):
             (out / "tests" / test.id / name).unlink(missing_ok=True)

@@ -10,7 +10,7 @@ import typer.main
 from typer.testing import CliRunner
 
 import mfd_bayes
-from mfd_bayes.cli.commands import app
+from mfd_bayes.cli.commands import RENAMED, app
 
 COMMANDS = typer.main.get_command(app).commands
 
@@ -59,6 +59,21 @@ def test_it_runs_as_a_module_too():
     outcome = ran([sys.executable, "-m", "mfd_bayes", "--version"])
     assert (outcome.returncode, outcome.stderr) == (0, "")
     assert outcome.stdout == f"mfd-bayes {mfd_bayes.__version__}\n"
+
+
+def test_an_option_is_refused_by_its_old_name_with_the_new_one():
+    for words, new in (
+        ("predict out --sine x -o b.csv --given=1", "--given is now called --condition-on"),
+        ("predict out --whole", "--whole is now called --simultaneous"),
+        ("respond out --by q90", "--by is now called --statistic"),
+    ):
+        outcome = here(*words.split())
+        assert (outcome.exit_code, outcome.stdout) == (2, "")
+        assert outcome.stderr == f"mfd-bayes: {new}\n"
+    for (command, old), new in RENAMED.items():
+        options = {name for param in COMMANDS[command].params for name in param.opts}
+        assert new in options
+        assert old not in options
 
 
 # --- typing errors

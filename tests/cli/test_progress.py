@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from mfd_bayes.cli.console import show_progress
 from mfd_bayes.jobs.job import Progress, Step
+from mfd_bayes.jobs.progress import show_progress
 
 SAMPLED = Progress(1200, 2400, 1.0123, 432.1, 10.0, 0.5)
 
@@ -40,7 +40,7 @@ def test_without_a_terminal_steps_are_lines_and_quiet_prints_what_must_be_known(
 
 
 def test_after_a_silence_a_line_says_what_is_at_work_and_what_is_missing(capsys, monkeypatch):
-    monkeypatch.setattr("mfd_bayes.cli.console.SILENCE", 0.05)
+    monkeypatch.setattr("mfd_bayes.jobs.progress.SILENCE", 0.05)
     with show_progress() as observe:
         observe(Step("a", "done"))
         time.sleep(0.3)
@@ -63,13 +63,13 @@ import sys
 import time
 
 from mfd_bayes.cli.commands import settle_environment
-from mfd_bayes.cli.options import mistakes
-from mfd_bayes.cli.console import show_progress
+from mfd_bayes.cli.streams import mistakes
+from mfd_bayes.jobs.progress import show_progress
 from mfd_bayes.jobs.job import Progress, Step
 from mfd_bayes.jobs.signals import end_on_signals
 
 settle_environment()
-hint, quiet = mistakes("mfd-bayes go on"), "--quiet" in sys.argv
+hint, quiet = mistakes(lambda: "mfd-bayes go on"), "--quiet" in sys.argv
 with end_on_signals(), hint, show_progress(quiet=quiet) as observe:
     names = [f"p{{500 + k}}[red]_f0.25" for k in range(3)]
     for name in names:

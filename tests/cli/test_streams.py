@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from mfd_bayes.cli.options import mistakes
+from mfd_bayes.cli.streams import mistakes
 
 
 def run(script, *words):
@@ -42,7 +42,7 @@ def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(small_ru
 
 
 def test_short_memory_is_said_in_a_sentence(capsys):
-    with pytest.raises(typer.Exit) as ended, mistakes("a --resume"):
+    with pytest.raises(typer.Exit) as ended, mistakes(lambda: "a --resume"):
         raise MemoryError("Unable to allocate 3 GiB")
     assert ended.value.exit_code == 2
     (sentence,) = capsys.readouterr().err.splitlines()

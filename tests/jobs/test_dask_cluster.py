@@ -17,7 +17,8 @@ from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.jobs.local import run_in_processes
 from mfd_bayes.pipeline.calibrate import calibrate
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 from mfd_bayes.runs.folder import posterior_of
 from tests.command_line import refusal
 from tests.run_folders import content
@@ -107,7 +108,7 @@ def campaign(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tasks(campaign):
     """The jobs of the tests, one with a name full of special characters."""
-    first, second = plan_campaign(campaign, Options(effort="quick")).tasks
+    first, second = plan_campaign(campaign, RunOptions(effort="quick")).tasks
     return replace(first, id=ODD, file=posterior_of(ODD)), second
 
 
@@ -123,7 +124,7 @@ def reference(tasks, tmp_path_factory):
 def whole(campaign, tmp_path_factory):
     """A whole run by one process of this machine."""
     out = tmp_path_factory.mktemp("whole") / "out"
-    calibrate(plan_campaign(campaign, Options(effort="quick", jobs=1)), out, lambda _: None)
+    calibrate(plan_campaign(campaign, RunOptions(effort="quick", jobs=1)), out, lambda _: None)
     return out
 
 
@@ -165,10 +166,10 @@ def test_folds_of_a_cross_validation_need_no_shared_folder(address, whole):
 
     run = open_run(whole)
     folds = folds_of(run, "test", "quick")
-    found = run_folds(run, folds, Options(effort="quick", scheduler=address), lambda _: None)
+    found = run_folds(run, folds, RunOptions(effort="quick", scheduler=address), lambda _: None)
     for fold in folds:
         (whole / "crossvalidation" / fold.file).unlink()
-    assert found == run_folds(run, folds, Options(effort="quick", jobs=1), lambda _: None)
+    assert found == run_folds(run, folds, RunOptions(effort="quick", jobs=1), lambda _: None)
 
 
 # --- losses
@@ -210,7 +211,7 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     assert sentence.startswith(f"mfd-bayes: the scheduler at {address} was lost")
     assert "--resume" in sentence
     assert not list(out.glob(".*"))
-    options = Options(effort="quick", jobs=1, resume=True)
+    options = RunOptions(effort="quick", jobs=1, resume=True)
     calibrate(plan_campaign(campaign, options), out, lambda _: None)
     assert stored(out) == stored(whole)
 

@@ -13,7 +13,8 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.pipeline.calibrate import calibrate
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 from tests.command_line import here, refusal
 
 TESTS = ("p500_f0.5", "p1000_f0.5", "p1500_f0.5")
@@ -255,7 +256,7 @@ def test_resuming_a_finished_run_keeps_its_draws(finished_run, copied):
     files = [copied / "tests" / test / "posterior.nc" for test in TESTS]
     before = [file.stat().st_mtime_ns for file in files]
     steps = []
-    plan = plan_campaign(finished_run.campaign, Options(effort="quick", resume=True))
+    plan = plan_campaign(finished_run.campaign, RunOptions(effort="quick", resume=True))
     assert calibrate(plan, copied, steps.append).manifest.status == "finished"
     assert [(step.id, step.stage) for step in steps] == [(test, "kept") for test in TESTS]
     assert [file.stat().st_mtime_ns for file in files] == before
@@ -271,7 +272,7 @@ def test_a_tests_seed_does_not_depend_on_its_neighbours(finished_run, tmp_path):
     folder = shutil.copytree(finished_run.campaign.parent, tmp_path / "campaign")
     head, *entries = (folder / "campaign.toml").read_text().split("[[test]]")
     (folder / "less.toml").write_text(f"{head}[[test]]{entries[2]}")
-    whole = plan_campaign(folder / "campaign.toml", Options()).tasks
-    (alone,) = plan_campaign(folder / "less.toml", Options()).tasks
+    whole = plan_campaign(folder / "campaign.toml", RunOptions()).tasks
+    (alone,) = plan_campaign(folder / "less.toml", RunOptions()).tasks
     assert (alone.id, alone.seed) == (whole[2].id, whole[2].seed)
     assert len({task.seed for task in whole}) == 3

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.applications.export.samples import Export, export
+from mfd_bayes.applications.export.options import ExportOptions
+from mfd_bayes.applications.export.samples import export
 from mfd_bayes.errors import CampaignError
 from tests.command_line import contents, refusal, said, write_csv
 
@@ -95,7 +96,18 @@ def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
         ("calibrate", "campaign.toml", "-o", ""),
         ("demo", ""),
         ("check", " "),
-        ("predict", "out", "--sine", "1 in", "--actuation", "1 ksi", "-o", "b.csv", "--given", ""),
+        (
+            "predict",
+            "out",
+            "--sine",
+            "1 in",
+            "--actuation",
+            "1 ksi",
+            "-o",
+            "b.csv",
+            "--condition-on",
+            "",
+        ),
         ("next", "out", "--goal", ""),
     ]:
         assert "got an empty text" in said(*words, code=2)
@@ -165,7 +177,7 @@ def test_an_earlier_response_goes_and_what_is_anothers_stays(home, monkeypatch):
 def samples(small_run, tmp_path):
     """A folder with samples in columns, with materials, and with files of someone else."""
     found = tmp_path / "samples"
-    export(small_run, Export("quofem", found, "700 psi", 10))
+    export(ExportOptions(small_run, "quofem", found, "700 psi", 10))
     about = json.loads((found / "about.json").read_text())
     fits = {"misfit": {"BoucWen": [0.1], "../mine": [0.1]}, "best": "BoucWen"}
     (found / "about.json").write_text(json.dumps(about | fits))
@@ -183,10 +195,12 @@ def test_samples_of_another_actuation_do_not_stay_beside_new_ones(small_run, sam
     quofem = {"randomVariables.json", "dakotaTab.out", "sigma0.txt"}
     assert before >= {*quofem, "BoucWen.tcl"}
     assert "start.txt" not in before  # the model has no gap
-    export(small_run, Export("csv", samples, "700 psi", 10, force=True))  # another form of the same
+    export(
+        ExportOptions(small_run, "csv", samples, "700 psi", 10, force=True)
+    )  # another form of the same
     assert names(samples) == before | {"samples.csv"}
     assert json.loads((samples / "about.json").read_text())["best"] == "BoucWen"
-    export(small_run, Export("csv", samples, "800 psi", 10, force=True))
+    export(ExportOptions(small_run, "csv", samples, "800 psi", 10, force=True))
     assert names(samples) == {"samples.csv", "about.json", "mine.txt"}
     assert (samples.parent / "mine.tcl").is_file()
     about = json.loads((samples / "about.json").read_text())
@@ -195,12 +209,15 @@ def test_samples_of_another_actuation_do_not_stay_beside_new_ones(small_run, sam
 
 
 def test_an_actuation_outside_is_warned_of_and_one_far_outside_refused(small_run, samples):
-    far = Export("csv", samples, "50000 psi", 10, force=True)
+    far = ExportOptions(small_run, "csv", samples, "50000 psi", 10, force=True)
     with pytest.raises(CampaignError, match=r"the actuation, 50000 psi, lies far .* --extrapolate"):
-        export(small_run, far)
-    (remark,) = export(small_run, replace(far, extrapolate=True))[1]
+        export(far)
+    (remark,) = export(replace(far, extrapolate=True))[1]
     assert "lies far outside the tested range" in remark
     assert json.loads((samples / "about.json").read_text())["remarks"] == [remark]
-    assert "outside" in export(small_run, Export("csv", samples, "700 psi", 10, force=True))[1][0]
-    assert export(small_run, Export("csv", samples, "500 psi", 10, force=True))[1] == []
+    assert (
+        "outside"
+        in export(ExportOptions(small_run, "csv", samples, "700 psi", 10, force=True))[1][0]
+    )
+    assert export(ExportOptions(small_run, "csv", samples, "500 psi", 10, force=True))[1] == []
     assert "remarks" not in json.loads((samples / "about.json").read_text())

@@ -14,7 +14,8 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.campaign import synthetic
 from mfd_bayes.errors import MfdError
 from mfd_bayes.pipeline.init import prior_check
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.runs.manifest import read_begun
@@ -52,7 +53,7 @@ def replace_in(path, *pairs):
 
 
 def manifest_of(path):
-    return plan_campaign(path, Options(effort="quick")).manifest
+    return plan_campaign(path, RunOptions(effort="quick")).manifest
 
 
 def warnings_of(path):
@@ -232,7 +233,7 @@ def test_a_force_of_any_size_that_is_taken_has_a_likelihood(tmp_path, model):
         replace_in(path, ("lugre", model))
         motion, force = np.sin(np.pi * TIME), np.tanh(5 * np.cos(np.pi * TIME))
         write_csv(tmp_path / "t0.csv", TIME, motion, scale * force)
-        (task,) = plan_campaign(path, Options(effort="quick")).tasks
+        (task,) = plan_campaign(path, RunOptions(effort="quick")).tasks
         posterior = Posterior(task.trace, task.priors, "iid", model)
         drawn = posterior.draw_prior(np.random.default_rng(1), 50)
         values = posterior.log_prob(posterior.coordinates(drawn))

@@ -57,7 +57,7 @@ def held_out(finished_run):
 
 
 def test_predict_writes_a_table_and_pictures(ask, table, motion, tmp_path):
-    printed = ask("--motion", motion, "--explain", "--whole").stdout
+    printed = ask("--motion", motion, "--explain", "--simultaneous").stdout
     for text in (
         *("new_test", "95 %", "What makes the band wide", "scatter of backward slip force"),
         *("start in the gap", "energy_per_cycle"),
@@ -117,7 +117,7 @@ def test_far_outside_what_was_tested_it_refuses_without_extrapolate(words, ask, 
     assert "# warning: the frequency, 2 Hz" in (tmp_path / "bands.csv").read_text()
 
 
-GIVEN = ("--motion", "m.csv", "--given", "0 s to 1 s")
+GIVEN = ("--motion", "m.csv", "--condition-on", "0 s to 1 s")
 REFUSED = [
     ((), "give one motion"),
     ((*SINE, "--motion", "m.csv"), "give one motion"),
@@ -126,11 +126,11 @@ REFUSED = [
     ((*SINE, "--actuation", "5,5 MPa"), "of --actuation"),
     ((*SINE, "--probability", "1.5"), "probability"),
     ((*SINE, "-o", "text.csv/bands.csv"), "bands.csv"),
-    (("--motion", "m.csv", "--given", "0 s to 60 s"), "must lie within the record"),
-    (("--motion", "m.csv", "--given", "1 ms to 2 ms"), "holds 0 samples"),
-    (("--motion", "quiet.csv", "--given", "0 s to 1 s"), "needs a column of the force"),
+    (("--motion", "m.csv", "--condition-on", "0 s to 60 s"), "must lie within the record"),
+    (("--motion", "m.csv", "--condition-on", "1 ms to 2 ms"), "holds 0 samples"),
+    (("--motion", "quiet.csv", "--condition-on", "0 s to 1 s"), "needs a column of the force"),
     ((*GIVEN, "--kind", "mean"), "for the kinds new_test and observation"),
-    ((*GIVEN, "--design"), "--design cannot be combined with --given"),
+    ((*GIVEN, "--design"), "--design cannot be combined with --condition-on"),
     ((*GIVEN, "--test", "p500_f0.5", "--extrapolate"), "a calibrated test ('p500_f0.5')"),
     ((*GIVEN, "--after", "p500_f0.5"), "cannot be combined with after"),
     ((*SINE, "--after", "p5"), "after must be the id of a test of the run"),
@@ -208,8 +208,8 @@ def test_a_measurement_outside_the_prediction_is_said_and_rest_is_no_success(
 
 
 def test_the_given_part_is_marked_and_the_rest_narrower(ask, table, run, held_out, tmp_path):
-    options = ("--motion", held_out, "--actuation", "1200 psi", "--given", "0 s to 1 s")
-    outcome = ask(*options, "--kind", "observation", "--compare", "--whole")
+    options = ("--motion", held_out, "--actuation", "1200 psi", "--condition-on", "0 s to 1 s")
+    outcome = ask(*options, "--kind", "observation", "--compare", "--simultaneous")
     printed = " ".join(outcome.stdout.split())
     assert "the force given from 0 s to 1 s" in printed
     assert "# given: 1 where the force was given" in (tmp_path / "bands.csv").read_text()

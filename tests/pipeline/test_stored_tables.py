@@ -60,7 +60,7 @@ def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
     said("report", out, "--at", "700 psi, 0.9 in, 0.4 Hz")
     said("report", made, "--units", "si")
     sine = ("--sine", "1 in, 0.4 Hz, 2 cycles", "--actuation", "700 psi")
-    said("predict", out, *sine, "--design", "--whole", "-o", tmp_path / "bands.csv")
+    said("predict", out, *sine, "--design", "--simultaneous", "-o", tmp_path / "bands.csv")
     said("next", out, "--draws", 200, "-o", tmp_path / "next.csv")
     (tmp_path / "b.toml").write_text(BUILDING)
     time = np.arange(200) / 50
@@ -71,7 +71,15 @@ def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
     held = mb.open_run(out).held_out["p800_f0.5"]
     record = write_csv(tmp_path / "held.csv", held.time, held.displacement, held.force)
     at = ("--actuation", "800 psi", "-o")
-    given = ("--motion", record, "--given", "0 s to 1 s", "--kind", "observation", "--compare")
+    given = (
+        "--motion",
+        record,
+        "--condition-on",
+        "0 s to 1 s",
+        "--kind",
+        "observation",
+        "--compare",
+    )
     said("predict", out, *given, "--units", "si", *at, tmp_path / "given.csv")
     said("accept", out, record, *at, tmp_path / "accepted")
     for path in sorted(tmp_path.rglob("*.csv")):

@@ -25,7 +25,8 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.reporting.page import Forms, publish
+from mfd_bayes.reporting.options import ReportOptions
+from mfd_bayes.reporting.page import publish
 from mfd_bayes.runs.manifest import Use, Verdict
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
@@ -178,8 +179,8 @@ def datasheet() -> Datasheet:
 @pytest.fixture(scope="session")
 def published(campaign, datasheet, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("published")
-    forms = Forms(word=bool(find_spec("docx")), excel=bool(find_spec("openpyxl")))
-    publish(campaign, folder, 1, lambda _: None, forms, datasheet)
+    forms = {"word": bool(find_spec("docx")), "excel": bool(find_spec("openpyxl"))}
+    publish(campaign, ReportOptions(folder, **forms), 1, lambda _: None, datasheet)
     return folder
 
 
@@ -188,7 +189,7 @@ def written(tmp_path, no_figures) -> Callable[..., dict[str, str]]:
     """Function that writes a report without its figures; the texts of its files, by their names."""
 
     def written(view: CampaignView, sheet: Datasheet | None = None, **forms: bool):
-        publish(view, tmp_path, 1, lambda _: None, Forms(**forms), sheet)
+        publish(view, ReportOptions(tmp_path, **forms), 1, lambda _: None, sheet)
         paths = [p for p in tmp_path.rglob("*.*") if p.suffix in (".csv", ".json", ".tex", ".html")]
         return {str(p.relative_to(tmp_path)): p.read_text("utf-8") for p in paths}
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import pytest
 
-from mfd_bayes.cli.console import say
+from mfd_bayes.console import say
 from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgement
 from mfd_bayes.messages import Message, Quantity
 from mfd_bayes.reporting.figures import draw_overview

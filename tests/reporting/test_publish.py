@@ -3,11 +3,14 @@
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import pytest
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.reporting.page import Forms, publish
+from mfd_bayes.reporting.options import ReportOptions
+from mfd_bayes.reporting.page import check_forms, publish
 
 
 def files(folder):
@@ -38,7 +41,7 @@ def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkey
     stale = tmp_path / "tests" / left / "loops.png"
     stale.parent.mkdir(parents=True)
     stale.write_bytes(b"of an earlier report")
-    publish(campaign, tmp_path, 1, lambda _: None, Forms(tests=(drawn,)))
+    publish(campaign, ReportOptions(tmp_path, tests=(drawn,)), 1, lambda _: None)
     pictures = {str(path.relative_to(tmp_path)) for path in tmp_path.glob("tests/*/*.png")}
     assert pictures == {f"tests/{drawn}/{name}.png" for name in ("loops", "history")}
     pages = {n: (tmp_path / "tests" / n / "page.html").read_text("utf-8") for n in (left, drawn)}
@@ -48,17 +51,18 @@ def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkey
 
 def test_what_cannot_be_made_is_refused_before_anything_is_written(monkeypatch):
     names = ("p500_f0.05", "p800_f0.05")
-    Forms(tests=names[:1]).check(names)
+    ask = partial(ReportOptions, Path("out"))
+    check_forms(ask(tests=names[:1]), names)
     monkeypatch.setattr("mfd_bayes.reporting.page.find_spec", lambda _: None)
     monkeypatch.setattr("shutil.which", lambda _: None)
-    for forms, offender in (
-        (Forms(tests=("p500_f005",)), r"no test 'p500_f005'; did you mean 'p500_f0\.05'\?"),
-        (Forms(word=True), r"mfd_bayes\[word\]"),
-        (Forms(excel=True), r"mfd_bayes\[excel\]"),
-        (Forms(pdf=True), "needs a Chromium"),
+    for options, offender in (
+        (ask(tests=("p500_f005",)), r"no test 'p500_f005'; did you mean 'p500_f0\.05'\?"),
+        (ask(word=True), r"mfd_bayes\[word\]"),
+        (ask(excel=True), r"mfd_bayes\[excel\]"),
+        (ask(pdf=True), "needs a Chromium"),
     ):
         with pytest.raises(ReportError, match=offender):
-            forms.check(names)
+            check_forms(options, names)
 
 
 @pytest.mark.slow
@@ -66,8 +70,8 @@ def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(campaign, tm
     quick = replace(campaign.tests[0], marginals=(), corner=(), identifiability=None)
     tests = [replace(quick, id=f"t{i}") for i in range(4)]
     view = replace(campaign, tests=(*tests, campaign.tests[1]))
-    publish(view, tmp_path / "one", 1, lambda _: None)
-    publish(view, tmp_path / "two", 2, lambda _: None)
+    publish(view, ReportOptions(tmp_path / "one"), 1, lambda _: None)
+    publish(view, ReportOptions(tmp_path / "two"), 2, lambda _: None)
     one, two = files(tmp_path / "one"), files(tmp_path / "two")
     assert one == two
     sizes = re.findall(r'src="loops\.png" width="(\d+)"', one["tests/t0/page.html"].decode())

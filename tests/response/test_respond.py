@@ -255,7 +255,7 @@ def test_the_command_writes_a_page_and_tables(respond, tmp_path):
 
 
 def test_a_mistake_is_one_sentence(run, respond, path, tmp_path):
-    by = ["--by", "passing", "--minimise", "acceleration"]
+    by = ["--statistic", "passing", "--minimise", "acceleration"]
     for words, named in (
         (["--sweep", "actuation=800 psi"], "expected actuation"),
         (["--sweep", "actuation=500 N to 1500 N"], "--sweep: the actuation"),
@@ -263,7 +263,7 @@ def test_a_mistake_is_one_sentence(run, respond, path, tmp_path):
         (["--peak", "3 in"], "--peak: "),
         (["--ground", "nothing.AT2"], "nothing.AT2"),
         (["--building", "nothing.toml"], "nothing.toml"),
-        (["--by", "q90"], "--sweep"),
+        (["--statistic", "q90"], "--sweep"),
         (["--sweep", "actuation=800 psi to 900 psi", *by], "limits.acceleration"),
         (["--draws", 10**30], "'--draws'"),
         (["--peak", "5e8 g", "--quiet"], "every draw diverged under quake.csv"),

@@ -8,6 +8,7 @@ import pytest
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline.report import report
+from mfd_bayes.reporting.options import ReportOptions
 from mfd_bayes.runs.folder import discard
 from mfd_bayes.runs.resume import prepare_folder, with_keys
 from mfd_bayes.runs.run import open_run
@@ -126,7 +127,7 @@ def test_nothing_is_written_through_a_link(plan, out, tmp_path):
     home = plan.campaign.folder
     for act in (
         lambda: open_run(out),
-        lambda: report(out),
+        lambda: report(ReportOptions(out)),
         lambda: discard(out),
         lambda: resume(plan, out),
         lambda: prepare_folder(plan.manifest, home, out, force=True),

@@ -7,7 +7,8 @@ import pytest
 
 from mfd_bayes.applications.comparison.crossvalidation import Fold, read_predictions
 from mfd_bayes.errors import StoreError
-from mfd_bayes.pipeline.plan import Options, plan_campaign
+from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.pipeline.plan import plan_campaign
 from mfd_bayes.runs.run import open_run
 from tests.run_folders import RECORD
 
@@ -80,7 +81,7 @@ def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(
         '[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n', encoding="utf-8"
     )
     (tmp_path / "a.csv").write_text(RECORD)
-    inputs = plan_campaign(tmp_path / "mfd.toml", Options(effort="quick")).manifest.inputs
+    inputs = plan_campaign(tmp_path / "mfd.toml", RunOptions(effort="quick")).manifest.inputs
     assert {"mfd.toml", "priors/mfd.toml"} <= set(inputs)
 
 

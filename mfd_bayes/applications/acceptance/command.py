@@ -1,15 +1,20 @@
-"""The command `accept`: its options, and what is written."""
+"""The command `accept`: what it writes and prints."""
 
 from __future__ import annotations
 
+import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-from mfd_bayes.applications.acceptance.judgement import DRAWS as ACCEPTANCE_DRAWS
+import typer
+
 from mfd_bayes.applications.acceptance.judgement import LIMITS, Acceptance, accept
+from mfd_bayes.applications.acceptance.options import AcceptOptions
 from mfd_bayes.applications.acceptance.page import acceptance_table
+from mfd_bayes.console import print_rows, say, warn
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.runs.folder import check_folder
@@ -22,28 +27,37 @@ from mfd_bayes.store.files import remove_file, write_bytes, write_text
 _LIMIT = re.compile(r"\s*(\w+)\s*=\s*(\d+(?:\.\d+)?)\s*(%?)\s*")
 
 
-@dataclass(frozen=True)
-class Inspection:
-    """Records of devices that are to be compared with the others; the options of the command.
+def run_accept(options: AcceptOptions) -> None:
+    """Compare devices with the others, and print it; exit code 1 where one is rejected."""
+    devices, pages = accept_records(options)
+    warn(remark for each in devices for remark in each.remarks)
+    if not options.quiet:
+        for each in devices:
+            heads = ["effect, %", "90 % interval", "limit, %", "percentile", "p", "verdict"]
+            rows = [
+                (f"{row['quantity']} {row['direction']}".strip(), *_effect_cells(row))
+                for _, row in each.rows.iterrows()
+            ]
+            print_rows(f"{each.device}: {each.verdict}", ["quantity", *heads], rows)
+    for each in devices:
+        say(f"{each.device}: {each.sentence}")
+    if not options.quiet:
+        say(f"look next at {pages[0]}")
+    if any(each.verdict == "rejected" for each in devices):
+        raise typer.Exit(1)
 
-    `device` is that of all records, or of each; by default each record is of another one. `limit`
-    is such as "slip=15 %", by default that of the campaign, else 15 % of all.
-    """
 
-    records: tuple[Path, ...]
-    folder: Path
-    actuation: str = ""
-    device: tuple[str, ...] = ()
-    limit: tuple[str, ...] = ()
-    session: str = ""
-    date: str = ""
-    cycles: float | None = None
-    temperature: str = ""
-    draws: int = ACCEPTANCE_DRAWS
-    seed: int = 0
-    units: str = ""
-    force: bool = False
-    trust_model: bool = False
+def _effect_cells(row: Any) -> tuple[str, ...]:
+    """Cells of a quantity of a device that is compared with the others."""
+    has = math.isfinite(row["effect"])
+    return (
+        f"{row['effect']:+.1f}" if has else "",
+        f"{row['effect_lower']:+.1f} to {row['effect_upper']:+.1f}" if has else "",
+        f"±{row['limit']:.3g}" if math.isfinite(row["limit"]) else "",
+        f"{row['percentile']:.1f}",
+        f"{row['p_value']:.3f}",
+        str(row["verdict"]),
+    )
 
 
 def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
@@ -59,40 +73,40 @@ def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
     return found
 
 
-def accept_records(out: Path, wish: Inspection) -> tuple[tuple[Acceptance, ...], tuple[Path, ...]]:
+def accept_records(options: AcceptOptions) -> tuple[tuple[Acceptance, ...], tuple[Path, ...]]:
     """Compare devices with those of a run; table, pages (returned) and picture are written."""
-    check_folder(wish.folder, force=wish.force)
-    limits = parse_limits(wish.limit)
-    run = replace(open_run(out, trust=wish.trust_model), units=wish.units)
-    wish = replace(wish, actuation=stated_actuation(run, wish.actuation))
-    run.level_of(wish.actuation)
-    records = [read_as_tests(run, path, wish.actuation) for path in wish.records]
-    device = wish.device[0] if len(wish.device) == 1 else wish.device or ""
+    check_folder(options.folder, force=options.force)
+    limits = parse_limits(options.limit)
+    run = replace(open_run(options.out, trust=options.trust_model), units=options.units)
+    options = replace(options, actuation=stated_actuation(run, options.actuation))
+    run.level_of(options.actuation)
+    records = [read_as_tests(run, path, options.actuation) for path in options.records]
+    device = options.device[0] if len(options.device) == 1 else options.device or ""
     devices = accept(
         *(run, records),
         device=device,
         limits=limits or None,
-        session=wish.session,
-        conditions=stated_conditions(wish),
-        draws=wish.draws,
-        seed=wish.seed,
+        session=options.session,
+        conditions=stated_conditions(options),
+        draws=options.draws,
+        seed=options.seed,
     )
-    return devices, _write_acceptance(run, wish, devices)
+    return devices, _write_acceptance(run, options, devices)
 
 
 def _write_acceptance(
-    run: Run, wish: Inspection, devices: tuple[Acceptance, ...]
+    run: Run, options: AcceptOptions, devices: tuple[Acceptance, ...]
 ) -> tuple[Path, ...]:
     from mfd_bayes.applications.acceptance.page import acceptance_page, draw_batch
     from mfd_bayes.reporting.figures import to_png
 
-    today, manifest, folder = datetime.now(UTC).date().isoformat(), run.manifest, wish.folder
+    today, manifest, folder = datetime.now(UTC).date().isoformat(), run.manifest, options.folder
     names = [name for name in run.devices if name]
     compared = f"{len(names)} devices ({', '.join(names)})" if names[1:] else "one device"
     made = (
         f"{manifest.title}, {run.folder.resolve().name} (seed {manifest.seed}, {manifest.finished})"
     )
-    actuation = {"actuation": wish.actuation} if run.system.axes.actuated else {}
+    actuation = {"actuation": options.actuation} if run.system.axes.actuated else {}
     heading = [f"run {made}", *(f"actuation {level}" for level in actuation.values())]
     heading.append(f"date {today}")
     heading += [f"{d.device}: {d.sentence}" for d in devices]

@@ -1,4 +1,4 @@
-"""The command `respond`: its options, and what is written."""
+"""The command `respond`: what it writes and prints."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.applications.buildings.building import Building, read_building
 from mfd_bayes.applications.buildings.ground import Ground, parse_acceleration
+from mfd_bayes.applications.buildings.options import RespondOptions
 from mfd_bayes.applications.buildings.respond import beyond_tests, check_kind, grounds_of, respond
 from mfd_bayes.applications.buildings.response import (
     REFERENCES,
@@ -26,8 +27,10 @@ from mfd_bayes.applications.buildings.response import (
     sweep_of,
     variance_shares,
 )
+from mfd_bayes.console import say, warn
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.jobs.job import Step
+from mfd_bayes.jobs.progress import show_progress
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
@@ -48,115 +51,100 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Query:
-    """What is asked of a building; the options of the command."""
-
-    building: Path
-    grounds: tuple[str, ...]
-    folder: Path
-    kind: str = "new_test"
-    draws: int = 300
-    seed: int = 1
-    unit: str = ""
-    scale: float | None = None
-    peak: str = ""
-    sweep: str = ""
-    quantity: str = "drift"
-    goal: str = "mean"
-    tolerance: float = 0.01
-    jobs: int = 0
-    units: str = ""
-    force: bool = False
-    trust_model: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """What a query asks for, read and checked: nothing is computed yet."""
-
-    query: Query
-    run: Run
-    building: Building
-    grounds: tuple[Ground, ...]
-    levels: tuple[Array, str] | None
-
-
-def prepare(out: Path, query: Query) -> Prepared:
-    """Run, building and ground motions of a query."""
-    check_folder(query.folder, force=query.force)
-    if not query.sweep and (query.quantity, query.goal) != (Query.quantity, Query.goal):
-        raise BuildingError("--minimise and --by say what a sweep makes small: give --sweep too")
-    levels = parse_sweep(query.sweep) if query.sweep else None
-    building = read_building(query.building)
-    grounds = _grounds(query)
-    run = replace(open_run(out, trust=query.trust_model), units=query.units)
-    if levels is not None:
-        check_kind("--sweep: the actuation", levels[1], run.actuation_unit)
+def run_respond(options: RespondOptions) -> None:
+    """Compute the response of a building with the device of a run; write and print it."""
+    check_folder(options.folder, force=options.force)
+    chosen = options.quantity, options.statistic
+    if not options.sweep and chosen != (RespondOptions.quantity, RespondOptions.statistic):
+        raise BuildingError(
+            "--minimise and --statistic say what a sweep makes small: give --sweep too"
+        )
+    swept = parse_sweep(options.sweep) if options.sweep else None
+    building = read_building(options.building)
+    grounds = _grounds(options)
+    run = replace(open_run(options.out, trust=options.trust_model), units=options.units)
+    if swept is not None:
+        check_kind("--sweep: the actuation", swept[1], run.actuation_unit)
         if not building.devices:
-            raise BuildingError(f"--sweep needs a [[damper]] in {query.building}")
-        check_goal(query.quantity, query.goal, building.limits)
-    return Prepared(query, run, building, tuple(grounds), levels)
+            raise BuildingError(f"--sweep needs a [[damper]] in {options.building}")
+        check_goal(*chosen, building.limits)
+    for ground in () if options.quiet else grounds:
+        say(ground.words)
+    with show_progress(quiet=options.quiet) as observe:
+        view = _write_view(options, run, building, grounds, swept, observe)
+    warn(view.remarks)
+    for sentence in view.verdict:
+        say(sentence)
+    if view.sweep:
+        say(view.sweep)
+    if not options.quiet:
+        say(f"look next at {options.folder / 'report.html'}")
 
 
-def _grounds(query: Query) -> list[Ground]:
+def _grounds(options: RespondOptions) -> list[Ground]:
     """Ground motions as they are scaled."""
-    scale = 1.0 if query.scale is None else query.scale
+    scale = 1.0 if options.scale is None else options.scale
     if not (np.isfinite(scale) and scale > 0):
         raise BuildingError(f"--scale must be positive, got {scale}")
-    if query.peak and query.scale is not None:
+    if options.peak and options.scale is not None:
         raise BuildingError("give either --scale or --peak")
-    meant = bool(query.peak)  # which replaces the file's
-    grounds = grounds_of(list(query.grounds), unit=query.unit, scale=scale, meant=meant)
-    if not query.peak:
+    meant = bool(options.peak)  # which replaces the file's
+    grounds = grounds_of(list(options.grounds), unit=options.unit, scale=scale, meant=meant)
+    if not options.peak:
         return grounds
     try:
-        peak = parse_acceleration(query.peak)
+        peak = parse_acceleration(options.peak)
     except UnitError as error:
         raise BuildingError(f"--peak: {error}") from error
     if not peak > 0:
-        raise BuildingError(f"--peak must be positive, got {query.peak!r}")
+        raise BuildingError(f"--peak must be positive, got {options.peak!r}")
     return [ground.with_peak(peak) for ground in grounds]
 
 
-def run_respond(prepared: Prepared, observe: Callable[[Step], None]) -> ResponseView:
+def _write_view(
+    options: RespondOptions,
+    run: Run,
+    building: Building,
+    grounds: Sequence[Ground],
+    swept: tuple[Array, str] | None,
+    observe: Callable[[Step], None],
+) -> ResponseView:
     """Response of a building with the device of a run; page and tables are written."""
-    query, run = prepared.query, prepared.run
     system = SYSTEMS[run.system.name == "si"]
 
     def response_of(building: Building, prefix: str = "") -> Response:
         return respond(
-            *(run, building, prepared.grounds, query.draws, query.seed),
-            kind=query.kind,
-            tolerance=query.tolerance,
-            jobs=query.jobs,
+            *(run, building, tuple(grounds), options.draws, options.seed),
+            kind=options.kind,
+            tolerance=options.tolerance,
+            jobs=options.jobs,
             observe=lambda step: observe(replace(step, id=f"{prefix}{step.id}")),
         )
 
     sweep, remarks = None, tuple[str, ...]()
-    response = response_of(prepared.building)
-    if prepared.levels is not None:
-        levels, unit = prepared.levels
+    response = response_of(building)
+    if swept is not None:
+        levels, unit = swept
         each = [
             response_of(
-                prepared.building.at_level(level),
+                building.at_level(level),
                 f"{system.words([level], unit, actuation=True)}, ",
             )
             for level in levels.tolist()
         ]
         try:
-            sweep = sweep_of(prepared.levels, each, query.quantity, query.goal, query.seed)
+            sweep = sweep_of(swept, each, options.quantity, options.statistic, options.seed)
             remarks = sweep.remarks
         except BuildingError as error:  # the response at the file's own actuation is there
             remarks = (str(error),)
     response = replace(response, remarks=(*response.remarks, *remarks))
-    view = view_of(run, response, sweep, query, system)
-    write_response(query.folder, response, sweep, view, system)
+    view = view_of(run, response, sweep, options, system)
+    write_response(options.folder, response, sweep, view, system)
     return view
 
 
 def view_of(
-    run: Run, response: Response, sweep: Sweep | None, query: Query, system: System
+    run: Run, response: Response, sweep: Sweep | None, options: RespondOptions, system: System
 ) -> ResponseView:
     """What the page shows of a response."""
     dampers, grounds, rows = len(response.building.devices), response.grounds, response.rows()
@@ -167,7 +155,7 @@ def view_of(
             "bear"
         )
     about = (
-        f"{response.draws} draws of kind {query.kind} of the device in "
+        f"{response.draws} draws of kind {options.kind} of the device in "
         f"{run.folder.resolve().name}, {counted(dampers, 'damper')}, "
         f"{counted(len(grounds), 'ground motion')}, fundamental period "
         f"{response.building.modes.periods[0]:.3g} s."
@@ -183,10 +171,10 @@ def view_of(
     imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
     facts = {
         "run": str(run.folder),
-        "building": str(query.building),
+        "building": str(options.building),
         "ground motions": "; ".join(ground.words for ground in grounds),
-        "kind, draws, seed": f"{query.kind}, {query.draws}, {query.seed}",
-        "tolerance of peaks": f"{query.tolerance:g}",
+        "kind, draws, seed": f"{options.kind}, {options.draws}, {options.seed}",
+        "tolerance of peaks": f"{options.tolerance:g}",
         "largest energy not accounted for": f"{imbalance:.1e} of the input",
         "mfd_bayes": run.manifest.versions.get("mfd_bayes", ""),
     }

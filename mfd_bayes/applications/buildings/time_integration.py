@@ -26,8 +26,8 @@ from mfd_bayes.applications.buildings.response import (
     Response,
     combined,
 )
-from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.local import Workplace, run_jobs
+from mfd_bayes.jobs.job import Outcome, State, Step, Workplace
+from mfd_bayes.jobs.local import run_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import replicate
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.jobs.job import Outcome, State, Step
-from mfd_bayes.jobs.local import Workplace, run_jobs
+from mfd_bayes.jobs.job import Outcome, State, Step, Workplace
+from mfd_bayes.jobs.local import run_jobs
 from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
 from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import infer_population

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mfd_bayes.applications.export.options import DrawsOptions
 from mfd_bayes.errors import ReportError
 from mfd_bayes.runs.folder import (
     alone_in,
@@ -26,12 +27,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def write_draws(
-    out: Path, to: str, units: str = "", most: int = 0, *, trust_model: bool = False
-) -> tuple[Path, int]:
+def write_draws(options: DrawsOptions) -> tuple[Path, int]:
     """Write OUT/draws.csv or OUT/draws.parquet; returns its path and the number of rows."""
     import pandas as pd
 
+    out, to = options.out, options.to
     if to == "parquet" and find_spec("pyarrow") is None:
         raise ReportError(
             '--to parquet needs pyarrow, which is not installed: pip install "mfd_bayes[parquet]", '
@@ -40,8 +40,9 @@ def write_draws(
     read_manifest(out)  # a folder that is no finished run is refused before it is locked
     with alone_in(out):
         check_places(out)
-        run = open_run(out, trust=trust_model)
-        frame = pd.concat(draws_of(run, named_system(units, run.system), most), ignore_index=True)
+        run = open_run(out, trust=options.trust_model)
+        system = named_system(options.units, run.system)
+        frame = pd.concat(draws_of(run, system, options.most), ignore_index=True)
         path, content = out / f"draws.{to}", io.BytesIO()
         if to == "parquet":
             frame.to_parquet(content, engine="pyarrow", index=False)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
-import sys
-from dataclasses import dataclass
-from http.server import ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mfd_bayes.applications.buildings import draw_device
+from mfd_bayes.applications.export.options import ExportOptions
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
@@ -30,51 +27,37 @@ ABOUT = "about.json"
 _MADE_BY = "mfd_bayes export"
 
 
-@dataclass(frozen=True)
-class Export:
-    """What is to be written; the options of the command."""
-
-    to: str
-    folder: Path
-    actuation: str = ""
-    draws: int = 1000
-    seed: int = 1
-    force: bool = False
-    extrapolate: bool = False
-    trust_model: bool = False
-
-
-def export(out: Path, request: Export) -> tuple[list[str], list[str]]:
+def export(options: ExportOptions) -> tuple[list[str], list[str]]:
     """Write the samples of a new device; what was written, and reasons to trust it less."""
-    folder = request.folder
-    check_folder(folder, force=request.force)
-    run = open_run(out, trust=request.trust_model)
+    folder = options.folder
+    check_folder(folder, force=options.force)
+    run = open_run(options.out, trust=options.trust_model)
     level = float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
     actuated = run.manifest.axes.actuated
-    if request.actuation:
+    if options.actuation:
         if not actuated:
             raise CampaignError("--actuation: the campaign's tests have none; leave it out")
-        level = run.level_of(request.actuation)
+        level = run.level_of(options.actuation)
     reach = [Span("actuation", run.actuation_unit, level, level)] if actuated else []
     outside = departures(run.tested, reach)
     far = far_sentences(outside, run.system)
-    if far and not request.extrapolate:
+    if far and not options.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to export it all the same")
     remarks = [departure.sentence(run.system) for departure in outside]
-    units, samples = _samples(run, level, request)
+    units, samples = _samples(run, level, options)
     about: dict[str, object] = {
         "made_by": _MADE_BY,
         **({"actuation": {"value": level, "unit": run.actuation_unit}} if actuated else {}),
         "variables": units,
-        "draws": request.draws,
-        "seed": request.seed,
+        "draws": options.draws,
+        "seed": options.seed,
         "kind": "new_test",
         "population_sha256": (run.manifest.files or {}).get(POPULATION),
     } | ({"remarks": remarks} if remarks else {})
     about = _without_others(folder, about)
-    if request.to == "csv":
+    if options.to == "csv":
         sentences = _write_csv(folder, units, samples)
-    elif request.to == "quofem":
+    elif options.to == "quofem":
         sentences = _write_quofem(folder, list(units), samples)
     else:
         sentences = _write_opensees(folder, run, samples[:FITS], about)
@@ -82,10 +65,10 @@ def export(out: Path, request: Export) -> tuple[list[str], list[str]]:
     return sentences, remarks
 
 
-def _samples(run: Run, level: float, request: Export) -> tuple[dict[str, str], Array]:
+def _samples(run: Run, level: float, options: ExportOptions) -> tuple[dict[str, str], Array]:
     """Units of a new device's parameters, and start in its gap, by name, and their draws (n, m)."""
     model = next(iter(run.tests.values())).posterior.model
-    device = level, run.actuation_unit, request.draws, request.seed
+    device = level, run.actuation_unit, options.draws, options.seed
     theta, start = draw_device(run.population, model, *device)
     known = {q.name: q.unit for q in model.quantities}
     units = {name: known.get(name, "1") for name in model.parameters}
@@ -262,14 +245,3 @@ def _elastic_plastic(tag: int, trace: Trace, force: Array, begin: Array) -> tupl
     q = least_squares(off, begin, max_nfev=30).x
     k, slip = np.exp(q)
     return f"uniaxialMaterial ElasticPP {tag} {k:.6g} {slip / k:.6g}", fitted(q)
-
-
-class _Server(ThreadingHTTPServer):
-    """A thread for each connection; many may wait to be accepted."""
-
-    request_queue_size = 128
-
-    def handle_error(self, *connection: Any) -> None:
-        """Say nothing of a client that has gone."""
-        if not isinstance(sys.exception(), OSError):
-            super().handle_error(*connection)

@@ -9,15 +9,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mfd_bayes.applications.export.samples import Array, _Server
+from mfd_bayes.applications.export.options import ServeOptions
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
+from mfd_bayes.console import say
 from mfd_bayes.errors import CampaignError, MfdError, why_invalid
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
@@ -26,7 +28,7 @@ from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.units import parse_actuation
 
-# --- a model or a run, served to other programs
+Array = NDArray[np.float64]
 
 LOWEST = -1e300
 """Log density outside of all range: JSON has no infinity."""
@@ -58,32 +60,20 @@ class Served:
         return [np.nan_to_num(output, neginf=LOWEST).tolist()]
 
 
-def serve(
-    source: str,
-    port: int,
-    motion: Path | None,
-    sine: str,
-    actuation: str,
-    say: Callable[..., Any],
-    *,
-    trust_model: bool = False,
-) -> None:
-    """Answer requests on localhost until the process is ended.
-
-    `source` is a run folder, or a model as in a campaign file, whose motion is given as in
-    `predict`; `say` takes each sentence on what is served.
-    """
+def serve(options: ServeOptions) -> None:
+    """Answer requests on localhost until the process is ended; what is served is printed."""
+    source, motion = options.source, (options.motion, options.sine, options.actuation)
     if Path(source).is_dir():
-        if motion or sine or actuation:
+        if any(motion):
             raise CampaignError("--motion, --sine and --actuation are for a model, not for a run")
-        tests = open_run(Path(source), trust=trust_model).tests
+        tests = open_run(Path(source), trust=options.trust_model).tests
         models = {name: _served(test.posterior) for name, test in tests.items()}
     else:
-        models = {"": {"forward": _forward(find_model(source), _trace(motion, sine, actuation))}}
+        models = {"": {"forward": _forward(find_model(source), _trace(*motion))}}
     try:
-        server = _Server(("127.0.0.1", port), partial(_Handler, models))
+        server = _Server(("127.0.0.1", options.port), partial(_Handler, models))
     except OSError as error:
-        raise CampaignError(f"--port {port} cannot be used: {error.strerror}") from error
+        raise CampaignError(f"--port {options.port} cannot be used: {error.strerror}") from error
     say(f"serving at http://localhost:{server.server_address[1]} until Ctrl-C")
     if len(models) > 1:
         say(f'config {{"test": ID}} chooses one of {", ".join(models)}; by default the first')
@@ -130,6 +120,17 @@ def _trace(motion: Path | None, sine: str, actuation: str) -> Trace:
         return read_record(motion, actuation=actuation or None).trace()
     level = parse_actuation(actuation, of="--actuation")[0] if actuation else 0.0
     return parse_sine(sine).trace(level)
+
+
+class _Server(ThreadingHTTPServer):
+    """A thread for each connection; many may wait to be accepted."""
+
+    request_queue_size = 128
+
+    def handle_error(self, *connection: Any) -> None:
+        """Say nothing of a client that has gone."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(*connection)
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -1,13 +1,15 @@
-"""The command `next`: its options, and what is written."""
+"""The command `next`: what it writes and prints."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from mfd_bayes.applications.next_test.advice import AdviceInWords, next_csv
 from mfd_bayes.applications.next_test.next_test import next_test
+from mfd_bayes.applications.next_test.options import NextTestOptions
+from mfd_bayes.console import print_rows, say, warn
 from mfd_bayes.errors import CampaignError, StoreError, why_no_file
 from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
 from mfd_bayes.runs.run import open_run
@@ -18,53 +20,52 @@ from mfd_bayes.store.files import commented, json_text, quoted, write_bytes, wri
 _LARGEST = 2**20  # bytes of a file of candidates
 
 
-@dataclass(frozen=True)
-class Wish:
-    """What is asked about the next test; the options of the command."""
-
-    goal: str = ""
-    candidates: str = ""
-    limits: str = ""
-    table: Path | None = None
-    draft: Path | None = None
-    tests: int = 1
-    draws: int = 2000
-    seed: int = 0
-    units: str = ""
-    force: bool = False
-    trust_model: bool = False
+def run_next(options: NextTestOptions) -> None:
+    """Find which test to make next, and print it."""
+    best, files = write_next(options)
+    warn(best.advice.remarks)
+    if not options.quiet:
+        heads = ["narrows by", "hours", "per hour", "information, nat", "repeats"]
+        title = "How much the best candidates are expected to narrow the goal"
+        print_rows(title, ["test", *heads], best.shown(10))
+    say(best.sentence)
+    if not options.quiet:
+        for sentence in best.together:
+            say(sentence)
+        say(f"look next at {' and '.join(map(str, files[:1] + files[2:]))}")
 
 
-def run_next(out: Path, wish: Wish) -> tuple[AdviceInWords, list[Path]]:
+def write_next(options: NextTestOptions) -> tuple[AdviceInWords, list[Path]]:
     """Which test to make next, and the files: the table, its JSON and a picture are written."""
-    if wish.tests > 1 and wish.draft is None:
+    out = options.out
+    if options.tests > 1 and options.draft is None:
         raise CampaignError("--tests says how many tests --write drafts: give --write too")
-    table = out / ADVICE[0] if wish.table is None else wish.table
+    table = out / ADVICE[0] if options.table is None else options.table
     if table.suffix.lower() in (".json", ".png"):
         raise StoreError(f"{table} must not end in {table.suffix}: JSON and PNG go beside it")
     files = [table, table.with_suffix(".json"), table.with_suffix(".png")]
-    drafts = [] if wish.draft is None else [wish.draft]
-    inputs = [Path(wish.candidates)] if _is_path(wish.candidates) else []
-    own = [] if wish.table is None else files  # else they are the run's own
-    check_outputs([*own, *drafts], inputs, force=wish.force)
-    candidates = _candidates(wish.candidates)
-    run = replace(open_run(out, trust=wish.trust_model), units=wish.units)
+    drafts = [] if options.draft is None else [options.draft]
+    inputs = [Path(options.candidates)] if _is_path(options.candidates) else []
+    own = [] if options.table is None else files  # else they are the run's own
+    check_outputs([*own, *drafts], inputs, force=options.force)
+    candidates = _candidates(options.candidates)
+    run = replace(open_run(out, trust=options.trust_model), units=options.units)
     advice = next_test(
         run,
-        wish.goal or None,
+        options.goal or None,
         candidates,
-        limits=wish.limits or None,
-        draws=wish.draws,
-        seed=wish.seed,
+        limits=options.limits or None,
+        draws=options.draws,
+        seed=options.seed,
     )
     words = AdviceInWords(advice, run.system, run.actuation_unit)
-    if wish.table is None:
+    if options.table is None:
         with alone_in(out):
             _write_advice(words, files)
     else:
         _write_advice(words, files)
     for draft in drafts:
-        write_text(draft, _drafted(words, wish.tests))
+        write_text(draft, _drafted(words, options.tests))
     return words, [*files, *drafts]
 
 

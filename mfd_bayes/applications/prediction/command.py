@@ -1,7 +1,8 @@
-"""The command `predict`: its options, and what is written."""
+"""The command `predict`: what it writes and prints."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from mfd_bayes.applications.prediction.comparison import Compared, compare
+from mfd_bayes.applications.prediction.options import PredictOptions
 from mfd_bayes.applications.prediction.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.campaign.guesses import guess_columns
 from mfd_bayes.campaign.schema import CampaignFile
+from mfd_bayes.console import figures, print_rows, say, warn
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.evaluation.bounds import design_rows, design_warnings, n_draws, places_of
 from mfd_bayes.evaluation.properties import predicted_rows
-from mfd_bayes.evaluation.scores import Rows, fan_of_band
+from mfd_bayes.evaluation.scores import Rows, fan_of_band, width_sentence
 from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, Source, parse_window, read_record
@@ -28,57 +31,10 @@ from mfd_bayes.runs.stated import stated_actuation, stated_conditions
 from mfd_bayes.runs.tested_range import far_sentences
 from mfd_bayes.runs.unit_system import System
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
-from mfd_bayes.units import Axes, parse_quantity
+from mfd_bayes.units import Axes, parse_quantity, percent
 
 MOST = 40_000
 """Most samples of a motion that is predicted as it is; more would take gigabytes."""
-
-
-@dataclass(frozen=True)
-class Question:
-    """A requested prediction."""
-
-    bands: Path
-    actuation: str
-    motion: Path | None = None
-    kind: str = "new_test"
-    probability: float = 0.95
-    compare: bool = False
-    test: str = ""
-    whole: bool = False
-    explain: bool = False
-    extrapolate: bool = False
-    sine: str = ""
-    rate: str = ""
-    units: str = ""
-    design: bool = False
-    figures: bool = True
-    force: bool = False
-    given: str = ""
-    after: str = ""
-    others: tuple[Path, ...] = ()
-    device: str = ""
-    session: str = ""
-    date: str = ""
-    cycles: float | None = None
-    temperature: str = ""
-    trust_model: bool = False
-
-    @property
-    def window(self) -> tuple[float, float] | None:
-        """The given part, s; None where there is none."""
-        text = self.given
-        numbered = text.replace(" to ", "").replace(" ", "").isdigit()
-        return parse_window(text, of="--given", timed=not numbered) if text.strip() else None
-
-    @property
-    def picture(self) -> Path:
-        """PNG of the band."""
-        return self.bands.with_suffix(".png")
-
-    def beside(self, name: str) -> Path:
-        """File beside the table, such as "bands_derived.csv" for "derived.csv"."""
-        return self.bands.with_name(f"{self.bands.stem}_{name}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,46 +60,71 @@ class Answer:
         return KIND_NAMES[self.band.kind]
 
 
-def predict(out: Path, question: Question) -> Answer:
-    """Force band for a motion and an actuation, and derived quantities; both are written."""
-    check_question(question)
-    run, *others = (
-        open_run(folder, trust=question.trust_model) for folder in (out, *question.others)
+def run_predict(options: PredictOptions) -> None:
+    """Predict a force, and print what there is to say of it and where its tables are."""
+    answer = predict(options)
+    band = answer.band
+    warn(map(answer.system.text, band.remarks))
+    say(
+        f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
+        f"({answer.name}), from {band.source}: {options.bands}"
+        f"{f' and {options.picture}' if options.figures else ''}"
     )
-    question = replace(question, actuation=stated_actuation(run, question.actuation))
-    conditions = stated_conditions(question)
+    if answer.compared is not None:
+        say(answer.compared.sentence(answer.system))
+        if answer.judged:
+            warning = "warning: " if answer.disagrees else ""
+            say(f"{warning}{answer.judged}", err=answer.disagrees)
+    if options.explain and band.shares:
+        _print_shares(band.shares, quiet=options.quiet)
+    if answer.design:
+        _print_design(answer.design, band.probability)
+    if not options.quiet:
+        title = answer.system.text("Derived quantities, of the damper without offset and noise")
+        _print_derived(answer.derived, band.probability, title)
+        say(f"look next at {options.beside('derived.csv')}")
+
+
+def predict(options: PredictOptions) -> Answer:
+    """Force band for a motion and an actuation, and derived quantities; both are written."""
+    check_options(options)
     run, *others = (
-        replace(each, conditions=conditions, units=question.units) for each in (run, *others)
+        open_run(folder, trust=options.trust_model) for folder in (options.out, *options.others)
+    )
+    options = replace(options, actuation=stated_actuation(run, options.actuation))
+    conditions = stated_conditions(options)
+    run, *others = (
+        replace(each, conditions=conditions, units=options.units) for each in (run, *others)
     )
     source = ModelAverage((run, *others)) if others else run
-    level = run.level_of(question.actuation)
-    motion, remarks, record = _motion_of(question, run.manifest.settings, run.system.axes)
+    level = run.level_of(options.actuation)
+    motion, remarks, record = _motion_of(options, run.manifest.settings, run.system.axes)
     measured = replace(motion, actuation=level)  # with its force, if the file has one
     trace = replace(measured, force=None)
-    own = question.test if question.test in run.tests else ""
+    own = options.test if options.test in run.tests else ""
     far = far_sentences(run.departures(trace, own), run.system)
-    if far and not question.extrapolate:
+    if far and not options.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
-    drawn = measured if question.compare else trace
+    drawn = measured if options.compare else trace
     design: Rows = ()
-    asked = measured if question.given else trace, question.kind, question.probability
+    asked = measured if options.condition_on else trace, options.kind, options.probability
     how: dict[str, Any] = {
-        "whole": question.whole,
-        "given": question.window,
-        "after": question.after,
-        "session": question.session,
+        "whole": options.simultaneous,
+        "given": _window(options),
+        "after": options.after,
+        "session": options.session,
     }
     if not others:
-        how |= {"test": question.test, "device": question.device}
+        how |= {"test": options.test, "device": options.device}
         # without sessions the tables of --design are then of the same draws
-        how["draws"] = max(n_draws(places_of(run)), DRAWS) if question.design else DRAWS
+        how["draws"] = max(n_draws(places_of(run)), DRAWS) if options.design else DRAWS
     band = source.predict(*asked, **how)
-    compared_with = record if question.compare else None
-    about = question.after, measured, question.device, question.session
+    compared_with = record if options.compare else None
+    about = options.after, measured, options.device, options.session
     rows = predicted_rows(source, trace, band, compared_with, *about)
-    if question.design:
+    if options.design:
         remarks += design_warnings(run)
-        design = design_rows(run, trace, question.probability)
+        design = design_rows(run, trace, options.probability)
     band = replace(band, remarks=(*band.remarks, *remarks))
     compared, judged, disagrees = None, "", False
     if drawn.force is not None:
@@ -158,64 +139,71 @@ def predict(out: Path, question: Question) -> Answer:
         judged,
         disagrees,
     )
-    _write(question, drawn, answer, measured)
+    _write(options, drawn, answer, measured)
     return answer
 
 
-def check_question(question: Question) -> None:
+def check_options(options: PredictOptions) -> None:
     """Refuse options that exclude each other, and to write over what exists, but for `force`."""
-    if question.bands.suffix.lower() == ".png":
-        raise StoreError(
-            f"{question.bands} must not end in .png: the picture goes beside the table"
-        )
+    if options.bands.suffix.lower() == ".png":
+        raise StoreError(f"{options.bands} must not end in .png: the picture goes beside the table")
     for option, value, which in (
-        ("--given", question.window, "the one whose first part is given"),
-        ("--after", question.after, "one that follows another"),
-        ("--session", question.session, "one of a session"),
+        ("--condition-on", _window(options), "the one whose first part is given"),
+        ("--after", options.after, "one that follows another"),
+        ("--session", options.session, "one of a session"),
     ):
-        if value and question.design:
+        if value and options.design:
             raise CampaignError(
                 f"--design cannot be combined with {option}: its properties are those of any test, "
                 f"not of {which}"
             )
     for option in ("test", "explain", "design", "device"):
-        if question.others and getattr(question, option):
+        if options.others and getattr(options, option):
             raise CampaignError(
                 f"--{option} cannot be combined with --with: it is of one model alone"
             )
     names = ("history.png", "derived.csv", "design.csv")
-    outputs = [question.bands, question.picture, *map(question.beside, names)]
-    check_outputs(outputs, [question.motion] if question.motion else [], force=question.force)
+    outputs = [options.bands, options.picture, *map(options.beside, names)]
+    check_outputs(outputs, [options.motion] if options.motion else [], force=options.force)
+
+
+def _window(options: PredictOptions) -> tuple[float, float] | None:
+    """The time in which the measured force is used, s; None where none is."""
+    text = options.condition_on
+    numbered = text.replace(" to ", "").replace(" ", "").isdigit()
+    return parse_window(text, of="--condition-on", timed=not numbered) if text.strip() else None
 
 
 def _motion_of(
-    question: Question, settings: CampaignFile, axes: Axes
+    options: PredictOptions, settings: CampaignFile, axes: Axes
 ) -> tuple[Trace, tuple[str, ...], Record | None]:
     """Motion that is asked for, a remark where it had to be thinned, and its record, if any.
 
-    Its actuation is that of the question, whatever columns its file has.
+    Its actuation is that of the command, whatever columns its file has.
     """
-    if (question.motion is None) == (not question.sine):
+    if (options.motion is None) == (not options.sine):
         raise CampaignError("give one motion: --motion FILE, or --sine '1 in, 0.5 Hz, 3 cycles'")
-    if question.motion is None:
-        if question.compare or question.rate or question.given:
-            raise CampaignError("--compare, --given and --rate need a --motion file, not --sine")
-        return parse_sine(question.sine, axes).trace(0.0), (), None
-    columns = motion_columns(question.motion, settings, axes)
-    record = read_record(question.motion, columns, actuation=question.actuation, axes=axes)
+    if options.motion is None:
+        if options.compare or options.rate or options.condition_on:
+            raise CampaignError(
+                "--compare, --condition-on and --rate need a --motion file, not --sine"
+            )
+        return parse_sine(options.sine, axes).trace(0.0), (), None
+    columns = motion_columns(options.motion, settings, axes)
+    record = read_record(options.motion, columns, actuation=options.actuation, axes=axes)
     shown = ", ".join(f"{axes.name(role)}: {n} [{u}]" for role, (n, u) in record.columns.items())
-    read = (f"columns read from {question.motion.name}: {shown}",) if columns else ()
-    given = f"--given {question.given!r}" if question.given else ""
-    needs = "--compare" if question.compare else given
+    read = (f"columns read from {options.motion.name}: {shown}",) if columns else ()
+    given = f"--condition-on {options.condition_on!r}" if options.condition_on else ""
+    needs = "--compare" if options.compare else given
     if needs and record.force is None:
         raise CampaignError(
-            f"{needs} needs a column of the {axes.response.name} in {question.motion}"
+            f"{needs} needs a column of the {axes.response.name} in {options.motion}"
         )
-    if question.rate and not axes.timed:
+    if options.rate and not axes.timed:
         raise CampaignError("--rate: samples are numbered, the model is rate-independent")
-    if question.rate:
-        rate = parse_quantity(question.rate, "rate", of="--rate")
-        return _thinned(record, rate, question.window), read, record
+    if options.rate:
+        rate = parse_quantity(options.rate, "rate", of="--rate")
+        return _thinned(record, rate, _window(options)), read, record
     if record.time.size <= MOST:
         return record.trace(), read, record
     rate = record.rate * MOST / record.time.size
@@ -223,7 +211,7 @@ def _motion_of(
         f"the motion has {record.time.size} samples, more than the {MOST} that are predicted at "
         f"once: the band is given at {rate:.4g} Hz; --rate sets another"
     )
-    return _thinned(record, rate, question.window), (*read, remark), record
+    return _thinned(record, rate, _window(options)), (*read, remark), record
 
 
 def motion_columns(path: Path, settings: CampaignFile, axes: Axes) -> dict[str, Source] | None:
@@ -269,27 +257,27 @@ def _thinned(record: Record, rate: float, window: tuple[float, float] | None) ->
     return replace(trace, force=np.where(at, np.asarray(known.force), trace.force))
 
 
-def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) -> None:
+def _write(options: PredictOptions, drawn: Trace, answer: Answer, measured: Trace) -> None:
     """Write the tables and the pictures of a prediction; `measured` has a given part's force."""
     band, system = answer.band, answer.system
     actuated = system.axes.actuated
-    title = system.text("Predicted force") + f" at {question.actuation}" * actuated
-    about = [f"actuation {question.actuation}"] * actuated
+    title = system.text("Predicted force") + f" at {options.actuation}" * actuated
+    about = [f"actuation {options.actuation}"] * actuated
     if answer.compared is not None:
         about.append(f"compared: {answer.compared.sentence(system)}")
         about += [answer.judged] if answer.judged else []
-    write_text(question.bands, bands_csv(drawn, band, about, system))
-    level = question.actuation if actuated else ""
-    derived = predicted_csv(answer.derived, level, question.probability, system.axes.response.name)
-    write_text(question.beside("derived.csv"), derived)
+    write_text(options.bands, bands_csv(drawn, band, about, system))
+    level = options.actuation if actuated else ""
+    derived = predicted_csv(answer.derived, level, options.probability, system.axes.response.name)
+    write_text(options.beside("derived.csv"), derived)
     if answer.design:
-        design = design_csv(answer.design, level, question.probability)
-        write_text(question.beside("design.csv"), design)
+        design = design_csv(answer.design, level, options.probability)
+        write_text(options.beside("design.csv"), design)
     else:
-        remove_file(question.beside("design.csv"))  # it is of an earlier question
-    if not question.figures:
-        remove_file(question.picture)
-        remove_file(question.beside("history.png"))
+        remove_file(options.beside("design.csv"))  # it is of an earlier prediction
+    if not options.figures:
+        remove_file(options.picture)
+        remove_file(options.beside("history.png"))
         return
     from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
@@ -297,11 +285,57 @@ def _write(question: Question, drawn: Trace, answer: Answer, measured: Trace) ->
     given = band.given.window if band.given else None
     history = drawn
     if band.given is not None:
-        title += f", given {question.given}"
+        title += f", given {options.condition_on}"
         if drawn.force is None:  # the force of the given part alone
             known = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
             history = replace(drawn, force=known)
     loops = draw_loops(title, drawn, [fan], system)
-    write_bytes(question.picture, to_png(loops))
+    write_bytes(options.picture, to_png(loops))
     figure = draw_history(title, history, [fan], system, given=given)
-    write_bytes(question.beside("history.png"), to_png(figure))
+    write_bytes(options.beside("history.png"), to_png(figure))
+
+
+def _print_derived(rows: Rows, probability: float, title: str) -> None:
+    """Print the derived quantities of a prediction."""
+    low, high = (f"{percent(0.5 * (1 + side * probability))} %" for side in (-1, 1))
+    keys = ("mean", "sd", "lower", "median", "upper", "measured")
+    print_rows(
+        title,
+        ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured"),
+        [(r["name"], r["unit"], *figures(r[key] for key in keys)) for r in rows],
+        folded=0,
+        caption="; ".join(f"{r['name']} {r['note']}" for r in rows if r["note"]),
+    )
+
+
+def _print_design(rows: Rows, probability: float) -> None:
+    """Print mean and bounding properties with their factors."""
+    tail, keys = (
+        50.0 * (1.0 - probability),
+        ("nominal", "lower", "upper", "lambda_min", "lambda_max"),
+    )
+    notes = "; ".join(dict.fromkeys(f"{r['of']}, {r['note']}" for r in rows if r["note"]))
+    print_rows(
+        "Mean and bounding properties",
+        ("property", "of", "unit", "nominal", "lower", "upper", "λ min", "λ max"),
+        [
+            (
+                *(r["name"], r["of"], r["unit"]),
+                *figures((r[key] for key in keys), 3),
+            )
+            for r in rows
+            if not r["note"]
+        ],
+        folded=2,
+        caption=f"Each bound is exceeded with a probability of {tail:g} %; λ: bound over nominal "
+        f"value. {notes}",
+    )
+
+
+def _print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
+    """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
+    if not quiet:
+        ordered = sorted(shares.items(), key=lambda item: -item[1])
+        rows = [(name, f"{100 * share:.0f} %") for name, share in ordered]
+        print_rows("What makes the band wide", ("source", "share of the variance"), rows)
+    say(width_sentence(shares))

@@ -6,12 +6,13 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
+from mfd_bayes.applications.watch.options import WatchOptions
+from mfd_bayes.console import say
 from mfd_bayes.errors import MfdError, RecordError
-from mfd_bayes.population.conditioning import NARROWING, Estimate, Forecaster, is_enough
+from mfd_bayes.population.conditioning import Estimate, Forecaster, is_enough
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.stated import read_as_tests, stated_actuation, stated_conditions
@@ -23,26 +24,6 @@ from mfd_bayes.units import parse_quantity
 
 POLL = 1.0  # seconds between two looks at the file
 SAMPLES = 64  # of the next cycle, of which the band is computed
-
-
-@dataclass(frozen=True)
-class Watched:
-    """What is watched, and when it ends; the options of the command.
-
-    `narrowing` is the share by which one more cycle must narrow an interval, to be worth it. The
-    command ends when the file has not grown for `wait`.
-    """
-
-    record: Path
-    actuation: str = ""
-    session: str = ""
-    device: str = ""
-    date: str = ""
-    cycles: float | None = None
-    temperature: str = ""
-    narrowing: str = f"{100 * NARROWING:g} %"
-    wait: str = "10 s"
-    trust_model: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,22 +66,28 @@ class Cycle:
         )
 
 
-def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
+def run_watch(options: WatchOptions) -> None:
+    """Print a line for each cycle of a test as it ends."""
+    for cycle in watch(options):
+        say(cycle.sentence)
+
+
+def watch(options: WatchOptions) -> Iterator[Cycle]:
     """Cycles of a test as they end in its file, which may still grow."""
-    run = open_run(out, trust=watched.trust_model)
-    run = replace(run, conditions=stated_conditions(watched))
-    watched = replace(watched, actuation=stated_actuation(run, watched.actuation))
-    level = run.level_of(watched.actuation)
-    narrowing = parse_quantity(watched.narrowing, "dimensionless", of="--narrowing")
-    wait = parse_quantity(watched.wait, "time", of="--wait")
+    run = open_run(options.run, trust=options.trust_model)
+    run = replace(run, conditions=stated_conditions(options))
+    options = replace(options, actuation=stated_actuation(run, options.actuation))
+    level = run.level_of(options.actuation)
+    narrowing = parse_quantity(options.narrowing, "dimensionless", of="--narrowing")
+    wait = parse_quantity(options.wait, "time", of="--wait")
     follower: Forecaster | None = None
     number = begin = enough = 0
-    for trace in _growing(run, watched, wait):
+    for trace in _growing(run, options, wait):
         if trace.force is None:
-            raise RecordError(f"{watched.record} has no column of the force")
+            raise RecordError(f"{options.record} has no column of the force")
         turns = trace.cycle_turns[::2]
         for first, end in pairwise(turns[turns >= begin - 1].tolist()):
-            follower = follower or _follow(run, trace, level, watched)
+            follower = follower or _follow(run, trace, level, options)
             part = slice(begin, end + 1)
             follower.update(
                 trace.time[part], trace.displacement[part], None, np.asarray(trace.force)[part]
@@ -114,19 +101,19 @@ def watch(out: Path, watched: Watched) -> Iterator[Cycle]:
             yield Cycle(number, estimates, width, misfit, enough, run.system)
     if not number:
         raise RecordError(
-            f"{watched.record} has no full cycle: expected a motion that turns three times"
+            f"{options.record} has no full cycle: expected a motion that turns three times"
         )
 
 
-def _follow(run: Run, trace: Trace, level: float, watched: Watched) -> Forecaster:
+def _follow(run: Run, trace: Trace, level: float, options: WatchOptions) -> Forecaster:
     """Forecaster of a test with the stroke and the speed of its first cycle."""
     reached = conditions_of(trace)
     return run.follow(
         level,
         amplitude=0.5 * reached["stroke"],
         velocity=reached.get("speed"),
-        session=watched.session,
-        device=watched.device,
+        session=options.session,
+        device=options.device,
     )
 
 
@@ -139,7 +126,7 @@ def _width(follower: Forecaster, trace: Trace, first: int, end: int) -> float:
     return float(np.mean(band.upper - band.lower))
 
 
-def _growing(run: Run, watched: Watched, wait: float) -> Iterator[Trace]:
+def _growing(run: Run, options: WatchOptions, wait: float) -> Iterator[Trace]:
     """The record each time that its file has grown, until it has not for `wait` s.
 
     The last line of a file that is being written may be half a line: while the file grows, what
@@ -148,14 +135,14 @@ def _growing(run: Run, watched: Watched, wait: float) -> Iterator[Trace]:
     seen = None
     while True:
         try:
-            state = watched.record.stat()
+            state = options.record.stat()
         except OSError as error:
-            raise RecordError(f"cannot read {watched.record}: {error.strerror}") from error
+            raise RecordError(f"cannot read {options.record}: {error.strerror}") from error
         idle = time.time() - state.st_mtime >= wait
         if idle or state.st_size != seen:
             seen = state.st_size
             try:
-                yield read_as_tests(run, watched.record, watched.actuation).trace()
+                yield read_as_tests(run, options.record, options.actuation).trace()
             except MfdError:
                 if idle:
                     raise
